@@ -1,0 +1,62 @@
+"""The inverted pendulum of Gymnasium's MuJoCo suite (`InvertedPendulum-v5`), actions scaled to [-1, 1]."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
+from gymnasium.wrappers import RescaleAction
+
+from envs.cartpole import draw_cart_and_pole
+from envs.spec import Array, EnvSpec, Shape
+
+HORIZON = 1000
+MAX_ANGLE = 0.2  # rad, where the environment terminates
+RAIL = 1.0  # m, half of the rail's length
+POLE_LENGTH = 0.6  # m
+
+
+def make_pendulum() -> gym.Env[Any, Any]:
+    """Observation (4,): cart position [m], pole angle [rad], and their rates; action (1,), times 3 N m/m."""
+    return RescaleAction(InvertedPendulumEnv(), np.float32(-1), np.float32(1))
+
+
+def phi(obs: Array, act: Array) -> Array:
+    """(B, 5): how centred each observation is, 1 - (value / limit)^2 clipped to [-1, 1], and a constant."""
+    centred = 1 - (obs / np.array([RAIL, MAX_ANGLE, 2.0, 2.0])) ** 2
+    return np.concatenate([np.clip(centred, -1, 1), np.ones((len(obs), 1))], axis=1)
+
+
+def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
+    """The rail, the cart as a box and the pole as a line."""
+    inner = env.unwrapped
+    assert isinstance(inner, InvertedPendulumEnv)
+    x, angle = inner.data.qpos
+    return draw_cart_and_pole(float(x), float(angle), RAIL, POLE_LENGTH)
+
+
+def why_ended(env: gym.Env[Any, Any]) -> str:
+    """Always 'pole fell': the cart cannot leave its rail."""
+    return "pole fell"
+
+
+SPEC = EnvSpec(
+    name="pendulum",
+    summary="MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
+    env_id="irl_bench/Pendulum-v0",
+    obs_size=4,
+    act_size=1,
+    horizon=HORIZON,
+    gamma=0.99,
+    success=1000.0,
+    rl_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
+    eval_episodes={"smoke": 10, "quick": 100, "full": 100},
+    demo_episodes=100,
+    phi=phi,
+    draw=draw,
+    why_ended=why_ended,
+)
+
+gym.register(SPEC.env_id, entry_point=make_pendulum, max_episode_steps=HORIZON, disable_env_checker=True)

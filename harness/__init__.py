@@ -1,0 +1,1 @@
+"""Running the benchmark: command line, experts, reinforcement learning, evaluation, storage, reports."""

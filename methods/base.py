@@ -1,0 +1,121 @@
+"""The one interface between methods and the benchmark: what a method is given and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Policy(Protocol):
+    """A deterministic policy: observations (B, O) to actions (B, A) within [-1, 1]."""
+
+    def __call__(self, obs: Array, /) -> Array: ...
+
+
+@runtime_checkable
+class Reward(Protocol):
+    """A learned reward: (B, O) observations, (B, A) actions, (B, O) next observations to (B,) rewards.
+
+    `absorbing` is what one step in the absorbing state pays, where episodes go when they terminate.
+    Only differences from it count (see the README, "Termination").
+    """
+
+    @property
+    def absorbing(self) -> float: ...
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Episodes without rewards: demonstrations, or rollouts in a `World`. Its arrays are read-only.
+
+    obs: for each episode (T+1, O), the last row being where it ended.
+    act: for each episode (T, A), in [-1, 1].
+    terminated: for each episode whether it terminated (and was not cut at the horizon).
+    Raises ValueError for anything else: no episode, no step, wrong shapes, NaN, actions out of range.
+    """
+
+    obs: tuple[Array, ...]
+    act: tuple[Array, ...]
+    terminated: tuple[bool, ...]
+
+    def __post_init__(self) -> None:
+        if not len(self.obs) == len(self.act) == len(self.terminated) > 0:
+            raise ValueError("episodes: obs, act and terminated must list the same episodes, at least one")
+        for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
+            if obs.ndim != 2 or act.ndim != 2 or len(obs) != len(act) + 1 or len(act) == 0:
+                raise ValueError(f"episode {i}: needs obs (T+1, O) and act (T, A), has {obs.shape}, {act.shape}")
+            if obs.shape[1] != self.obs[0].shape[1] or act.shape[1] != self.act[0].shape[1]:
+                raise ValueError(f"episode {i}: its sizes differ from those of episode 0")
+            if not (np.isfinite(obs).all() and np.isfinite(act).all()):
+                raise ValueError(f"episode {i}: obs and act must be finite")
+            if np.abs(act).max() > 1:
+                raise ValueError(f"episode {i}: actions must lie in [-1, 1]")
+            obs.flags.writeable = act.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.act)
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Steps of each episode."""
+        return np.array([len(act) for act in self.act])
+
+    def pairs(self) -> tuple[Array, Array]:
+        """Every (observation, action) in one batch: (N, O) and (N, A)."""
+        return np.concatenate([obs[:-1] for obs in self.obs]), np.concatenate(self.act)
+
+
+class World(Protocol):
+    """The environment without its reward: all that a method may touch. It counts what it is asked for."""
+
+    obs_size: int
+    act_size: int
+    horizon: int
+    gamma: float
+
+    def phi(self, obs: Array, act: Array) -> Array:
+        """The environment's features for linear rewards, (B, K), within [-1, 1]."""
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        """Fresh episodes of the policy."""
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        """Reinforcement learning for `steps` environment steps under the reward; `warm` goes on from
+        this world's last solve, with its networks and its experience relabelled by the new reward."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What a method found: the apprentice policy pi*, the reward R* (None: it learns none), and curves
+    of its training by name, such as losses, one value an iteration."""
+
+    policy: Policy
+    reward: Reward | None
+    curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+class Method(Protocol):
+    """A method: a frozen dataclass whose fields are its hyper-parameters."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Learn from the demonstrations alone, in a world without its reward."""
+
+
+def default_absorbing(reward: Reward, demos: Episodes, rng: np.random.Generator) -> float:
+    """What absorption pays under a reward learned from expert pairs only: its mean over the demonstrated
+    states with uniform actions; over the demonstrated pairs where the demonstrations themselves terminate.
+
+    So an uninformed agent gains nothing from staying alive, nor from dying.
+    """
+    obs, act = demos.pairs()
+    if not all(demos.terminated):
+        act = rng.uniform(-1, 1, act.shape)
+    return float(reward(obs, act, obs).mean())
