@@ -186,6 +186,8 @@ class _FastRoad(Road):  # type: ignore[misc]
 class _FastStep(Vehicle):  # type: ignore[misc]
     """The bicycle model of `Vehicle` in scalars."""
 
+    impact: NDArray[np.float64] | None
+
     def step(self, dt: float) -> None:
         self.clip_actions()
         slip = np.arctan(1 / 2 * np.tan(self.action["steering"]))
@@ -249,7 +251,7 @@ class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
             distance = ego_vehicle.lane_distance_to(front_vehicle)
             ratio = self.desired_gap(ego_vehicle, front_vehicle) / not_zero(distance)
             acceleration -= self.COMFORT_ACC_MAX * float(np.power(ratio, 2))
-        return acceleration
+        return float(acceleration)
 
     def desired_gap(self, ego_vehicle: Any, front_vehicle: Any = None, projected: bool = True) -> float:
         scene = self.road.scene
@@ -260,7 +262,7 @@ class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
         braking = math.sqrt(-self.COMFORT_ACC_MAX * self.COMFORT_ACC_MIN)  # exact, as every square root
         speed = ego_vehicle.speed
         gap = self.DISTANCE_WANTED + speed * self.TIME_WANTED + speed * closing / (2 * braking)
-        return gap  # type: ignore[no-any-return]
+        return float(gap)
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -296,7 +298,7 @@ class _FastKinematics(KinematicObservation):  # type: ignore[misc]
         ahead = []
         for vehicle in self.env.road.vehicles:
             along = vehicle.position.item(0) - x
-            if vehicle is ego or not (self.see_behind or -2 * ego.LENGTH < along):
+            if vehicle is ego or not (self.see_behind or along > -2 * ego.LENGTH):
                 continue
             square = along**2 + (vehicle.position.item(1) - y) ** 2
             near = square < (reach - 1e-6) ** 2

@@ -43,6 +43,8 @@ class EnvSpec:
     """Gymnasium id; `import envs` registers it."""
     obs_size: int
     act_size: int
+    obs_scale: tuple[float, ...]
+    """A typical size of each observation while the task goes well; RL divides by it."""
     horizon: int
     """Steps after which an episode is truncated."""
     gamma: float
@@ -65,6 +67,8 @@ class EnvSpec:
     def __post_init__(self) -> None:
         if not 0 < self.gamma < 1:
             raise ValueError(f"{self.name}: gamma must lie in (0, 1), not {self.gamma}")
+        if len(self.obs_scale) != self.obs_size or min(self.obs_scale) <= 0:
+            raise ValueError(f"{self.name}: obs_scale must hold a positive number for each observation")
         counts = [self.obs_size, self.act_size, self.horizon, self.demo_episodes]
         counts += [table[b] for table in (self.rl_steps, self.eval_episodes) for b in BUDGETS]
         if min(counts) < 1:

@@ -1,53 +1,256 @@
 """Reinforcement learning for every purpose here: the expert, inner loops, and pi_R. The only file that
-knows the RL library (DDPG of Stable-Baselines3).
+knows the RL library (DDPG of Stable-Baselines3; Lillicrap et al. 2015, with n-step returns).
 
 Protocol `absorbing` (Kostrikov et al. 2019, Discriminator-Actor-Critic): observations carry an absorbing
 indicator; what would terminate goes to the absorbing state instead, stays there a few steps, and is
 truncated and bootstrapped like a time limit. The agent learns on reward - reward.absorbing, so that the
-absorbing state pays 0 and a constant reward is 0 everywhere. Protocol `native`: episodes end.
+absorbing state pays 0 and a constant reward is 0 everywhere. Protocol `native`: episodes end, and the
+agent learns on the reward as it is.
+
+After a random warm-up the rewards are scaled to a fixed mean size, and under `absorbing` centred by one
+constant, the absorbing state's reward included. Neither changes which policy is better.
 
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
-that the agent learns from, over a fixed number of fresh episodes up to the horizon; the latest of equals.
+that the agent learns from, over fresh episodes up to the horizon. The untrained agent is the first checkpoint, and
+only a strictly better one replaces what is kept: a reward that tells no two policies apart teaches nothing.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium import spaces
+from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 from envs import EnvSpec
-from harness.simulator import Simulator, Trajectory
+from harness.seeds import training_seeds
+from harness.simulator import Simulator
 from methods.base import Array, Policy, Reward
 from methods.network import Network
 
 ABSORBING_STEPS = 5
+"""Steps in the absorbing state before the episode is truncated."""
 WARM_UP = 1000
+"""Random steps before learning; fewer where a solve is shorter than twice that."""
+CHECKPOINT_EVERY = 500
+"""Steps between checkpoints."""
+REWARD_SIZE = 0.1
+"""Mean absolute reward after scaling."""
+BUFFER = 100_000
+"""Transitions that a learner can hold, over all its solves."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters of DDPG; the same for the expert, inner loops and pi_R in one environment."""
+    """Hyper-parameters of DDPG: the same for the expert, inner loops and pi_R in one environment."""
 
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
-    tau: float = 0.02
+    tau: float = 0.01
     batch: int = 128
+    n_steps: int = 3
     noise: float = 0.3
-    gamma: float = 0.99
-    every: int = 1
-    reward_scale: float = 0.1
-    checkpoints: int = 10
-    check_episodes: int = 10
+    """Scale of the Ornstein-Uhlenbeck exploration noise; the action range is [-1, 1]."""
+    check_episodes: int = 5
 
 
 SETTINGS: dict[str, Settings] = {}
+"""By environment; the defaults elsewhere."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solve found. curve: (environment steps of this solve, mean return under the learner's
+    reward) at each checkpoint. env_steps: steps taken, those of checkpoint episodes included."""
+
+    policy: Network
+    curve: list[tuple[float, float]]
+    env_steps: int
+
+
+class Learner:
+    """DDPG in one environment. Solving again goes on with the same networks and the same experience,
+    relabelled by the new reward."""
+
+    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
+        self._spec = spec
+        self._rng = rng
+        self._settings = SETTINGS.get(spec.name, Settings())
+        self._env = _TrainingEnv(spec, protocol, rng)
+        self._checks = Simulator(spec)
+        self._model: DDPG | None = None
+
+    def solve(self, reward: Reward | None, steps: int) -> Solution:
+        """Learn for `steps` environment steps under the reward; None is the environment's own, for the
+        expert and the control that learns from the truth. Raises FloatingPointError on NaN rewards."""
+        seed = int(self._rng.integers(1 << 31))
+        self._env.reward = reward
+        warm_up = 0
+        if self._model is None:
+            warm_up = min(WARM_UP, steps // 2)
+            self._model = self._build(warm_up, seed)
+            self._model.learn(warm_up)
+        else:
+            self._model.set_random_seed(seed)
+        buffer = self._model.replay_buffer
+        assert buffer is not None
+        buffer.rewards[: self._env.steps, 0] = self._env.normalise()
+        keeper = _Keeper(self, training_seeds(self._rng, self._settings.check_episodes), warm_up, steps)
+        self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
+        return Solution(keeper.best, keeper.curve, steps + keeper.check_steps)
+
+    def _build(self, warm_up: int, seed: int) -> DDPG:
+        s, size = self._settings, self._spec.act_size
+        return DDPG(
+            "MlpPolicy",
+            self._env,
+            learning_rate=s.learning_rate,
+            buffer_size=BUFFER,
+            learning_starts=warm_up,
+            batch_size=s.batch,
+            tau=s.tau,
+            gamma=self._spec.gamma,
+            n_steps=s.n_steps,
+            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
+            policy_kwargs={"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}},
+            seed=seed,
+            device="cpu",
+        )
+
+    def actor(self) -> Network:
+        """The current policy on the environment's own observations (the absorbing indicator is 0)."""
+        assert self._model is not None
+        size = self._spec.obs_size
+        net = Network.from_torch(
+            self._model.actor.mu, np.zeros(size), np.array(self._spec.obs_scale), tanh=True
+        )
+        return Network(net.mean, net.std, (net.weights[0][:size], *net.weights[1:]), net.biases, True)
+
+    def check(self, policy: Policy, seeds: list[int]) -> tuple[float, int]:
+        """Mean undiscounted return under the reward that the agent learns from, and the steps it took."""
+        episodes = self._checks.run(policy, seeds)
+        total = sum(float(self._env.raw_rewards(e.obs[:-1], e.act, e.obs[1:], e.rewards).sum()) for e in episodes)
+        return total / len(seeds), sum(len(e.act) for e in episodes)
+
+
+class _Keeper(BaseCallback):
+    """Keeps the best checkpoint."""
+
+    def __init__(self, learner: Learner, seeds: list[int], start: int, steps: int) -> None:
+        super().__init__()
+        self.learner, self.seeds, self.done_steps, self.steps = learner, seeds, start, steps
+        self.curve: list[tuple[float, float]] = []
+        self.check_steps = 0
+        self.best: Network
+        self.best_return = -np.inf
+        self._check()
+
+    def _on_step(self) -> bool:
+        self.done_steps += 1
+        if self.done_steps % CHECKPOINT_EVERY == 0 or self.done_steps == self.steps:
+            self._check()
+        return True
+
+    def _check(self) -> None:
+        policy = self.learner.actor()
+        score, steps = self.learner.check(policy, self.seeds)
+        self.check_steps += steps
+        self.curve.append((float(self.done_steps), score))
+        if score > self.best_return:
+            self.best, self.best_return = policy, score
+
+
+class _TrainingEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """The environment as the agent sees it. It logs every transition, so that rewards can be relabelled."""
+
+    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
+        self.observation_space = spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
+        self.reward: Reward | None = None
+        self._env = spec.make()
+        self._obs_scale = np.array(spec.obs_scale)
+        self._absorbing = protocol == "absorbing"
+        self._rng = rng
+        self._obs = np.zeros(spec.obs_size)
+        self._absorbed_for: int | None = None
+        self._centre, self._size = 0.0, 1.0
+        self._log = _Log(spec)
+
+    @property
+    def steps(self) -> int:
+        return self._log.steps
+
+    def raw_rewards(self, obs: Array, act: Array, next_obs: Array, true: Array) -> Array:
+        """(B,): what each step pays before normalisation. Raises FloatingPointError if that is not finite."""
+        rewards = true if self.reward is None else self.reward(obs, act, next_obs)
+        if self.reward is not None and self._absorbing:
+            rewards = rewards - self.reward.absorbing
+        if rewards.shape != true.shape or not np.isfinite(rewards).all():
+            raise FloatingPointError("the reward must give one finite number for each step")
+        return rewards
+
+    def normalise(self) -> Array:
+        """Fit the normalisation to all that was seen, and return every step's reward under it."""
+        log = self._log
+        raw = np.zeros(log.steps)
+        alive = log.alive[: log.steps]
+        arrays = (a[: log.steps][alive] for a in (log.obs, log.act, log.next_obs, log.true))
+        raw[alive] = self.raw_rewards(*arrays)
+        size = float(np.abs(raw[alive]).mean())
+        self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
+        self._centre = float(raw[alive].mean()) if self._absorbing else 0.0
+        return (raw - self._centre) / self._size
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        super().reset(seed=seed)
+        obs, _ = self._env.reset(seed=training_seeds(self._rng, 1)[0])
+        self._obs = np.asarray(obs, np.float64)
+        self._absorbed_for = None
+        return self._seen(), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        if self._absorbed_for is not None:
+            self._absorbed_for += 1
+            self._log.add(self._obs, action, self._obs, 0.0, alive=False)
+            return self._seen(), -self._centre / self._size, False, self._absorbed_for == ABSORBING_STEPS, {}
+        obs, true, terminated, truncated, _ = self._env.step(action)
+        obs = np.asarray(obs, np.float64)
+        batch = (self._obs[None], np.asarray(action, np.float64)[None], obs[None], np.array([float(true)]))
+        reward = (float(self.raw_rewards(*batch)[0]) - self._centre) / self._size
+        self._log.add(self._obs, action, obs, float(true), alive=True)
+        self._obs = obs
+        if terminated and self._absorbing:
+            self._absorbed_for, terminated, truncated = 0, False, False
+        return self._seen(), reward, terminated, truncated, {}
+
+    def _seen(self) -> NDArray[np.float32]:
+        absorbed = self._absorbed_for is not None
+        obs = np.zeros_like(self._obs) if absorbed else self._obs / self._obs_scale
+        return np.append(obs, float(absorbed)).astype(np.float32)
+
+
+class _Log:
+    """Every transition so far, in the order of the replay buffer."""
+
+    def __init__(self, spec: EnvSpec) -> None:
+        self.steps = 0
+        self.obs = np.zeros((BUFFER, spec.obs_size))
+        self.act = np.zeros((BUFFER, spec.act_size))
+        self.next_obs = np.zeros((BUFFER, spec.obs_size))
+        self.true = np.zeros(BUFFER)
+        self.alive = np.zeros(BUFFER, bool)
+
+    def add(self, obs: Array, act: NDArray[np.float32], next_obs: Array, true: float, *, alive: bool) -> None:
+        i = self.steps
+        self.obs[i], self.act[i], self.next_obs[i], self.true[i], self.alive[i] = obs, act, next_obs, true, alive
+        self.steps += 1

@@ -1,0 +1,178 @@
+"""The command line. Exit codes: 0 done, 1 some cell failed, 2 bad input, 130 stopped by Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from harness.registry import BUDGETS, ENVS, METHODS, BadInput, choose
+from harness.results import PROTOCOLS, CellResult
+
+MOST = 1000
+"""Largest count that --seeds and --workers take."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(" ".join(message.split()))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Does what `argv` (default: the command line) asks for; returns the exit code."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    try:
+        code = _dispatch(argv)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BadInput as error:
+        print(f"irl-bench: error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Python flushes standard output once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"irl-bench: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        again = shlex.join(["python", "-m", "harness", *argv])
+        print(
+            f"\nstopped; finished cells are kept. To go on, run the same again:\n  {again}", file=sys.stderr
+        )
+        return 130
+
+
+def _dispatch(argv: list[str]) -> int:
+    try:
+        args = _parser().parse_args(argv)
+    except SystemExit:  # --help, the only other way out of a parser whose error() raises
+        return 0
+    if args.command == "list":
+        return _list()
+    if args.command == "report":
+        return _report(args.directory)
+    return _run(args)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="irl-bench", description=__doc__, allow_abbrev=False)
+    commands = parser.add_subparsers(dest="command", required=True)
+    add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
+    add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join(METHODS))
+    add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join(ENVS))
+    add.add_argument("--seeds", type=_count, metavar="K", help="how many, from 0 (default 1; 5 for full)")
+    add.add_argument("--budget", default="quick", choices=BUDGETS)
+    add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
+    add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
+    add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
+    add.add_argument("directory", type=Path, metavar="DIR")
+    commands.add_parser("list", help="methods and environments", allow_abbrev=False)
+    return parser
+
+
+def _count(text: str) -> int:
+    try:
+        number = int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number") from error
+    if not 1 <= number <= MOST:
+        raise argparse.ArgumentTypeError(f"must lie between 1 and {MOST}, not {text[:40]}")
+    return number
+
+
+def _list() -> int:
+    for title, entries in (("methods", {n: e.summary for n, e in METHODS.items()}), ("envs", ENVS)):
+        print(f"{title}:")
+        for name, summary in entries.items():
+            print(f"  {name:10} {summary}")
+    return 0
+
+
+def _run(args: argparse.Namespace) -> int:
+    methods = choose("method", args.methods, METHODS)
+    envs = choose("env", args.envs, ENVS)
+    # Imported here, for `--help` and `list` to answer at once.
+    from harness.progress import say
+    from harness.run import Grid
+    from harness.store import LOG, Request, open_for_run
+
+    seeds = args.seeds or (5 if args.budget == "full" else 1)
+    request = Request(methods, envs, seeds, args.budget, args.protocol)
+    _let_signals_interrupt()
+    with open_for_run(args.out, request) as run:
+        known, corrupt = run.load()
+        for path, reason in corrupt.items():
+            print(f"corrupt, computed again if asked for: {path}: {reason}", file=sys.stderr)
+        cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
+        kept = len(request.cells) - len(cells)
+        say(f"{len(cells)} cells to run, {kept} kept from before, {args.budget} budget, in {args.out}")
+        workers = args.workers or _cores()
+        Grid(args.budget, args.protocol, args.out.absolute(), workers, run.save).run(cells)
+        results, _ = run.load()
+        _write_report(args.out, list(results.values()))
+        failed = _tell_troubles([results[cell] for cell in request.cells])
+        if failed:
+            print(f"tracebacks are in {args.out / LOG}; the same command tries again", file=sys.stderr)
+    return int(failed)
+
+
+def _report(directory: Path) -> int:
+    from harness.store import open_for_report
+
+    with open_for_report(directory) as run:
+        results, corrupt = run.load()
+        for path, reason in corrupt.items():
+            print(f"corrupt, left out: {path}: {reason}", file=sys.stderr)
+        if not results:
+            raise BadInput(f"{directory} holds no finished cell")
+        _write_report(directory, list(results.values()))
+    _tell_troubles(list(results.values()))
+    return 1 if corrupt else 0
+
+
+def _write_report(directory: Path, results: list[CellResult]) -> None:
+    from harness.progress import say
+    from harness.report import write_report
+
+    write_report(directory, results)
+    say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))
+    for name in ("scores.csv", "report.html", "recordings"):
+        say(f"{name:11} {directory / name}")
+
+
+def _tell_troubles(results: list[CellResult]) -> bool:
+    """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
+    for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
+        print(f"WARNING: {warning}", file=sys.stderr)
+    failed = [result for result in results if _has_failed(result)]
+    for result in failed:
+        reason = next(row.reason for row in result.rows if row.status == "failed")
+        print(f"FAILED: {result.cell.name}: {reason}", file=sys.stderr)
+    return bool(failed)
+
+
+def _has_failed(result: CellResult) -> bool:
+    return any(row.status == "failed" for row in result.rows)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _let_signals_interrupt() -> None:
+    """Makes being terminated, or losing the terminal, a clean stop like Ctrl-C."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.default_int_handler)

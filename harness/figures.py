@@ -1,0 +1,186 @@
+"""The figures of a report, as PNGs: equal results give equal bytes."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+from harness.leaderboard import Entry
+from harness.results import CONTROLS, REFERENCE, CellResult, Row
+
+_POLICIES = {
+    "pi_star": (r"$\pi^*$ (the apprentice)", "#0072b2", "o"),
+    "pi_R": (r"$\pi_R$ (RL on R*)", "#d55e00", "D"),
+}
+"""Label, colour (told apart by the colour-blind too) and marker."""
+_RL_CURVES = ("pi_R", "expert")
+_STYLE: dict[Any, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "font.size": 9,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure: its file name, what it says in words, the PNG itself and its size on a page in pixels."""
+
+    file: str
+    title: str
+    alt: str
+    png: bytes
+    width: int
+    height: int
+
+
+def draw(
+    env: str, entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult]
+) -> list[Picture]:
+    """The figures of one env, from its part of the leaderboard, its scored rows and its results: scores,
+    learning curves of RL, training curves of methods; those that have nothing to show are left out."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        rl, training = _curves([entry.method for entry in entries], results)
+        pictures = [_scores(env, entries, rows)]
+        if rl:
+            alt = f"Return under the learned reward against environment steps in {env}, a panel for each of: "
+            pictures.append(
+                _panels(
+                    f"{env}_rl.png",
+                    f"{env}: RL on R* (each panel has its own scale)",
+                    alt + ", ".join(rl) + ".",
+                    "environment steps",
+                    "return under R*",
+                    rl,
+                )
+            )
+        if training:
+            alt = f"Training curves in {env}, a panel for each of: "
+            pictures.append(
+                _panels(
+                    f"{env}_training.png",
+                    f"{env}: training of the methods",
+                    alt + ", ".join(training) + ".",
+                    "iteration",
+                    "",
+                    training,
+                )
+            )
+    return pictures
+
+
+def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row]) -> Picture:
+    """A point a seed, a diamond or disc at the mean, a bar for its interval; controls on grey."""
+    methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
+    figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
+    axes = figure.add_subplot()
+    for value, name in ((0.0, "random"), (1.0, "expert")):
+        axes.axvline(value, color="#888888", linewidth=1, linestyle="--", zorder=0)
+        axes.text(value, 1.01, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    told = []
+    for place, method in enumerate(methods):
+        ground = "#eeeeee" if method in CONTROLS else "white"
+        axes.axhspan(place - 0.5, place + 0.5, color=ground, linewidth=0, zorder=-1)
+        mine = [entry for entry in entries if entry.method == method]
+        words = []
+        for entry in mine:
+            y = place + (0.0 if len(mine) == 1 else -0.22 if entry.policy == "pi_star" else 0.18)
+            _, colour, marker = _POLICIES[entry.policy]
+            if not math.isfinite(entry.score_mean):
+                text = f"{entry.policy} {_why(entry)}"
+                box = {"facecolor": ground, "linewidth": 0, "pad": 1}
+                style: dict[str, Any] = {"va": "center", "fontsize": 8, "parse_math": False, "bbox": box}
+                axes.text(0.02, y, text, transform=axes.get_yaxis_transform(), color=colour, **style)
+                words.append(f"{entry.policy} n/a")
+                continue
+            dots = [r.normalized_score for r in rows if (r.method, r.policy) == (method, entry.policy)]
+            axes.scatter(dots, [y + 0.17] * len(dots), s=14, color=colour, alpha=0.5, linewidths=0)
+            if math.isfinite(entry.score_low):
+                axes.plot([entry.score_low, entry.score_high], [y, y], color=colour, linewidth=2, zorder=3)
+            axes.scatter(entry.score_mean, y, s=38, color=colour, marker=marker, edgecolors="white", zorder=4)
+            words.append(f"{entry.policy} {entry.score_mean:.2f}")
+        told.append(f"{method} {', '.join(words)}")
+    axes.set_yticks(range(len(methods)), methods, parse_math=False)
+    axes.set_ylim(len(methods) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("normalized score (small dots: seeds; markers: means; bars: 95 % intervals)")
+    for label, colour, marker in _POLICIES.values():
+        axes.scatter([], [], s=38, color=colour, marker=marker, label=label)
+    figure.legend(loc="outside upper right", ncols=2, frameon=False)
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, -0.1), max(high, 1.1))
+    alt = f"Mean normalized scores in {env} (0 random, 1 expert): {'; '.join(told)}."
+    return _picture(f"{env}_scores.png", f"{env}: normalized scores", alt, figure)
+
+
+def _why(entry: Entry) -> str:
+    """Why there is no score, in a line."""
+    text = " ".join(entry.note.split()) or "no score: it takes an expert better than random"
+    return text if len(text) <= 70 else text[:69] + "…"
+
+
+Curves = dict[str, list[list[tuple[float, float]]]]
+"""Lines by the title of their panel, one a seed."""
+
+
+def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves]:
+    """RL's curves and the methods' own, in the order of `methods`."""
+    ranked = [result for result in results if result.cell.method in methods]
+    ranked.sort(key=lambda result: (methods.index(result.cell.method), result.cell.seed))
+    rl: Curves = {}
+    training: Curves = {}
+    for result in ranked:
+        method = result.cell.method
+        for name, points in sorted(result.curves.items()):
+            finite = [(x, y) for x, y in points if math.isfinite(y)]
+            if not finite:
+                continue
+            if name in _RL_CURVES:
+                title = f"{method} (true reward)" if name == "expert" else method
+                rl.setdefault(title, []).append(finite)
+            else:
+                training.setdefault(f"{method}: {name}", []).append(finite)
+    return rl, training
+
+
+def _panels(file: str, title: str, alt: str, xlabel: str, ylabel: str, curves: Curves) -> Picture:
+    """A panel for each title: a thin line a seed, a thick one for their mean where all have a point."""
+    columns = min(4, len(curves))
+    lines = math.ceil(len(curves) / columns)
+    figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
+    for place, (name, seeds) in enumerate(curves.items()):
+        axes: Axes = figure.add_subplot(lines, columns, place + 1)
+        for points in seeds:
+            axes.plot(*zip(*points, strict=True), color="#0072b2", linewidth=0.8, alpha=0.5)
+        frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
+        means = frame.groupby("x")["y"].agg(["mean", "count"])
+        means = means[means["count"] == len(seeds)]
+        if len(seeds) > 1:
+            axes.plot(means.index, means["mean"], color="#0072b2", linewidth=2)
+        axes.set_title(name, parse_math=False)
+        axes.locator_params(nbins=4)
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    figure.supxlabel(xlabel, fontsize=9)
+    figure.supylabel(ylabel, fontsize=9)
+    return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
+
+
+def _picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
+    return Picture(file, title, alt, buffer.getvalue(), round(width), round(height))

@@ -1,0 +1,61 @@
+"""Names: which methods and environments there are, known without importing any of them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Collection
+from typing import NamedTuple, cast
+
+BUDGETS = ("smoke", "quick", "full")
+
+
+class BadInput(Exception):
+    """What the user asked for cannot be done; its text is the one line they are told."""
+
+
+class Entry(NamedTuple):
+    """Where a method is ('module:Class') and what it is, in one line."""
+
+    target: str
+    summary: str
+
+
+METHODS = {
+    "shaped": Entry("methods.shaped:Shaped", "the thesis's shaped-reward model, learned from expert pairs"),
+    "maxmargin": Entry(
+        "methods.maxmargin:MaxMargin", "max-margin apprenticeship learning (Abbeel & Ng 2004)"
+    ),
+    "maxent": Entry("methods.maxent:MaxEnt", "maximum-entropy deep IRL (Wulfmeier et al. 2015)"),
+    "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
+}
+ENVS = {
+    "cartpole": "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
+    "pendulum": "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
+    "highway": "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
+}
+
+
+def choose(kind: str, text: str, known: Collection[str]) -> tuple[str, ...]:
+    """The names in a comma-separated `text`, 'all' being every one, without repeats, in `known`'s order.
+
+    Raises BadInput, with the closest match, for an unknown name; and for an empty list.
+    """
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(known)}")
+    for name in names:
+        if name != "all" and name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise BadInput(f"no {kind} named {name!r}; {hint}")
+    return tuple(name for name in known if "all" in names or name in names)
+
+
+def load_method(name: str) -> type[object]:
+    """The method's dataclass, imported now. Raises BadInput for an unknown name."""
+    if name not in METHODS:
+        choose("method", name, METHODS)
+        raise BadInput(f"{name!r} is not one method")
+    module, _, attribute = METHODS[name].target.partition(":")
+    return cast(type[object], getattr(importlib.import_module(module), attribute))

@@ -1,0 +1,133 @@
+"""The report of a run, rebuilt from its results alone: scores, leaderboard, figures and one page."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from harness import figures
+from harness.files import write_atomic
+from harness.leaderboard import Entry, leaderboard, overall, scored_rows
+from harness.results import COLUMNS, CellResult, Row
+
+HEADINGS = (
+    *("Method", "Role", "Policy", "Seeds ok", "Score [95 %]", "Above best lower control"),
+    *("Return [95 %]", "Discounted return", "Seconds", "Env steps", "RL solves", "Note"),
+)
+OVERALL_HEADINGS = ("Method", "Policy", "Environments", "Runs", "Interquartile mean [95 %]")
+
+
+def write_report(directory: Path, results: Sequence[CellResult]) -> None:
+    """Writes scores.csv, leaderboard.csv, leaderboard.md, figures/*.png and report.html into `directory`.
+
+    A run may be partial: what is not known is an empty field, 'n/a' in tables for people.
+    """
+    rows = scored_rows(results)
+    entries = leaderboard(rows)
+    write_atomic(directory / "scores.csv", _csv(rows, COLUMNS))
+    write_atomic(directory / "leaderboard.csv", _csv(entries, [f.name for f in dataclasses.fields(Entry)]))
+
+    envs = list(dict.fromkeys(entry.env for entry in entries))
+    tables = {env: [_cells(entry) for entry in entries if entry.env == env] for env in envs}
+    across = [
+        [x.method, x.policy, str(x.envs), str(x.runs), _range(x.score, x.low, x.high, ".2f")]
+        for x in overall(rows)
+    ]
+    parts = ["# Leaderboard\n"]
+    if across:
+        parts.append(f"## Across environments\n\n{_markdown(OVERALL_HEADINGS, across)}")
+    parts += [f"## {env}\n\n{_markdown(HEADINGS, table)}" for env, table in tables.items()]
+    write_atomic(directory / "leaderboard.md", "\n".join(parts))
+
+    pictures = {}
+    for env in envs:
+        drawn = figures.draw(
+            env,
+            [entry for entry in entries if entry.env == env],
+            [row for row in rows if row.env == env],
+            [result for result in results if result.cell.env == env],
+        )
+        for picture in drawn:
+            write_atomic(directory / "figures" / picture.file, picture.png)
+        pictures[env] = drawn
+
+    template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = template.from_string(Path(__file__).with_name("report.html.j2").read_text()).render(
+        headings=HEADINGS,
+        tables=tables,
+        overall_headings=OVERALL_HEADINGS,
+        overall=across,
+        pictures=pictures,
+        endings=_endings(results),
+        warnings=_warnings(results, rows),
+        recordings=[
+            (path.name, f"rerun {shlex.quote(f'recordings/{path.name}')} --bind 127.0.0.1")
+            for path in sorted((directory / "recordings").glob("*.rrd"))
+        ],
+    )
+    write_atomic(directory / "report.html", page)
+
+
+def _csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
+    frame = pd.DataFrame([dataclasses.asdict(item) for item in items], columns=list(columns))
+    return frame.to_csv(index=False, lineterminator="\n")
+
+
+def _number(value: float, spec: str) -> str:
+    return format(value, spec) if math.isfinite(value) else "n/a"
+
+
+def _range(mean: float, low: float, high: float, spec: str) -> str:
+    return _number(mean, spec) + (f" [{low:{spec}}, {high:{spec}}]" if math.isfinite(low) else "")
+
+
+def _cells(entry: Entry) -> list[str]:
+    """The entry for people, in the order of HEADINGS."""
+    return [
+        entry.method,
+        entry.role,
+        entry.policy,
+        f"{entry.seeds_ok} of {entry.seeds}",
+        _range(entry.score_mean, entry.score_low, entry.score_high, ".2f"),
+        _number(entry.above_best_lower_control, "+.2f") if entry.policy == "pi_R" else "",
+        _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
+        _number(entry.discounted_mean, ".2f"),
+        _number(entry.fit_seconds, ".1f"),
+        _number(entry.env_steps, ",.0f"),
+        _number(entry.rl_solves, ".0f"),
+        " ".join(entry.note.split()),
+    ]
+
+
+def _markdown(headings: Sequence[str], table: Sequence[Sequence[str]]) -> str:
+    lines = [headings, ["---"] * len(headings), *table]
+    return "".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |\n" for line in lines)
+
+
+def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, list[tuple[str, int]]]]]:
+    """For each env: method, policy, and how many evaluation episodes ended how, over all seeds."""
+    counts: dict[tuple[str, str, str], Counter[str]] = {}
+    for result in results:
+        for policy, endings in result.endings.items():
+            counts.setdefault((result.cell.env, result.cell.method, policy), Counter()).update(endings)
+    table: dict[str, list[tuple[str, str, list[tuple[str, int]]]]] = {}
+    for (env, method, policy), counter in sorted(counts.items()):
+        table.setdefault(env, []).append(
+            (method, policy, sorted(counter.items(), key=lambda item: (-item[1], item[0])))
+        )
+    return table
+
+
+def _warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
+    found = [f"{r.cell.name}: {text}" for r in sorted(results, key=lambda r: r.cell) for text in r.warnings]
+    unscored = {(r.env, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
+    for env, seed in sorted(unscored):
+        found.append(f"{env}, seed {seed}: no normalized scores, for want of an expert better than random")
+    return found

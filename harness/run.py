@@ -1,0 +1,221 @@
+"""The grid: every cell in a process of its own, as many at a time as there are workers.
+
+A cell that raises, dies or yields NaN becomes `failed` rows with the reason; the others go on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import importlib
+import math
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, cast
+
+from pebble import ProcessExpired
+from pebble.concurrent import process as in_a_process
+
+from harness.progress import Progress, progress_for
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult
+from harness.store import LOG, decode, encode
+
+ENV_COST = {"cartpole": 1.0, "pendulum": 1.5, "highway": 4.0}
+METHOD_COST = {REFERENCE: 0.3, "bc": 0.3, "maxmargin": 1.5, "maxent": 1.5, **dict.fromkeys(CONTROLS, 1.0)}
+EXPERT_COST = 2.0
+"""What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
+
+_PROCESS_NAME = "irl-bench cell"
+
+
+class Work(Protocol):
+    """The module that does what is scheduled here; named, so that only the cells' processes import it."""
+
+    def train_expert(self, env: str, budget: str) -> None: ...
+
+    def run_cell(self, cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult: ...
+
+    def failed_rows(self, cell: Cell, protocol: str, reason: str) -> CellResult: ...
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cell to compute or, where there is none, the env's expert to train, which its cells wait for."""
+
+    env: str
+    cell: Cell | None = None
+
+    @property
+    def name(self) -> str:
+        return self.cell.name if self.cell else f"{self.env}__expert"
+
+    @property
+    def cost(self) -> float:
+        method = METHOD_COST.get(self.cell.method, 1.0) if self.cell else EXPERT_COST
+        return ENV_COST.get(self.env, 2.0) * method
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came back from a task's process: the encoded result, or why there is none."""
+
+    result: str = ""
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What to do with cells: at which budget and protocol, where, with how many processes at a time.
+
+    save: called in this process with each result as soon as it is there.
+    work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells.
+    """
+
+    budget: str
+    protocol: str
+    directory: Path
+    workers: int
+    save: Callable[[CellResult], None]
+    work: str = "harness.cells"
+    preload: tuple[str, ...] = ("harness.run", "harness.rl", "envs")
+
+    def run(self, cells: Sequence[Cell]) -> None:
+        """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""
+        tasks = [Task(env) for env in {cell.env: None for cell in cells}]
+        tasks += [Task(cell.env, cell) for cell in cells]
+        tasks.sort(key=lambda task: (task.cell is not None, -task.cost))
+        with (
+            _processes(self.preload) as context,
+            progress_for({task.name: task.cost for task in tasks}, self.workers) as progress,
+        ):
+            self._run(tasks, context, progress)
+
+    def _run(
+        self, waiting: list[Task], context: multiprocessing.context.BaseContext, progress: Progress
+    ) -> None:
+        # pebble's stubs call this argument mp_context, its code context.
+        launch = in_a_process(name=_PROCESS_NAME, context=context)(attempt)  # type: ignore[call-overload]
+        running: dict[Future[Outcome], Task] = {}
+        trained: set[str] = set()
+        while waiting or running:
+            ready = [task for task in waiting if task.cell is None or task.env in trained]
+            for task in ready[: self.workers - len(running)]:
+                waiting.remove(task)
+                progress.started(task.name)
+                running[launch(self.work, task, self.budget, self.protocol, self.directory)] = task
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                task = running.pop(future)
+                outcome = _outcome(future)
+                if task.cell:
+                    self._keep(task.cell, outcome, progress)
+                elif not outcome.error:
+                    trained.add(task.env)
+                    progress.finished(task.name, "ok")
+                else:
+                    progress.finished(task.name, "failed", outcome.error)
+                    for orphan in [t.cell for t in waiting if t.env == task.env and t.cell]:
+                        self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
+                    waiting[:] = [t for t in waiting if t.env != task.env]
+
+    def _keep(self, cell: Cell, outcome: Outcome, progress: Progress) -> None:
+        if outcome.error:
+            work = cast(Work, importlib.import_module(self.work))
+            self.save(work.failed_rows(cell, self.protocol, outcome.error))
+        else:
+            self.save(decode(outcome.result))
+        progress.finished(cell.name, "failed" if outcome.error else "ok", outcome.error)
+
+
+def attempt(work: str, task: Task, budget: str, protocol: str, directory: Path) -> Outcome:
+    """Does one task, in its own process; whatever it prints goes to the run's log."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        with (directory / LOG).open("a") as log:
+            os.dup2(log.fileno(), 1)
+            os.dup2(log.fileno(), 2)
+        faulthandler.enable()
+        module = cast(Work, importlib.import_module(work))
+        if task.cell is None:
+            module.train_expert(task.env, budget)
+            return Outcome()
+        result = module.run_cell(task.cell, budget, protocol, directory)
+        _check(result, task.cell)
+        return Outcome(result=encode(result))
+    except (Exception, SystemExit) as error:
+        print(f"\n{task.name}:", file=sys.stderr)
+        traceback.print_exc()
+        return Outcome(error=_describe(error))
+
+
+def _check(result: CellResult, cell: Cell) -> None:
+    if result.cell != cell or not result.rows:
+        raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
+    for row in result.rows:
+        for name in ("return_mean", "discounted_mean", "length_mean"):
+            value = getattr(row, name)
+            if row.status == "ok" and not math.isfinite(value):
+                raise FloatingPointError(f"{row.policy}: {name} is {value}")
+
+
+def _describe(error: BaseException) -> str:
+    """One line: what was raised, and the three innermost places."""
+    frames = reversed(traceback.extract_tb(error.__traceback__)[-3:])
+    where = ", called by ".join(f"{f.name} ({Path(f.filename).name}:{f.lineno})" for f in frames)
+    message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return f"{message.rstrip(': ')}; in {where}"
+
+
+def _outcome(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except ProcessExpired as error:
+        code = error.exitcode
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            hint = " (out of memory?)" if -code == signal.SIGKILL else ""
+            return Outcome(error=f"its process was killed by {name}{hint}")
+        return Outcome(error=f"its process ended without a result, exit code {code}")
+
+
+@contextlib.contextmanager
+def _processes(preload: tuple[str, ...]) -> Iterator[multiprocessing.context.BaseContext]:
+    """How processes are started, each fresh, one thread each, deaf to Ctrl-C; on leaving, none is left."""
+    # Cells run side by side: threads inside them would only fight for the same cores, and
+    # the order in which strings are hashed must not differ between runs.
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"):
+        os.environ[f"{name}_NUM_THREADS"] = "1"
+    os.environ["PYTHONHASHSEED"] = "0"
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        # Elsewhere, forking after the preloaded libraries were imported is not safe.
+        context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
+        if sys.platform == "linux":
+            context.set_forkserver_preload(list(preload))
+            multiprocessing.forkserver.ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        yield context
+    finally:
+        left = [p for p in multiprocessing.active_children() if p.name == _PROCESS_NAME]
+        for child in left:
+            child.kill()
+        for child in left:
+            child.join(1)
+
+
+def _end_with_parent() -> None:
+    """Without this, a process whose run was killed would go on for minutes."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

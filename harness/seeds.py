@@ -1,0 +1,34 @@
+"""Where randomness comes from: generators scoped by name, and episode seeds in blocks that never meet."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+EVALUATION = 10_000
+"""Evaluation episodes: seed k uses 1,000 seeds from here + 1,000 k. Nothing is ever tuned on these."""
+DEMONSTRATION = 1 << 20
+"""Demonstration episodes: seed k uses 1,000 seeds from here + 1,000 k."""
+TRAINING = 1 << 24
+"""Every other episode's seed is drawn from here to 2^31."""
+
+
+def rng_for(seed: int, *names: str) -> np.random.Generator:
+    """The generator of one purpose, such as `rng_for(seed, env, "demos")`; independent for other names."""
+    return np.random.default_rng([seed, *(zlib.crc32(name.encode()) for name in names)])
+
+
+def evaluation_seeds(seed: int, episodes: int) -> range:
+    """Episode seeds that score policies under run seed `seed`."""
+    return range(EVALUATION + 1000 * seed, EVALUATION + 1000 * seed + episodes)
+
+
+def demonstration_seeds(seed: int, episodes: int) -> range:
+    """Episode seeds of the demonstrations of run seed `seed`."""
+    return range(DEMONSTRATION + 1000 * seed, DEMONSTRATION + 1000 * seed + episodes)
+
+
+def training_seeds(rng: np.random.Generator, episodes: int) -> list[int]:
+    """Seeds of training episodes; never those of evaluation or demonstrations."""
+    return [int(s) for s in rng.integers(TRAINING, 1 << 31, episodes)]

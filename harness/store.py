@@ -1,0 +1,201 @@
+"""The directory of a run: one writer, whole files, checksums. See `harness.results` for its layout."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from harness.files import write_atomic
+from harness.registry import ENVS, METHODS, BadInput
+from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult
+
+LOG = "run.log"
+"""What the cells' processes print, full tracebacks included."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run computes; seeds is how many, from 0."""
+
+    methods: tuple[str, ...]
+    envs: tuple[str, ...]
+    seeds: int
+    budget: str
+    protocol: str
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Every cell, the reference and the controls included."""
+        methods = (REFERENCE, *CONTROLS, *self.methods)
+        return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
+
+
+class RunDirectory:
+    """A run's directory, held by this process alone. Made by `open_for_run` and `open_for_report`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        for folder in (path, path / "cells", path / "recordings", path / "figures"):
+            for left_by_a_killed_run in folder.glob(".*.tmp"):
+                left_by_a_killed_run.unlink()
+
+    def save(self, result: CellResult) -> None:
+        """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
+        write_atomic(self.path / "cells" / f"{result.cell.name}.json", encode(result))
+
+    def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
+        """Every stored cell, sorted, and what is wrong with the files that cannot be trusted."""
+        results, corrupt = {}, {}
+        for path in (self.path / "cells").glob("[!.]*.json"):
+            try:
+                result = decode(path.read_bytes())
+                if path.stem != result.cell.name:
+                    raise ValueError(f"holds the cell {result.cell.name}")
+                results[result.cell] = result
+            except (ValueError, OSError) as error:
+                corrupt[path] = str(error)
+        return dict(sorted(results.items())), corrupt
+
+
+@contextmanager
+def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
+    """Starts a run in `path`, which is made, or continues the one there; held until the context ends.
+
+    Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
+    another budget, protocol or format, or cannot be written, or is held by another process.
+    """
+    _merged(path, request)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
+    with _held(path):
+        merged = _merged(path, request)
+        data = {"format": FORMAT, **dataclasses.asdict(merged)}
+        write_atomic(path / "run.json", json.dumps(data, indent=2) + "\n")
+        yield RunDirectory(path)
+
+
+@contextmanager
+def open_for_report(path: Path) -> Iterator[RunDirectory]:
+    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
+    if _read_request(path) is None:
+        raise BadInput(f"{path} holds no run (no run.json)")
+    with _held(path):
+        yield RunDirectory(path)
+
+
+def encode(result: CellResult) -> str:
+    """JSON of the result and its checksum; what is not finite becomes null. Raises TypeError for no JSON."""
+    payload = _plain(result.to_json())
+    return json.dumps({"sha256": _checksum(payload), "result": payload}, indent=1) + "\n"
+
+
+def decode(data: bytes | str) -> CellResult:
+    """The inverse of `encode`. Raises ValueError for anything that it did not write."""
+    try:
+        stored = json.loads(data)
+        payload = stored["result"]
+        if stored["sha256"] != _checksum(payload):
+            raise ValueError("its checksum does not match")
+        return CellResult.from_json(_nan_for_none(payload))
+    except (KeyError, TypeError, AttributeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
+        raise ValueError("it is no stored cell") from error
+
+
+def _checksum(payload: Any) -> str:
+    return hashlib.sha256(json.dumps(payload, sort_keys=True).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _nan_for_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _nan_for_none(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_nan_for_none(item) for item in value]
+    return math.nan if value is None else value
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[None]:
+    file = path / ".lock"
+    lock = FileLock(file)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        holder = file.read_text().strip() or "?"
+        raise BadInput(f"{path} is in use by another run (process {holder})") from error
+    except OSError as error:
+        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
+    try:
+        file.write_text(str(os.getpid()))
+        yield
+    finally:
+        lock.release()
+
+
+def _merged(path: Path, request: Request) -> Request:
+    """The request of `path` grown by this one."""
+    old = _read_request(path)
+    if old is None:
+        return request
+    for name in ("budget", "protocol"):
+        there, asked = getattr(old, name), getattr(request, name)
+        if there != asked:
+            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
+    return Request(
+        methods=_union(METHODS, old.methods, request.methods),
+        envs=_union(ENVS, old.envs, request.envs),
+        seeds=max(old.seeds, request.seeds),
+        budget=old.budget,
+        protocol=old.protocol,
+    )
+
+
+def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
+    names = {name for names in lists for name in names}
+    return tuple(name for name in order if name in names) + tuple(sorted(names - order.keys()))
+
+
+def _read_request(path: Path) -> Request | None:
+    """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
+    try:
+        # A run that was killed before its first file was whole leaves these.
+        if all(file.name.startswith((".lock", ".run.json.")) for file in path.iterdir()):
+            return None
+        text = (path / "run.json").read_bytes()
+    except FileNotFoundError as error:
+        if not os.path.lexists(path):
+            return None
+        raise BadInput(f"{path} is not empty and holds no run (no run.json)") from error
+    except OSError as error:
+        raise BadInput(f"cannot use {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise BadInput(f"cannot use {str(path)!r}: {error}") from error
+    try:
+        data = json.loads(text)
+        version, seeds = data["format"], int(data.get("seeds", 0))
+        methods, envs = (tuple(map(str, data.get(key, ()))) for key in ("methods", "envs"))
+        budget, protocol = str(data.get("budget")), str(data.get("protocol"))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadInput(f"{path / 'run.json'} is damaged") from error
+    if version != FORMAT:
+        raise BadInput(f"{path} has format {version!r}; this version reads format {FORMAT}")
+    return Request(methods, envs, seeds, budget, protocol)

@@ -1,0 +1,195 @@
+"""Highway: the fast environment equals highway-env's, and the task is what its spec says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.road.lane import SineLane, StraightLane
+from highway_env.road.road import Road
+
+from envs import highway
+from envs.highway import CONFIG, HORIZON, SPEC, idm_return
+from envs.highway_fast import FastHighwayEnv
+
+VIEW = {
+    "type": "Kinematics",
+    "features": ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "lat_off", "ang_off"],
+    "features_range": {"x": [-100, 100], "y": [-12, 12], "vx": [-30, 30]},
+}
+META = {"type": "DiscreteMetaAction"}
+CASES: dict[str, dict[str, Any]] = {
+    "task": CONFIG,
+    "dense": {**CONFIG, "vehicles_density": 2.5, "vehicles_count": 30, "lanes_count": 4},
+    "offroad": {**CONFIG, "offroad_terminal": False, "lanes_count": 2, "simulation_frequency": 10},
+    "meta": {"action": META, "observation": VIEW, "vehicles_density": 2, "policy_frequency": 1},
+    "shuffled": {"action": META, "observation": {**VIEW, "order": "shuffled", "see_behind": True}},
+    "absolute": {"action": META, "observation": {**VIEW, "absolute": True, "clip": False}, "lanes_count": 1},
+    # From here on at least one of the fast paths must step aside.
+    "other observation": {"action": META, "observation": {"type": "OccupancyGrid"}},
+    "unknown feature": {"action": META, "observation": {"type": "Kinematics", "features": ["x", "cos_d"]}},
+    "connected lanes": {"action": META, "neighbour_vehicles_connected_lanes": True},
+    "other drivers": {
+        "action": META,
+        "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
+    },
+}
+
+
+def scene(env: Any) -> list[tuple[Any, ...]]:
+    names = ("heading", "speed", "crashed", "lane_index", "target_lane_index", "timer")
+    return [(*v.position.tolist(), *(getattr(v, name, None) for name in names)) for v in env.road.vehicles]
+
+
+def assert_identical(ours: Any, theirs: Any, seed: int, steps: int) -> None:
+    """Same seed and actions, compared bit by bit until either ends."""
+    assert np.array_equal(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        action: Any = int(rng.integers(5))
+        if theirs.action_space.shape == (2,):
+            action = (rng.normal(size=2) * [0.5, 0.1]).astype(np.float32)
+        mine, upstream = ours.step(action), theirs.step(action)
+        assert mine[0].dtype == upstream[0].dtype
+        assert np.array_equal(mine[0], upstream[0])
+        assert mine[1:4] == upstream[1:4]
+        assert {**mine[4], "action": 0} == {**upstream[4], "action": 0}
+        assert scene(ours) == scene(theirs)
+        if upstream[2] or upstream[3]:
+            break
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_identical_to_upstream(case: str) -> None:
+    for seed in range(3):
+        steps = 40 if CASES[case].get("policy_frequency") == 5 else 8
+        assert_identical(FastHighwayEnv(CASES[case]), HighwayEnvFast(CASES[case]), seed, steps)
+
+
+def test_curved_lanes_keep_upstream_methods() -> None:
+    def bend(env: Any) -> None:
+        lanes = env.road.network.graph["0"]["1"]
+        lanes[0] = SineLane(lanes[0].start, lanes[0].end, 1.0, 0.02, 0.0)
+
+    class Bent(HighwayEnvFast):  # type: ignore[misc]
+        def _create_road(self) -> None:
+            super()._create_road()
+            bend(self)
+
+    class FastBent(FastHighwayEnv):
+        def _create_road(self) -> None:
+            super()._create_road()
+            bend(self)
+
+    ours = FastBent(CONFIG)
+    assert type(ours.road) is Road
+    assert type(ours.road.network.graph["0"]["1"][1]) is StraightLane
+    assert_identical(ours, Bent(CONFIG), seed=0, steps=20)
+
+
+def test_gymnasium_checker() -> None:
+    env = SPEC.make()
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.action_space == env.unwrapped.action_space
+
+
+def test_deterministic_under_seed() -> None:
+    def episode() -> list[Any]:
+        env = SPEC.make()
+        obs, _ = env.reset(seed=3)
+        trace: list[Any] = [obs.tolist()]
+        env.action_space.seed(3)
+        for _ in range(30):
+            obs, reward, terminated, _, _ = env.step(env.action_space.sample())
+            trace.append((obs.tolist(), reward, terminated))
+            if terminated:
+                break
+        return trace
+
+    first, second = episode(), episode()
+    assert first == second
+
+
+def returns(scale: float, seeds: range) -> float:
+    """Mean return of uniform actions times `scale`."""
+    env, rng, total = SPEC.make(), np.random.default_rng(0), 0.0
+    for seed in seeds:
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            action = (scale * rng.uniform(-1, 1, 2)).astype(np.float32)
+            _, reward, terminated, truncated, _ = env.step(action)
+            total, ended = total + float(reward), terminated or truncated
+    return total / len(seeds)
+
+
+def test_driving_matters() -> None:
+    seeds = range(5000, 5010)
+    reference, crashes = idm_return(seeds)
+    random = returns(1.0, seeds)
+    assert not crashes.any()
+    assert abs(reference.mean() / SPEC.success - 1) < 0.1
+    assert (returns(0.0, seeds) - random) / (reference.mean() - random) <= 0.4
+
+
+def slow_episode() -> list[tuple[Any, Any, float, bool, bool]]:
+    """Brakes and steers straight: (environment, observation, reward, terminated, truncated) a step."""
+    env = SPEC.make()
+    env.reset(seed=1)
+    steps: list[Any] = []
+    while not steps or not (steps[-1][3] or steps[-1][4]):
+        obs, reward, terminated, truncated, _ = env.step(np.array([-1, 0], np.float32))
+        steps.append((env, obs, float(reward), terminated, truncated))
+    return steps
+
+
+def test_horizon_is_exact() -> None:
+    steps = slow_episode()
+    assert len(steps) == HORIZON == SPEC.horizon
+    assert steps[-1][3:] == (False, True)
+
+
+def test_phi_in_range_and_of_the_observation_alone() -> None:
+    obs = np.array([step[1] for step in slow_episode()], np.float64)
+    obs = np.concatenate(
+        [obs, np.random.default_rng(0).normal(0, 3, obs.shape), np.zeros((1, SPEC.obs_size))]
+    )
+    features = SPEC.phi(obs, np.zeros((len(obs), 2)))
+    assert features.shape == (len(obs), 8)
+    assert np.abs(features).max() <= 1
+    assert (features[:, -1] == 1).all()
+    assert (features[: HORIZON // 2, 1] == features[0, 1]).all()  # centred while it drives straight
+
+
+def test_observation_units() -> None:
+    env = SPEC.make()
+    obs, _ = env.reset(seed=2)
+    inner: Any = env.unwrapped
+    ego, other = inner.vehicle, inner.road.vehicles[1]
+    assert obs[0] * 4 + 4 == pytest.approx(ego.position[1])
+    assert obs[1] * 5 + 20 == pytest.approx(ego.speed)
+    assert obs[3] == 1
+    assert obs[4] * 20 == pytest.approx(other.position[0] - ego.position[0], rel=1e-5)
+    assert obs[5] * 4 == pytest.approx(other.position[1] - ego.position[1], abs=1e-5)
+    assert obs[6] * 5 == pytest.approx(other.speed - ego.speed, rel=1e-4)
+
+
+def test_drawing() -> None:
+    env = SPEC.make()
+    env.reset(seed=0)
+    before = SPEC.draw(env)
+    terminated = False
+    while not terminated:
+        terminated = env.step(np.array([1, 1], np.float32))[2]
+    after = SPEC.draw(env)
+    assert list(before) == list(after)
+    assert len(after) == highway.LANES + 1 + 1 + int(CONFIG["vehicles_count"])  # type: ignore[call-overload]
+    for shapes in (before, after):
+        sides = np.linalg.norm(np.diff(shapes["ego"].points, axis=0), axis=1)
+        assert sorted(sides.tolist()) == pytest.approx([2, 2, 5, 5])
+        assert np.array_equal(shapes["ego"].points[0], shapes["ego"].points[-1])
+    assert abs(np.diff(after["ego"].points[:2], axis=0)).min() > 1e-3  # rotated
+    assert SPEC.why_ended(env) in ("crashed", "left the road")

@@ -1,0 +1,281 @@
+"""The command line: what it promises, what it refuses, and that nothing finished is ever lost."""
+
+import dataclasses
+import json
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from harness import cli, registry, store
+from harness.results import CONTROLS
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+FAKE = [sys.executable, str(HERE / "fake_cells.py")]
+FAKE_ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
+HEAVY = {"torch", "numpy", "gymnasium", "pandas", "rich", "pebble", "matplotlib"}
+SMOKE = ("run", "--budget", "smoke", "--envs", "cartpole")
+PER_SEED = 1 + len(CONTROLS)
+
+Main = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Main:
+    """The command line with the cells of fake_cells.py, in an empty directory; returns code, out and err."""
+    monkeypatch.syspath_prepend(HERE)
+    monkeypatch.chdir(tmp_path)
+    import fake_cells
+
+    import harness.run
+
+    monkeypatch.setattr(harness.run, "Grid", harness.run.Grid)
+    monkeypatch.setitem(sys.modules, "harness.report", None)
+    monkeypatch.setattr(cli, "_let_signals_interrupt", lambda: None)
+    fake_cells.install()
+
+    def call(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def faults(tmp_path: Path, **behaviour: str) -> None:
+    (tmp_path / "faults.json").write_text(json.dumps(behaviour))
+
+
+def computed(directory: Path) -> list[str]:
+    return (directory / "computed.txt").read_text().split()[::2]
+
+
+def scores(directory: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in (directory / "cells").iterdir()}
+
+
+@pytest.mark.parametrize("command", [["list"], ["--help"], ["run", "--help"]])
+def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command: list[str]) -> None:
+    code = f"import sys; from harness.cli import main; main({command}); print({HEAVY} & sys.modules.keys())"
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=FAKE_ENV, capture_output=True, text=True, check=True
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.stdout.splitlines()[-1] == "set()"
+    # Processor time, since the machine may be busy with other things.
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
+    assert all(name in done.stdout for name in registry.METHODS) or command == ["--help"]
+
+
+def test_the_registry_tells_the_truth() -> None:
+    import envs
+
+    assert {name: spec.summary for name, spec in envs.SPECS.items()} == registry.ENVS
+    assert envs.BUDGETS == registry.BUDGETS
+    for name in registry.METHODS:
+        assert dataclasses.is_dataclass(registry.load_method(name))
+    with pytest.raises(registry.BadInput, match="did you mean 'maxmargin'"):
+        registry.load_method("maxmagin")
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
+        ("run --envs cartpol,highway", "no env named 'cartpol'; did you mean 'cartpole'?"),
+        ("run --envs zzz", "no env named 'zzz'; there are cartpole, pendulum, highway"),
+        ("run --methods ,", "no method named: give 'all' or some of"),
+        ("run --envs=", "no env named: give"),
+        ("run --seeds 0", "argument --seeds: must lie between 1 and 1000, not 0"),
+        ("run --seeds -1", "argument --seeds: must lie between 1 and 1000, not -1"),
+        ("run --seeds two", "'two' is not a whole number"),
+        ("run --seeds 1.5", "'1.5' is not a whole number"),
+        ("run --seeds " + "9" * 5000, "argument --seeds"),
+        ("run --workers 0", "argument --workers"),
+        ("run --budget huge", "invalid choice: 'huge'"),
+        ("run --protocol naive", "invalid choice: 'naive'"),
+        ("run --bud smoke", "unrecognized arguments"),
+        ("run --out", "expected one argument"),
+        ("run --out mine", "mine is not empty and holds no run"),
+        ("run --out mine/file", "cannot use mine/file"),
+        ("run --out bad\0name", "null"),
+        ("report", "required: DIR"),
+        ("report nowhere", "nowhere holds no run"),
+        ("report mine", "mine is not empty and holds no run"),
+        ("walk", "invalid choice: 'walk'"),
+        ("", "required: command"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_writes_nothing(
+    main: Main, tmp_path: Path, argv: str, message: str
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/file").write_text("precious")
+    code, out, err = main(*argv.split(" ") if argv else ())
+    assert (code, out) == (2, "")
+    assert err.startswith("irl-bench: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "mine"]
+
+
+def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path) -> None:
+    run = Path("results/latest")
+    code, out, err = main(*SMOKE, "--methods", "bc,bc", "--workers", "2")
+    assert code == 0
+    assert "a table of 7 cells" in out
+    assert err == "WARNING: cartpole: low bar\n"
+    assert len(computed(run)) == PER_SEED + 1
+    before = scores(run)
+    code, out, _ = main(*SMOKE, "--methods", "shaped,bc", "--seeds", "2")
+    assert code == 0
+    assert "9 cells to run, 7 kept" in out
+    assert len(computed(run)) == len(set(computed(run))) == 2 * (PER_SEED + 2)
+    assert before.items() <= scores(run).items()
+    code, _, err = main("run", "--budget", "quick")
+    assert (code, err) == (
+        2,
+        f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out\n",
+    )
+
+
+def test_what_failed_or_was_damaged_is_computed_again_and_only_that(main: Main, tmp_path: Path) -> None:
+    faults(tmp_path, cartpole__bc__seed0="raise")
+    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert code == 1
+    assert "a table of 7 cells" in out
+    assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in run_cell (fake_cells.py:" in err
+    damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
+    damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
+    code, _, err = main("report", "run")
+    assert code == 1
+    assert f"corrupt, left out: run/cells/{damaged.name}: its checksum does not match" in err
+    (tmp_path / "faults.json").unlink()
+    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert code == 0
+    assert "2 cells to run, 5 kept" in out
+    assert f"{damaged.name}: its checksum does not match" in err
+    assert sorted(computed(tmp_path / "run")[7:]) == ["cartpole__bc__seed0", "cartpole__reference__seed0"]
+    assert main("report", "run")[0] == 0
+
+
+def start(tmp_path: Path, **options: object) -> subprocess.Popen[str]:
+    """A run whose cell of bc hangs, at the moment when that cell is the last one running."""
+    faults(tmp_path, cartpole__bc__seed0="sleep")
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--workers", "2", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(
+        command,
+        env=FAKE_ENV,
+        start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    while "; 1 left" not in (line := process.stdout.readline()):
+        assert line, process.communicate()
+    while "cartpole__bc__seed0" not in computed(tmp_path / "run"):
+        time.sleep(0.05)
+    return process
+
+
+def wait_until_gone(tmp_path: Path) -> None:
+    pids = (tmp_path / "run/computed.txt").read_text().split()[1::2]
+    deadline = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline, "a cell's process outlived its run"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the cells of an undisturbed run hold."""
+    directory = tmp_path_factory.mktemp("unbroken")
+    faults(directory)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(directory / "run")]
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    return scores(directory / "run")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
+    tmp_path: Path, unbroken: dict[str, str], number: int
+) -> None:
+    process = start(tmp_path)
+    stopped = time.monotonic()
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does: to everything in the foreground
+    else:
+        process.send_signal(number)
+    _, err = process.communicate(timeout=10)
+    if number == signal.SIGKILL:
+        assert process.returncode == -number
+    else:
+        assert time.monotonic() - stopped < 2
+        assert process.returncode == 130
+        assert err.count("\n") == 3
+        assert f"--out {tmp_path / 'run'}" in err.splitlines()[-1]
+    wait_until_gone(tmp_path)
+    assert len(scores(tmp_path / "run")) == PER_SEED
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    assert scores(tmp_path / "run") == unbroken
+    assert computed(tmp_path / "run").count("cartpole__bc__seed0") == 2
+    assert len(computed(tmp_path / "run")) == PER_SEED + 2
+
+
+def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path: Path) -> None:
+    process = start(tmp_path)
+    assert process.stdout is not None
+    process.stdout.close()
+    second = subprocess.run(
+        [*FAKE, "report", str(tmp_path / "run")], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert second.returncode == 2
+    assert f"in use by another run (process {process.pid})" in second.stderr
+    pid = (tmp_path / "run/computed.txt").read_text().split()[-1]
+    os.kill(int(pid), signal.SIGSEGV)
+    assert process.wait(20) == 1
+    assert process.stderr is not None
+    err = process.stderr.read()
+    process.stderr.close()
+    assert "FAILED: cartpole__bc__seed0: its process was killed by SIGSEGV" in err
+    assert "Traceback" not in err
+    assert (tmp_path / "run/leaderboard.md").exists()
+
+
+def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    faults(tmp_path, cartpole__bc__seed0="raise", cartpole__reference__seed0="slow")
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    env = {**FAKE_ENV, "TERM": "xterm", "COLUMNS": "200"}
+    process = subprocess.Popen(command, env=env, stdout=theirs, stderr=subprocess.DEVNULL)
+    os.close(theirs)
+    shown = b""
+    try:
+        while chunk := os.read(ours, 65536):
+            shown += chunk
+    except OSError:  # how Linux says that the other end is closed
+        pass
+    os.close(ours)
+    assert process.wait() == 1
+    assert b"cartpole__reference__seed0" in shown
+    assert b"failed  cartpole__bc__seed0: ValueError" in shown
+    assert b"8 of 8 done, 1 failed" in shown
+
+
+def test_nothing_is_left_behind_in_the_lock(main: Main, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/.lock").write_text("1")  # of a run that died
+    assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
+    with store.open_for_report(tmp_path / "run"):
+        assert main("report", "run")[0] == 2

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from envs import SPECS
+from envs.spec import Array, Shape
+from harness.recordings import record
+from harness.results import Cell
+from harness.simulator import Simulator, Trajectory
+
+SPEC = SPECS["cartpole"]
+CELL = Cell("cartpole", "shaped", 3)
+DT = 0.02
+
+
+@pytest.fixture(scope="module")
+def episode() -> tuple[Trajectory, list[dict[str, Shape]]]:
+    """A short episode: pushed to the right, the pole falls to the left."""
+    frames: list[dict[str, Shape]] = []
+    trajectory = Simulator(SPEC, lanes=1).run(
+        lambda obs: np.full((len(obs), 1), 0.7), [5], lambda _, env: frames.append(SPEC.draw(env))
+    )[0]
+    return trajectory, frames
+
+
+def read(path: Path) -> dict[str, dict[str, pa.Array]]:
+    """Every entity's columns by name, static ones beside the others; row ids left out."""
+    columns: dict[str, dict[str, pa.Array]] = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        entity = columns.setdefault(chunk.entity_path, {})
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            if name != "rerun.controls.RowId":
+                assert name not in entity
+                entity[name] = column
+    return columns
+
+
+def values(column: pa.Array) -> Array:
+    return np.array(column.flatten().to_numpy(zero_copy_only=False))
+
+
+def test_every_number_of_the_episode_can_be_read_back(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    length = len(trajectory.act)
+    learned = np.linspace(-1, 2, length)
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, learned, DT)
+    columns = read(tmp_path / "a.rrd")
+
+    expected = {"/reward/true": trajectory.rewards, "/reward/learned": learned}
+    expected["/action/0"] = trajectory.act[:, 0]
+    expected |= {f"/observation/{i}": trajectory.obs[:, i] for i in range(4)}
+    expected["/return/true"] = np.concatenate([[0], np.cumsum(trajectory.rewards)])
+    for entity, truth in expected.items():
+        column = columns[entity]
+        assert np.array_equal(values(column["Scalars:scalars"]), truth)
+        assert column["step"].to_pylist() == list(range(len(truth)))
+        seconds = column["sim_time"].cast(pa.int64()).to_numpy() / 1e9
+        assert seconds == pytest.approx(DT * np.arange(len(truth)))
+        assert values(column["SeriesLines:aggregation_policy"]) == [rr.components.AggregationPolicy.Off.value]
+
+
+def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    columns = read(tmp_path / "a.rrd")
+    for name in ("track", "cart", "pole"):
+        strips = columns[f"/scene/{name}"]["LineStrips2D:strips"].to_pylist()
+        drawn = [frame[name].points * [1, -1] for frame in frames]
+        assert len(strips) == len(drawn) == len(trajectory.act) + 1
+        for strip, points in zip(strips, drawn, strict=True):
+            assert np.array(strip[0]) == pytest.approx(points, abs=1e-6)
+    tip = np.array(columns["/scene/pole"]["LineStrips2D:strips"].to_pylist()[0][0])[1]
+    assert tip[1] < 0  # up in the picture, where y points down
+
+
+def test_the_ending_and_the_facts_are_in_the_recording(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    length = len(trajectory.act)
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    (entry,) = RrdReader(tmp_path / "a.rrd").recordings()
+    assert entry.application_id == "irl-bench-cartpole"
+    assert entry.recording_id == "cartpole__shaped__seed3__pi_R"
+
+    columns = read(tmp_path / "a.rrd")
+    assert "/reward/learned" not in columns
+    assert columns["/ending"]["step"].to_pylist() == [length]
+    assert columns["/ending"]["TextLog:text"].to_pylist() == [[f"step {length}: pole fell"]]
+    facts = {name: column.to_pylist()[0][0] for name, column in columns["/__properties/episode"].items()}
+    assert facts.pop("return") == pytest.approx(trajectory.rewards.sum(), abs=1e-6)
+    assert facts == {
+        "env": "cartpole",
+        "method": "shaped",
+        "seed": 3,
+        "policy": "pi_R",
+        "length": length,
+        "ending": "pole fell",
+    }
+
+
+def test_equal_episodes_give_recordings_of_equal_content(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    for name in ("a.rrd", "b.rrd"):
+        record(tmp_path / name, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards, DT)
+    assert read(tmp_path / "a.rrd") == read(tmp_path / "b.rrd")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.rrd", "b.rrd"]
+
+
+def test_a_recording_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    path = tmp_path / "a.rrd"
+    record(path, SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="drawings"):
+        record(path, SPEC, CELL, "pi_R", trajectory, frames[:-1], None, DT)
+    with pytest.raises(ValueError, match="same names"):
+        record(path, SPEC, CELL, "pi_R", trajectory, [{}, *frames[1:]], None, DT)
+    with pytest.raises(ValueError, match="learned rewards"):
+        record(path, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards[1:], DT)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]

@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from harness.leaderboard import leaderboard, overall, scored_rows
+from harness.report import write_report
+from harness.results import COLUMNS, CONTROLS, Cell, CellResult, PolicyName, Row
+
+ENVS = ("cartpole", "pendulum")
+RETURNS = {
+    ("reference", "expert"): 500.0,
+    ("reference", "random"): 20.0,
+    ("bc", "pi_star"): 480.0,
+    ("maxmargin", "pi_star"): 400.0,
+    ("maxmargin", "pi_R"): 350.0,
+    ("shaped", "pi_star"): 460.0,
+    ("shaped", "pi_R"): 440.0,
+    ("control_true", "pi_R"): 499.0,
+    ("control_survival", "pi_R"): 450.0,
+    ("control_plus1", "pi_R"): 60.0,
+    ("control_minus1", "pi_R"): 20.0,
+    ("control_untrained", "pi_R"): 110.0,
+}
+
+
+def make_results(envs: tuple[str, ...] = ENVS, seeds: int = 3) -> list[CellResult]:
+    """Results in which seed k of a method other than the reference earns 5 * k less. bc learns no reward;
+    maxmargin fails in the last seed."""
+    rng = np.random.default_rng(0)
+    results = []
+    methods = list(dict.fromkeys(method for method, _ in RETURNS))
+    for env, method, seed in itertools.product(envs, methods, range(seeds)):
+        rows = []
+        for (name, policy), value in RETURNS.items():
+            if name != method:
+                continue
+            if method == "maxmargin" and seed == seeds - 1 and seeds > 1:
+                rows.append(
+                    make_row(env, method, seed, policy, status="failed", reason="no | progress\nin LP")
+                )
+                continue
+            loss = 0 if method == "reference" else 5 * seed
+            rows.append(make_row(env, method, seed, policy, return_mean=value - loss))
+        if method == "bc":
+            rows.append(make_row(env, method, seed, "pi_R", status="skipped", reason="learns no reward"))
+        curves = {}
+        if method != "bc":
+            steps = range(0, 15_001, 1000)
+            rise = np.cumsum(rng.normal(3, 4, len(steps)))
+            name = "expert" if method == "reference" else "pi_R"
+            curves[name] = [(float(x), float(y)) for x, y in zip(steps, rise, strict=True)]
+        if method in ("shaped", "bc"):
+            curves["loss"] = [(float(i), math.exp(-i / 30) + 0.02 * rng.random()) for i in range(100)]
+        endings = {str(row.policy): {"time limit": 70, "pole fell": 30} for row in rows if row.status == "ok"}
+        results.append(CellResult(Cell(env, method, seed), rows, curves, endings))
+    return results
+
+
+def make_row(env: str, method: str, seed: int, policy: str, **values: object) -> Row:
+    numbers: dict[str, object] = {}
+    if values.get("status", "ok") == "ok":
+        numbers = {
+            "episodes": 100,
+            "return_std": 1 / 3,
+            "discounted_mean": 90.0,
+            "length_mean": 400.0,
+            "fit_seconds": 12.5,
+            "env_steps": 15_000,
+            "rl_solves": 1,
+        }
+    return Row(env, method, seed, policy, "absorbing", **{**numbers, **values})  # type: ignore[arg-type]
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(path.read_text())))
+
+
+class Page(HTMLParser):
+    """The images and links of a page, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.images: list[dict[str, str | None]] = []
+        self.links: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag == "a":
+            self.links.append(dict(attrs)["href"] or "")
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of `make_results` with a warning and a recording."""
+    directory = tmp_path_factory.mktemp("report")
+    (directory / "recordings").mkdir()
+    (directory / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
+    write_report(directory, with_warning(make_results()))
+    return directory
+
+
+def with_warning(results: list[CellResult]) -> list[CellResult]:
+    results[0].warnings.append("expert <misses> its bar")
+    return results
+
+
+def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) -> None:
+    results = make_results()
+    rows = read_csv(report / "scores.csv")
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == sum(len(result.rows) for result in results)
+    order = ["reference", "bc", "maxmargin", "shaped", *CONTROLS]
+    policies: list[PolicyName] = ["expert", "random", "pi_star", "pi_R"]
+    keys = [(r["env"], order.index(r["method"]), int(r["seed"]), policies.index(r["policy"])) for r in rows]  # type: ignore[arg-type]
+    assert keys == sorted(keys)
+    by_key = {(r["env"], r["method"], r["seed"], r["policy"]): r for r in rows}
+    assert float(by_key["cartpole", "reference", "1", "expert"]["normalized_score"]) == 1
+    assert float(by_key["cartpole", "reference", "1", "random"]["normalized_score"]) == 0
+    shaped = by_key["pendulum", "shaped", "2", "pi_R"]
+    assert float(shaped["normalized_score"]) == (430 - 20) / 480
+    assert float(shaped["return_std"]) == 1 / 3  # to the last bit
+    skipped = by_key["cartpole", "bc", "0", "pi_R"]
+    assert (skipped["status"], skipped["reason"]) == ("skipped", "learns no reward")
+    assert skipped["return_mean"] == skipped["normalized_score"] == ""
+
+
+def test_equal_results_give_equal_files_in_whatever_order_they_come(report: Path, tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
+    write_report(tmp_path, with_warning(make_results())[::-1])
+    files = sorted(path.relative_to(report) for path in report.rglob("*") if path.is_file())
+    figures = [f"figures/{env}_{kind}.png" for env in ENVS for kind in ("rl", "scores", "training")]
+    tables = ["leaderboard.csv", "leaderboard.md", "report.html", "scores.csv"]
+    recordings = ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
+    assert sorted(map(str, files)) == sorted(figures + tables + recordings)
+    for file in files:
+        assert (report / file).read_bytes() == (tmp_path / file).read_bytes(), file
+
+
+def test_leaderboard_aggregates_over_seeds_and_measures_rewards_against_the_best_lower_control() -> None:
+    entries = leaderboard(scored_rows(make_results(("cartpole",))))
+    found = {(entry.method, entry.policy): entry for entry in entries}
+    shaped = found["shaped", "pi_R"]
+    assert (shaped.seeds, shaped.seeds_ok, shaped.status, shaped.role) == (3, 3, "ok", "method")
+    assert shaped.return_mean == 435
+    assert shaped.score_mean == pytest.approx((435 - 20) / 480)
+    assert 430 <= shaped.return_low < 435 < shaped.return_high <= 440
+    assert shaped.env_steps == 15_000
+    assert shaped.above_best_lower_control == pytest.approx((435 - 105) / 480)
+    assert math.isnan(found["shaped", "pi_star"].above_best_lower_control)
+    assert found["control_untrained", "pi_R"].above_best_lower_control == 0
+    roles = {entry.method: entry.role for entry in entries}
+    assert (roles["control_true"], roles["control_plus1"]) == ("upper control", "lower control")
+
+
+def test_leaderboard_is_sorted_by_score_and_hides_no_failure() -> None:
+    entries = leaderboard(scored_rows(make_results(("cartpole",))))
+    methods = list(dict.fromkeys(entry.method for entry in entries))
+    # Methods by pi_R, bc by pi_star after them for want of a reward; then controls.
+    assert methods[:5] == ["shaped", "maxmargin", "bc", "control_true", "control_survival"]
+    assert methods[5:] == ["control_untrained", "control_plus1", "control_minus1", "reference"]
+    found = {(entry.method, entry.policy): entry for entry in entries}
+    assert len(found) == len(RETURNS) + 1
+    assert found["bc", "pi_R"].note == "skipped (seeds 0, 1, 2): learns no reward"
+    assert (found["bc", "pi_R"].seeds_ok, found["bc", "pi_R"].status) == (0, "skipped")
+    assert math.isnan(found["bc", "pi_R"].score_mean)
+    failed = found["maxmargin", "pi_R"]
+    assert (failed.seeds, failed.seeds_ok, failed.status) == (3, 2, "failed")
+    assert failed.note.startswith("failed (seed 2): no | progress")
+
+
+def test_one_lower_control_less_leaves_nothing_to_be_above_of() -> None:
+    results = [r for r in make_results(("cartpole",)) if r.cell.method != "control_minus1"]
+    entries = leaderboard(scored_rows(results))
+    assert all(math.isnan(entry.above_best_lower_control) for entry in entries)
+
+
+def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -> None:
+    results = [r for r in make_results(seeds=1) if r.cell.method != "reference" or r.cell.env == "pendulum"]
+    write_report(tmp_path, results)
+    for row in read_csv(tmp_path / "scores.csv"):
+        known = row["env"] == "pendulum" and row["status"] == "ok"
+        assert (row["normalized_score"] != "") == known
+    cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
+    assert "| shaped | method | pi_R | 1 of 1 | n/a | n/a | 440.0 |" in cartpole
+    assert "nan" not in (tmp_path / "leaderboard.md").read_text()
+    text = Page((tmp_path / "report.html").read_text()).text
+    assert "cartpole, seed 0: no normalized scores" in text
+    assert "pendulum, seed 0: no normalized scores" not in text
+
+
+def test_an_expert_no_better_than_random_is_no_scale() -> None:
+    results = [
+        CellResult(
+            Cell("cartpole", "reference", 0),
+            [make_row("cartpole", "reference", 0, p, return_mean=20.0) for p in ("expert", "random")],
+        )
+    ]
+    assert all(math.isnan(row.normalized_score) for row in scored_rows(results))
+
+
+def test_overall_compares_only_what_every_env_has() -> None:
+    results = make_results()
+    pooled = {(line.method, line.policy): line for line in overall(scored_rows(results))}
+    assert pooled["shaped", "pi_R"].runs == 6
+    # Six equal pairs: one score is cut at either end, four are left.
+    assert pooled["shaped", "pi_R"].score == pytest.approx((435 - 20) / 480)
+    results = [r for r in results if (r.cell.env, r.cell.method) != ("pendulum", "shaped")]
+    assert not [line for line in overall(scored_rows(results)) if line.method == "shaped"]
+    assert overall(scored_rows(make_results(("cartpole",)))) == []
+
+
+def test_markdown_tables_are_rectangular(report: Path) -> None:
+    tables = (report / "leaderboard.md").read_text().split("## ")[1:]
+    assert [table.split("\n")[0] for table in tables] == ["Across environments", "cartpole", "pendulum"]
+    for table in tables:
+        lines = [line.replace(r"\|", "") for line in table.splitlines() if line.startswith("|")]
+        assert len({line.count("|") for line in lines}) == 1
+
+
+def test_page_shows_figures_with_words_endings_warnings_and_recordings(report: Path) -> None:
+    page = Page((report / "report.html").read_text())
+    assert len(page.images) == 6
+    for image in page.images:
+        pixels = imread(report / str(image["src"]))
+        assert pixels.shape[0] > 200
+        assert len(str(image["alt"])) > 40
+    assert page.links == ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
+    assert "rerun recordings/cartpole__shaped__seed0__pi_R.rrd --bind 127.0.0.1" in page.text
+    assert "cartpole__reference__seed0: expert <misses> its bar" in page.text
+    assert "time limit 210, pole fell 90" in page.text
+
+
+def test_no_results_make_an_empty_report(tmp_path: Path) -> None:
+    write_report(tmp_path, [])
+    assert read_csv(tmp_path / "scores.csv") == []
+    assert (tmp_path / "scores.csv").read_text() == ",".join(COLUMNS) + "\n"
+    assert "No results yet" in (tmp_path / "report.html").read_text()

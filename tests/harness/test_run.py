@@ -1,0 +1,96 @@
+"""The grid: whatever a cell does, it is accounted for and the others go on."""
+
+import multiprocessing
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness.results import Cell, CellResult
+from harness.run import Grid, Task
+from harness.store import encode
+
+REASONS = {
+    "raise": "ValueError: two lines; in run_cell (fake_cells.py:",
+    "kill": "its process was killed by SIGKILL (out of memory?)",
+    "vanish": "its process ended without a result, exit code 0",
+    "exit": "SystemExit: gave up; in run_cell",
+    "nan": "FloatingPointError: pi_R: return_mean is nan; in ",
+    "other": "ValueError: asked for cartpole__other__seed0, got 1 rows of cartpole__bc__seed99",
+    "unstorable": "TypeError: Object of type complex is not JSON serializable",
+}
+
+
+@pytest.fixture
+def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    (tmp_path / "run").mkdir()
+    yield tmp_path / "run"
+    assert multiprocessing.active_children() == []
+
+
+def run(directory: Path, cells: list[Cell], workers: int) -> dict[Cell, CellResult]:
+    found: dict[Cell, CellResult] = {}
+
+    def save(result: CellResult) -> None:
+        assert result.cell not in found
+        found[result.cell] = result
+
+    Grid("smoke", "absorbing", directory, workers, save, work="fake_cells", preload=("harness.run",)).run(
+        cells
+    )
+    return found
+
+
+def test_every_way_to_fail_is_told_and_takes_no_other_cell_with_it(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = [Cell("cartpole", method, 0) for method in ("good", *REASONS, "fine")]
+    results = run(directory, cells, workers=2)
+    assert set(results) == set(cells)
+    for cell, result in results.items():
+        (row,) = result.rows
+        expected = REASONS.get(cell.method)
+        assert row.status == ("failed" if expected else "ok")
+        assert row.reason.startswith(expected or "")
+        assert "\n" not in row.reason
+    log = (directory / "run.log").read_text()
+    assert "a cell speaks; pytest here: False" in log
+    assert "Traceback" in log
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 * (len(cells) + 1)
+    assert "0 left" in lines[-1]
+
+
+def test_cells_of_an_env_without_expert_fail_and_are_not_tried(directory: Path) -> None:
+    cells = [Cell(env, method, 0) for env in ("nowhere", "cartpole") for method in ("a", "b")]
+    results = run(directory, cells, workers=1)
+    reasons = {cell: result.rows[0].reason for cell, result in results.items()}
+    assert [reasons[cell].split(";")[0] for cell in cells] == ["no expert: RuntimeError: no gradient"] * 2 + [
+        ""
+    ] * 2
+    tried = (directory / "computed.txt").read_text().split()[::2]
+    assert sorted(tried) == [cell.name for cell in cells[2:]]
+
+
+def test_the_number_of_workers_changes_no_result(directory: Path) -> None:
+    cells = [Cell("cartpole", "good", seed) for seed in range(3)]
+    one, three = run(directory, cells, workers=1), run(directory, cells, workers=3)
+    assert {c: encode(r) for c, r in one.items()} == {c: encode(three[c]) for c in one}
+
+
+def test_the_longest_tasks_come_first_and_experts_before_all(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = [Cell(env, m, 0) for env in ("cartpole", "highway") for m in ("bc", "maxent")]
+    run(directory, cells, workers=1)
+    started = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("start")]
+    assert started[:2] == ["highway__expert", "cartpole__expert"]
+    costs = {Task(cell.env, cell).name: Task(cell.env, cell).cost for cell in cells}
+    assert started[2:] == sorted(costs, key=lambda name: -costs[name])
+
+
+def test_every_process_is_fresh(directory: Path) -> None:
+    cells = [Cell("cartpole", "good", seed) for seed in range(3)]
+    run(directory, cells, workers=1)
+    assert len(set((directory / "computed.txt").read_text().split()[1::2])) == len(cells)

@@ -1,0 +1,129 @@
+"""A run's directory: what is stored comes back, or is named as damaged; and who may write where."""
+
+import contextlib
+import json
+import math
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness.registry import BadInput
+from harness.results import FORMAT, Cell, CellResult, Row
+from harness.store import Request, decode, encode, open_for_report, open_for_run
+
+REQUEST = Request(("bc",), ("cartpole",), 1, "smoke", "absorbing")
+CELL = Cell("cartpole", "bc", 0)
+FLOATS = st.floats(allow_infinity=False)
+
+
+def result(score: float = 1.5, cell: Cell = CELL) -> CellResult:
+    row = Row(cell.env, cell.method, cell.seed, "pi_star", "absorbing", return_mean=score)
+    return CellResult(
+        cell, [row], {"loss": [(0.0, score), (1.0, math.nan)]}, {"pi_star": {"fell": 3}}, ["low"]
+    )
+
+
+@given(FLOATS)
+def test_a_result_comes_back_bit_by_bit(score: float) -> None:
+    there = decode(encode(result(score)))
+    # repr tells every float from every other, and NaN equals NaN.
+    assert repr(there) == repr(result(score))
+
+
+@given(st.data())
+def test_any_changed_byte_is_noticed_or_harmless(data: st.DataObject) -> None:
+    whole = encode(result()).encode()
+    at = data.draw(st.integers(0, len(whole) - 1))
+    changed = bytearray(whole)
+    changed[at] ^= 1 << data.draw(st.integers(0, 7))
+    with contextlib.suppress(ValueError):
+        assert repr(decode(bytes(changed))) == repr(result())  # it was white space
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "null", "3", "{}", '{"sha256": 1}', "[" * 100_000, b"\xff\xfe\x00"]
+)
+def test_anything_else_is_no_result(text: str | bytes) -> None:
+    with pytest.raises(ValueError, match="stored cell"):
+        decode(text)
+
+
+def test_a_truncated_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST) as run:
+        for seed in range(3):
+            run.save(result(seed, Cell("cartpole", "bc", seed)))
+        cells = tmp_path / "cells"
+        half = cells / "cartpole__bc__seed0.json"
+        half.write_bytes(half.read_bytes()[:100])
+        other = (cells / "cartpole__bc__seed1.json").rename(cells / "cartpole__bc__seed7.json")
+        results, corrupt = run.load()
+    assert list(results) == [Cell("cartpole", "bc", 2)]
+    assert set(corrupt) == {half, other}
+
+
+def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
+    more = Request(("shaped",), ("highway",), 3, "smoke", "absorbing")
+    for request in (REQUEST, more, REQUEST):
+        with open_for_run(tmp_path / "a/b", request):
+            pass
+    stored = json.loads((tmp_path / "a/b/run.json").read_text())
+    assert stored == {
+        "format": FORMAT,
+        "methods": ["shaped", "bc"],
+        "envs": ["cartpole", "highway"],
+        "seeds": 3,
+        "budget": "smoke",
+        "protocol": "absorbing",
+    }
+
+
+def snapshot(path: Path) -> dict[str, bytes]:
+    return {str(file): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("stored", "message"),
+    [
+        ('{"format": 1, "budget": "full", "protocol": "absorbing"}', "budget full, not smoke"),
+        ('{"format": 1, "budget": "smoke", "protocol": "native"}', "protocol native, not absorbing"),
+        ('{"format": 99, "new": true}', "format 99"),
+        ('{"format": 1', "damaged"),
+        ("[]", "damaged"),
+        (None, "holds no run"),
+    ],
+)
+def test_another_run_is_refused_and_left_as_it_was(tmp_path: Path, stored: str | None, message: str) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    if stored is not None:
+        (tmp_path / "run.json").write_text(stored)
+    before = snapshot(tmp_path)
+    with pytest.raises(BadInput, match=message), open_for_run(tmp_path, REQUEST):
+        pass
+    assert snapshot(tmp_path) == before
+
+
+def test_a_path_where_no_directory_can_be_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file", tmp_path / "file/below", tmp_path / ("x" * 300), Path("/proc/nowhere")):
+        with pytest.raises(BadInput, match="cannot"), open_for_run(path, REQUEST):
+            pass
+    assert snapshot(tmp_path) == {str(tmp_path / "file"): b""}
+
+
+def test_the_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST):
+        for another in (open_for_run(tmp_path, REQUEST), open_for_report(tmp_path)):
+            with pytest.raises(BadInput, match=f"in use by another run .process {os.getpid()}"), another:
+                pass
+    with open_for_report(tmp_path):
+        pass
+
+
+def test_a_run_killed_before_its_first_whole_file_can_be_started_again(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text("123456")
+    (tmp_path / ".run.json.abc.tmp").write_text("{")
+    with open_for_run(tmp_path, REQUEST):
+        assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "run.json"]
