@@ -16,6 +16,7 @@ HORIZON = 1000
 MAX_ANGLE = 0.2  # rad, where the environment terminates
 RAIL = 1.0  # m, half of the rail's length
 POLE_LENGTH = 0.6  # m
+TIME_STEP = 0.04  # s
 
 
 def make_pendulum() -> gym.Env[Any, Any]:
@@ -51,10 +52,12 @@ SPEC = EnvSpec(
     obs_scale=(0.3, 0.05, 0.5, 0.5),
     horizon=HORIZON,
     gamma=0.99,
-    success=1000.0,
+    time_step=TIME_STEP,
+    bar=lambda seeds: 1000.0,
+    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 600, "quick": 12_000, "full": 30_000},
-    eval_episodes={"smoke": 10, "quick": 100, "full": 100},
-    demo_episodes=100,
+    eval_episodes={"smoke": 5, "quick": 100, "full": 100},
+    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,

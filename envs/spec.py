@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import gymnasium as gym
@@ -49,14 +49,18 @@ class EnvSpec:
     """Steps after which an episode is truncated."""
     gamma: float
     """Discount in (0, 1) for discounted returns and for every RL solve."""
-    success: float
-    """Undiscounted true return that the expert must reach."""
+    time_step: float
+    """Seconds between actions."""
+    bar: Callable[[Sequence[int]], float]
+    """Mean undiscounted true return that the expert must reach on the episodes of these seeds."""
+    max_terminated: Mapping[str, float]
+    """Largest share of the expert's episodes that may terminate early, for each of `BUDGETS`."""
     rl_steps: Mapping[str, int]
     """Environment steps of one RL solve, for each of `BUDGETS`."""
     eval_episodes: Mapping[str, int]
     """Evaluation episodes for each policy, for each of `BUDGETS`."""
-    demo_episodes: int
-    """Demonstration episodes drawn for each seed."""
+    demo_episodes: Mapping[str, int]
+    """Demonstration episodes drawn for each seed, for each of `BUDGETS`."""
     phi: Callable[[Array, Array], Array]
     """Features for linear rewards: (B, O) observations and (B, A) actions to (B, K), within [-1, 1]."""
     draw: Callable[[gym.Env], dict[str, Shape]]
@@ -69,8 +73,8 @@ class EnvSpec:
             raise ValueError(f"{self.name}: gamma must lie in (0, 1), not {self.gamma}")
         if len(self.obs_scale) != self.obs_size or min(self.obs_scale) <= 0:
             raise ValueError(f"{self.name}: obs_scale must hold a positive number for each observation")
-        counts = [self.obs_size, self.act_size, self.horizon, self.demo_episodes]
-        counts += [table[b] for table in (self.rl_steps, self.eval_episodes) for b in BUDGETS]
+        tables = (self.rl_steps, self.eval_episodes, self.demo_episodes)
+        counts = [self.obs_size, self.act_size, self.horizon, *(t[b] for t in tables for b in BUDGETS)]
         if min(counts) < 1:
             raise ValueError(f"{self.name}: sizes, horizon, steps and episodes must be positive")
 

@@ -42,16 +42,14 @@ def record(
     trajectory: Trajectory,
     frames: Sequence[dict[str, Shape]],
     learned_reward: Array | None,
-    dt: float,
 ) -> None:
     """Writes one episode of T steps to `path`, an .rrd file; equal input gives equal content.
 
     frames: T+1 drawings, after the reset and after each step, with the same names throughout.
     learned_reward: (T,), R*(s, a) minus its absorbing value; None where there is no R*.
-    dt: simulated seconds that one step takes.
     Raises ValueError where lengths or names disagree.
     """
-    length = len(trajectory.act)
+    length, dt = len(trajectory.act), spec.time_step
     if len(frames) != length + 1 or any(frame.keys() != frames[0].keys() for frame in frames):
         raise ValueError(f"{length} steps need {length + 1} drawings with the same names")
     if learned_reward is not None and learned_reward.shape != (length,):

@@ -5,7 +5,10 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Collection
-from typing import NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+if TYPE_CHECKING:
+    from methods.base import Method
 
 BUDGETS = ("smoke", "quick", "full")
 
@@ -52,10 +55,10 @@ def choose(kind: str, text: str, known: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in known if "all" in names or name in names)
 
 
-def load_method(name: str) -> type[object]:
+def load_method(name: str) -> type[Method]:
     """The method's dataclass, imported now. Raises BadInput for an unknown name."""
     if name not in METHODS:
         choose("method", name, METHODS)
         raise BadInput(f"{name!r} is not one method")
     module, _, attribute = METHODS[name].target.partition(":")
-    return cast(type[object], getattr(importlib.import_module(module), attribute))
+    return cast("type[Method]", getattr(importlib.import_module(module), attribute))

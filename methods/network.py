@@ -3,7 +3,7 @@ without pickle and sent between processes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,3 +68,39 @@ def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
         torch.nn.init.zeros_(linear.bias)
         layers += [linear, torch.nn.ReLU()]
     return torch.nn.Sequential(*layers[:-1])
+
+
+def standardiser(x: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of each column of (N, I); 1 where a column does not vary."""
+    std = x.std(axis=0)
+    return x.mean(axis=0), np.where(std > 1e-8, std, 1.0)
+
+
+def descend(
+    loss: Callable[..., torch.Tensor],
+    networks: Sequence[torch.nn.Module],
+    data: Sequence[Array],
+    learning_rate: float,
+    steps: int,
+    batch: int,
+    rng: np.random.Generator,
+    points: int = 100,
+) -> list[float]:
+    """Adam on `loss(*minibatch)` with a learning rate that falls to 0 by a half cosine.
+
+    data: arrays of equal length. Returns the mean loss of each of `points` equal stretches.
+    """
+    tensors = [torch.as_tensor(array, dtype=torch.float32) for array in data]
+    parameters = [p for network in networks for p in network.parameters()]
+    optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    values = np.zeros(steps)
+    for step in range(steps):
+        rows = torch.as_tensor(rng.integers(len(tensors[0]), size=batch))
+        value = loss(*(tensor[rows] for tensor in tensors))
+        optimizer.zero_grad()
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        values[step] = value.item()
+    return [float(stretch.mean()) for stretch in np.array_split(values, min(points, steps))]

@@ -1,0 +1,160 @@
+"""What one cell does: draw demonstrations, fit, train pi_R, score, record."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from envs import SPECS, EnvSpec
+from harness import recordings
+from harness.controls import control_reward
+from harness.evaluation import Evaluation, evaluate
+from harness.experts import Expert, expert_for
+from harness.registry import load_method
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, PolicyName, Row
+from harness.rl import Learner
+from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
+from harness.simulator import Simulator
+from harness.world import TaskWorld, without_rewards
+from methods.base import Array, Episodes, Policy, Reward
+from methods.settings import settings_for
+
+
+def train_expert(env: str, budget: str) -> None:
+    """Make sure that the environment's expert is in the cache."""
+    expert_for(env, budget)
+
+
+def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
+    """Everything of one cell; recordings of seed 0 go to `directory`/recordings. Raises what its method raises."""
+    work = _Work(cell, budget, protocol, directory)
+    if cell.method == REFERENCE:
+        work.reference()
+    elif cell.method in CONTROLS:
+        work.retrain(control_reward(cell.method, work.demos(), work.rng("control")))
+    else:
+        work.method()
+    return work.result
+
+
+def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
+    """The rows of a cell that failed."""
+    rows = [Row(cell.env, cell.method, cell.seed, p, protocol, "failed", reason) for p in policies_of(cell)]
+    return CellResult(cell, rows)
+
+
+def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
+    """The policies that a cell scores."""
+    if cell.method == REFERENCE:
+        return ("expert", "random")
+    return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
+
+
+class _Work:
+    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path) -> None:
+        self.cell, self.budget, self.protocol, self.directory = cell, budget, protocol, directory
+        self.spec: EnvSpec = SPECS[cell.env]
+        self.expert: Expert = expert_for(cell.env, budget)
+        self.result = CellResult(cell, [])
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
+
+    def demos(self) -> Episodes:
+        """The demonstrations of this environment and seed, the same for every method."""
+        seeds = demonstration_seeds(self.cell.seed, self.spec.demo_episodes[self.budget])
+        return without_rewards(Simulator(self.spec).run(self.expert.policy, seeds))
+
+    def reference(self) -> None:
+        expert, rng = self.expert, self.rng("random policy")
+        scored = self.score(
+            "expert", expert.policy, None, expert.seconds, expert.env_steps, expert.rl_steps, rl_solves=1
+        )
+        self.result.curves["expert"] = expert.curve
+        self.score("random", lambda obs: rng.uniform(-1, 1, (len(obs), self.spec.act_size)), None)
+        terminated = 1 - scored.endings.get("time limit", 0) / len(scored.returns)
+        bar = self.spec.bar(self.seeds)
+        if scored.returns.mean() < bar or terminated > self.spec.max_terminated[self.budget]:
+            self.result.warnings.append(
+                f"{self.cell.env}, seed {self.cell.seed}: the expert misses its bar: mean return "
+                f"{scored.returns.mean():.2f} (at least {bar:.2f}), {terminated:.0%} of episodes terminated "
+                f"early (at most {self.spec.max_terminated[self.budget]:.0%})"
+            )
+
+    def method(self) -> None:
+        settings = settings_for(self.cell.method, self.cell.env, self.budget)
+        method = load_method(self.cell.method)(**settings)
+        demos, world = self.demos(), TaskWorld(self.spec, self.protocol)
+        started = time.perf_counter()
+        learned = method.fit(demos, world, self.rng("fit"))
+        seconds = time.perf_counter() - started
+        for name, values in learned.curves.items():
+            self.result.curves[name] = [(float(x), float(y)) for x, y in enumerate(values, start=1)]
+        self.score(
+            "pi_star",
+            learned.policy,
+            learned.reward,
+            seconds,
+            world.env_steps,
+            world.rl_steps,
+            world.rl_solves,
+        )
+        if learned.reward is None:
+            cell, reason = self.cell, "learns no reward"
+            row = Row(cell.env, cell.method, cell.seed, "pi_R", self.protocol, "skipped", reason)
+            self.result.rows.append(row)
+        else:
+            self.retrain(learned.reward)
+
+    def retrain(self, reward: Reward | None) -> None:
+        """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
+        started = time.perf_counter()
+        steps = self.spec.rl_steps[self.budget]
+        solution = Learner(self.spec, self.protocol, self.rng("pi_R")).solve(reward, steps)
+        seconds = time.perf_counter() - started
+        self.result.curves["pi_R"] = solution.curve
+        self.score("pi_R", solution.policy, reward, seconds, solution.env_steps, steps, rl_solves=1)
+
+    @property
+    def seeds(self) -> range:
+        return evaluation_seeds(self.cell.seed, self.spec.eval_episodes[self.budget])
+
+    def score(
+        self,
+        name: PolicyName,
+        policy: Policy,
+        reward: Reward | None,
+        seconds: float = 0.0,
+        env_steps: int = 0,
+        rl_steps: int = 0,
+        rl_solves: int = 0,
+    ) -> Evaluation:
+        """Evaluate, add the row, and record seed 0's first episode."""
+        cell = self.cell
+        scored = evaluate(self.spec, policy, self.seeds)
+        self.result.endings[name] = scored.endings
+        self.result.rows.append(
+            Row(
+                cell.env,
+                cell.method,
+                cell.seed,
+                name,
+                self.protocol,
+                **scored.columns(),
+                fit_seconds=seconds,
+                env_steps=env_steps,
+                rl_steps=rl_steps,
+                rl_solves=rl_solves,
+            )
+        )
+        if cell.seed == 0:
+            path = self.directory / "recordings" / f"{cell.name}__{name}.rrd"
+            learned = None if reward is None else _above_absorbing(reward, scored.first.obs, scored.first.act)
+            recordings.record(path, self.spec, cell, name, scored.first, scored.frames, learned)
+        return scored
+
+
+def _above_absorbing(reward: Reward, obs: Array, act: Array) -> Array:
+    return reward(obs[:-1], act, obs[1:]) - reward.absorbing

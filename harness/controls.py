@@ -1,0 +1,44 @@
+"""Rewards that nobody learned: what pi_R scores under them tells what a score is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from methods.base import Array, Episodes, Reward, default_absorbing
+from methods.maxent import NetworkReward
+from methods.network import mlp, standardiser
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Pays `value` while alive."""
+
+    value: float
+    absorbing: float
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.full(len(obs), self.value)
+
+
+def control_reward(name: str, demos: Episodes, rng: np.random.Generator) -> Reward | None:
+    """The reward of a control row by its name; None is the environment's own."""
+    if name == "control_untrained":
+        return untrained(demos, rng)
+    return {
+        "control_true": None,
+        "control_plus1": Constant(1.0, absorbing=1.0),
+        "control_minus1": Constant(-1.0, absorbing=-1.0),
+        "control_survival": Constant(0.0, absorbing=-1.0),
+    }[name]
+
+
+def untrained(demos: Episodes, rng: np.random.Generator) -> Reward:
+    """A reward network with its random initial weights, on demonstration-standardised observations."""
+    mean, std = standardiser(demos.pairs()[0])
+    generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+    layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)
+    reward = NetworkReward.of(layers, mean, std)
+    return replace(reward, absorbing=default_absorbing(reward, demos, rng))

@@ -1,0 +1,53 @@
+"""The world that methods live in: an environment without its reward, and an account of its use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from envs import EnvSpec
+from harness.rl import Learner
+from harness.seeds import training_seeds
+from harness.simulator import Simulator, Trajectory
+from methods.base import Array, Episodes, Policy, Reward
+
+
+class TaskWorld:
+    """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave."""
+
+    def __init__(self, spec: EnvSpec, protocol: str) -> None:
+        self.obs_size = spec.obs_size
+        self.act_size = spec.act_size
+        self.horizon = spec.horizon
+        self.gamma = spec.gamma
+        self.phi = spec.phi
+        self.env_steps = 0
+        self.rl_steps = 0
+        self.rl_solves = 0
+        self._spec = spec
+        self._protocol = protocol
+        self._learner: Learner | None = None
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        rollouts = without_rewards(Simulator(self._spec).run(policy, training_seeds(rng, episodes)))
+        self.env_steps += int(rollouts.lengths.sum())
+        return rollouts
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        if not warm or self._learner is None:
+            self._learner = Learner(self._spec, self._protocol, rng)
+        solution = self._learner.solve(reward, steps)
+        self.env_steps += solution.env_steps
+        self.rl_steps += steps
+        self.rl_solves += 1
+        return solution.policy
+
+
+def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:
+    """What a method may see of trajectories."""
+    return Episodes(
+        tuple(t.obs.copy() for t in trajectories),
+        tuple(t.act.copy() for t in trajectories),
+        tuple(t.terminated for t in trajectories),
+    )

@@ -1,0 +1,97 @@
+"""Apprenticeship learning by maximum margin (Abbeel & Ng 2004).
+
+t(i) = max over |w| <= 1 of min over j < i of w^T (mu_E - mu(j))     (thesis, eq. 3.2)
+
+The reward is w^T phi. mu(j) are discounted feature expectations of the policies found so far, mu_E those
+of the demonstrations. Features are the environment's, and one more for the absorbing state, where all
+others are 0; every episode is counted up to the horizon, so what absorption pays is learned as well.
+
+Deviates from the paper: "solve the MDP" is DDPG warm-started from the last iteration, and feature
+expectations come from a few rollouts, so the margin may rise again. pi* is not chosen by hand from the
+collection but is the policy that the margin problem, given that policy alone, cannot tell further from
+the expert: the one with the smallest |mu_E - mu(j)|. R* is the reward that it was found under.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cvxpy as cp
+import numpy as np
+
+from methods.base import Array, Episodes, Learned, World
+
+
+@dataclass(frozen=True)
+class MaxMargin:
+    """Its hyper-parameters."""
+
+    iterations: int = 5
+    """At most as many reinforcement-learning solves."""
+    rl_steps: int = 3000
+    """Environment steps of each solve; the first takes twice as many."""
+    epsilon: float = 0.01
+    """Stops where the margin t is at most this. Feature expectations are scaled to sums of 1."""
+    rollouts: int = 10
+    """Episodes that estimate a policy's feature expectations."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Alternate the margin problem and reinforcement learning on its reward."""
+        expert = feature_expectations(demos, world)
+        random = world.rollout(lambda obs: rng.uniform(-1, 1, (len(obs), world.act_size)), self.rollouts, rng)
+        found = [feature_expectations(random, world)]
+        w, margin = max_margin(expert, found)
+        margins, policies, weights = [margin], [], []
+        for i in range(self.iterations):
+            policy = world.solve(LinearReward(world, w), rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
+            policies.append(policy)
+            weights.append(w)
+            found.append(feature_expectations(world.rollout(policy, self.rollouts, rng), world))
+            w, margin = max_margin(expert, found)
+            margins.append(margin)
+            if margin <= self.epsilon:
+                break
+        distances = [float(np.linalg.norm(expert - mu)) for mu in found[1:]]
+        best = int(np.argmin(distances))
+        curves = {"margin": margins, "distance": distances}
+        return Learned(policies[best], LinearReward(world, weights[best]), curves)
+
+
+def max_margin(expert: Array, found: list[Array]) -> tuple[Array, float]:
+    """Eq. 3.2: the weights (K,), |w| <= 1, that separate the expert's feature expectations (K,) from all
+    those found with the largest margin, and that margin. Raises ArithmeticError where it is not solved."""
+    w, t = cp.Variable(len(expert)), cp.Variable()
+    apart = [(expert - mu) @ w >= t for mu in found]
+    problem = cp.Problem(cp.Maximize(t), [cp.norm(w, 2) <= 1, *apart])
+    problem.solve(solver=cp.CLARABEL)
+    if w.value is None or problem.status != cp.OPTIMAL:
+        raise ArithmeticError(f"the margin problem ended as {problem.status}")
+    return np.asarray(w.value), float(problem.value)
+
+
+def feature_expectations(episodes: Episodes, world: World) -> Array:
+    """(K + 1,): the mean over episodes of the discounted sum of features up to the horizon, the last being
+    the absorbing indicator, scaled such that the discounts sum to 1."""
+    discounts = world.gamma ** np.arange(world.horizon)
+    discounts /= discounts.sum()
+    total = 0.0
+    for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
+        alive = discounts[: len(act)] @ world.phi(obs[:-1], act)
+        absorbed = discounts[len(act) :].sum() if terminated else 0.0
+        total = total + np.append(alive, absorbed)
+    return np.asarray(total / len(episodes))
+
+
+@dataclass(frozen=True)
+class LinearReward:
+    """w^T phi(s, a), the last weight being what the absorbing state pays."""
+
+    world: World
+    w: Array
+
+    @property
+    def absorbing(self) -> float:
+        return float(self.w[-1])
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.world.phi(obs, act) @ self.w[:-1]

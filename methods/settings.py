@@ -1,0 +1,22 @@
+"""The one table of hyper-parameters that differ from a method's defaults."""
+
+from __future__ import annotations
+
+from typing import Any
+
+SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
+    ("shaped", "*", "smoke"): {"steps": 300},
+    ("bc", "*", "smoke"): {"steps": 300},
+    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
+    ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},
+}
+"""(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
+
+
+def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
+    """The hyper-parameters that a method gets in an environment at a budget."""
+    chosen: dict[str, Any] = {}
+    for (its_method, its_env, its_budget), settings in SETTINGS.items():
+        if its_method == method and its_env in ("*", env) and its_budget in ("*", budget):
+            chosen |= settings
+    return chosen

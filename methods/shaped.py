@@ -1,0 +1,81 @@
+"""The shaped-reward model of "Faster Apprenticeship Learning Through Inverse Optimal Control".
+
+R(s, a) = -(a - f(s))^T (L(s) L(s)^T + I) (a - f(s))     (eq. 4.3)
+
+Maximising R over the demonstrated pairs (eq. 4.4) learns the policy f and the reward together, without
+any reinforcement learning. As in figure 4.3, f is an auxiliary output of the model: the loss is the mean
+absolute error of R to 0, its upper bound, plus that of f(s) to the demonstrated action.
+
+Deviates from the paper: f passes through tanh, for actions are bounded and R must not reward leaving
+their range where there were no demonstrations; observations are standardised; Adam with a decaying
+learning rate instead of RMSprop; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from methods.base import Array, Episodes, Learned, World, default_absorbing
+from methods.network import Network, descend, mlp, standardiser
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """Its hyper-parameters; the layer sizes are those of figure 4.3."""
+
+    f_layers: tuple[int, ...] = (32, 16)
+    """Hidden layers of f."""
+    l_layers: tuple[int, ...] = (32, 32)
+    """Hidden layers of L."""
+    learning_rate: float = 3e-3
+    batch: int = 256
+    steps: int = 5000
+    """Gradient steps."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Maximise eq. 4.3 over the demonstrated pairs. Touches no environment."""
+        obs, act = demos.pairs()
+        mean, std = standardiser(obs)
+        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+        f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
+        l = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
+
+        def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+            action = torch.tanh(f(s))
+            reward = shaped_reward(a, action, l(s))
+            return reward.abs().mean() + (a - action).abs().mean()
+
+        data = ((obs - mean) / std, act)
+        curve = descend(loss, [f, l], data, self.learning_rate, self.steps, self.batch, rng)
+        policy = Network.from_torch(f, mean, std, tanh=True)
+        reward = ShapedReward(policy, Network.from_torch(l, mean, std))
+        return Learned(
+            policy, replace(reward, absorbing=default_absorbing(reward, demos, rng)), {"loss": curve}
+        )
+
+
+def shaped_reward(a: torch.Tensor, f: torch.Tensor, l: torch.Tensor) -> torch.Tensor:
+    """Eq. 4.3 for each row of a batch: (B, A), (B, A) and (B, A * A) to (B,)."""
+    size = a.shape[1]
+    d = (a - f).unsqueeze(1)
+    projected = d @ l.view(-1, size, size)
+    return -(projected.square().sum((1, 2)) + d.square().sum((1, 2)))
+
+
+@dataclass(frozen=True)
+class ShapedReward:
+    """Eq. 4.3 with fitted f and L: at most 0, and 0 exactly where the action is f(s)."""
+
+    f: Network
+    l: Network
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        d = act - self.f(obs)
+        size = d.shape[1]
+        projected = np.einsum("bi,bij->bj", d, self.l(obs).reshape(-1, size, size))
+        value: Array = -(np.square(projected).sum(1) + np.square(d).sum(1))
+        return value
