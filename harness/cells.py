@@ -33,7 +33,7 @@ def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellRes
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
-        work.retrain(control_reward(cell.method, work.demos(), work.rng("control")))
+        work.retrain(control_reward(cell.method, work.demos, work.rng("control")))
     else:
         work.method()
     return work.result

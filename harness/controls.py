@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +24,10 @@ class Constant:
         return np.full(len(obs), self.value)
 
 
-def control_reward(name: str, demos: Episodes, rng: np.random.Generator) -> Reward | None:
+def control_reward(name: str, demos: Callable[[], Episodes], rng: np.random.Generator) -> Reward | None:
     """The reward of a control row by its name; None is the environment's own."""
     if name == "control_untrained":
-        return untrained(demos, rng)
+        return untrained(demos(), rng)
     return {
         "control_true": None,
         "control_plus1": Constant(1.0, absorbing=1.0),

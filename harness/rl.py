@@ -57,6 +57,10 @@ class Settings:
     n_steps: int = 3
     noise: float = 0.3
     """Scale of the Ornstein-Uhlenbeck exploration noise; the action range is [-1, 1]."""
+    train_every: int = 10
+    """Environment steps between bouts of learning."""
+    gradient_steps: int = 5
+    """Gradient steps in each bout."""
     check_episodes: int = 5
 
 
@@ -117,6 +121,8 @@ class Learner:
             tau=s.tau,
             gamma=self._spec.gamma,
             n_steps=s.n_steps,
+            train_freq=s.train_every,
+            gradient_steps=s.gradient_steps,
             action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
             policy_kwargs={"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}},
             seed=seed,

@@ -1,0 +1,46 @@
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from envs.cartpole import SPEC, CartPole
+
+
+def test_dynamics_equal_gymnasiums_cartpole_at_full_force() -> None:
+    ours, theirs = CartPole(), gym.make("CartPole-v1").unwrapped
+    rng = np.random.default_rng(0)
+    for seed in range(20):
+        ours.reset(seed=seed)
+        theirs.reset(seed=seed)
+        assert np.array_equal(np.array(ours.state), theirs.state)
+        failed = False
+        while not failed:
+            push = int(rng.integers(2))
+            obs, _, failed, _, _ = ours.step(np.array([2.0 * push - 1], np.float32))
+            expected, _, their_failed, _, _ = theirs.step(push)
+            np.testing.assert_allclose(obs, expected, rtol=1e-6)
+            assert failed == their_failed
+
+
+def test_reward_is_rllabs() -> None:
+    env = CartPole()
+    env.reset(seed=3)
+    _, reward, failed, _, _ = env.step(np.array([0.5], np.float32))
+    assert not failed
+    assert reward == pytest.approx((10 - (1 - math.cos(env.state[2])) - 1e-5 * 5.0**2) / 10)
+    while not failed:
+        _, reward, failed, _, _ = env.step(np.array([1.0], np.float32))
+    assert reward == 0.0
+
+
+@pytest.mark.parametrize(("state", "reason"), [((2.5, 0, 0, 0), "cart left the track"), ((0, 0, 0.3, 0), "pole fell")])
+def test_why_it_ended(state: tuple[float, ...], reason: str) -> None:
+    env = CartPole()
+    env.state = state  # type: ignore[assignment]
+    assert SPEC.why_ended(env) == reason
+
+
+def test_phi_is_one_at_the_centre_and_falls_to_zero_at_the_limits() -> None:
+    obs = np.array([[0, 0, 0, 0], [2.4, 0, 12 * math.pi / 180, 0]], float)
+    np.testing.assert_allclose(SPEC.phi(obs, np.zeros((2, 1))), [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1]], atol=1e-12)

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from methods.base import Episodes, default_absorbing
+
+
+def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
+    rng = np.random.default_rng(0)
+    return Episodes(
+        tuple(rng.standard_normal((n + 1, 3)) for n in lengths),
+        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
+        tuple(terminated for _ in lengths),
+    )
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=5))
+def test_pairs_hold_every_step_once_and_never_the_last_observation(lengths: list[int]) -> None:
+    demos = episodes(lengths)
+    obs, act = demos.pairs()
+    assert len(obs) == len(act) == sum(lengths)
+    assert demos.lengths.tolist() == lengths
+    for last in (o[-1] for o in demos.obs):
+        assert not (obs == last).all(axis=1).any()
+
+
+def test_episodes_cannot_be_written_to() -> None:
+    demos = episodes([4])
+    with pytest.raises(ValueError, match="read-only"):
+        demos.obs[0][0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("obs", "act"),
+    [
+        ([], []),
+        ([np.zeros((1, 3))], [np.zeros((0, 2))]),
+        ([np.zeros((4, 3))], [np.zeros((4, 2))]),
+        ([np.full((4, 3), np.nan)], [np.zeros((3, 2))]),
+        ([np.zeros((4, 3))], [np.full((3, 2), 1.5)]),
+        ([np.zeros((4, 3)), np.zeros((4, 2))], [np.zeros((3, 2))] * 2),
+    ],
+    ids=["none", "no step", "no last observation", "NaN", "action out of range", "unequal sizes"],
+)
+def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
+    with pytest.raises(ValueError, match="episode"):
+        Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
+
+
+class Quadratic:
+    absorbing = 0.0
+
+    def __call__(self, obs: np.ndarray, act: np.ndarray, next_obs: np.ndarray) -> np.ndarray:
+        return -(act**2).sum(1)
+
+
+def test_absorption_pays_the_mean_over_uniform_actions() -> None:
+    demos = episodes([20_000])
+    assert default_absorbing(Quadratic(), demos, np.random.default_rng(1)) == pytest.approx(-2 / 3, abs=0.02)
+
+
+def test_absorption_pays_what_the_demonstrations_got_where_they_terminate_themselves() -> None:
+    demos = episodes([50, 7], terminated=True)
+    expected = -(demos.pairs()[1] ** 2).sum(1).mean()
+    assert default_absorbing(Quadratic(), demos, np.random.default_rng(1)) == pytest.approx(expected)
