@@ -52,7 +52,7 @@ class Settings:
 
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
-    tau: float = 0.01
+    tau: float = 0.02
     batch: int = 128
     n_steps: int = 3
     noise: float = 0.3

@@ -60,12 +60,12 @@ class Network:
 
 
 def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
-    """Linear layers with ReLU between them, initialised (He uniform, zero biases) from the generator."""
+    """Linear layers with ReLU between them, initialised by torch's rule for them, from the generator."""
     layers: list[torch.nn.Module] = []
     for inputs, outputs in zip(sizes, sizes[1:], strict=False):
         linear = torch.nn.Linear(inputs, outputs)
-        torch.nn.init.kaiming_uniform_(linear.weight, nonlinearity="relu", generator=generator)
-        torch.nn.init.zeros_(linear.bias)
+        for parameter in linear.parameters():
+            torch.nn.init.uniform_(parameter, -(inputs**-0.5), inputs**-0.5, generator=generator)
         layers += [linear, torch.nn.ReLU()]
     return torch.nn.Sequential(*layers[:-1])
 
