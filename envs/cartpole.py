@@ -81,7 +81,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 def draw_cart_and_pole(x: float, angle: float, track: float, pole_length: float) -> dict[str, Shape]:
     """Side view of a cart at x [m] on a track from -track to track [m], its pole at angle [rad] from
     upright, clockwise."""
-    box = np.array([[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1], [-0.2, -0.1]]) + [x, 0.0]
+    box = np.array([[x - 0.2, -0.1], [x + 0.2, -0.1], [x + 0.2, 0.1], [x - 0.2, 0.1], [x - 0.2, -0.1]])
     tip = [x + pole_length * math.sin(angle), pole_length * math.cos(angle)]
     return {
         "track": Shape(np.array([[-track, -0.1], [track, -0.1]]), (140, 140, 140)),
@@ -117,4 +117,6 @@ SPEC = EnvSpec(
     why_ended=why_ended,
 )
 
-gym.register(SPEC.env_id, entry_point=CartPole, max_episode_steps=HORIZON, disable_env_checker=True)
+gym.register(
+    SPEC.env_id, entry_point="envs.cartpole:CartPole", max_episode_steps=HORIZON, disable_env_checker=True
+)

@@ -6,8 +6,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
-from gymnasium.wrappers import RescaleAction
+from numpy.typing import NDArray
 
 from envs.cartpole import draw_cart_and_pole
 from envs.spec import Array, EnvSpec, Shape
@@ -19,9 +20,20 @@ POLE_LENGTH = 0.6  # m
 TIME_STEP = 0.04  # s
 
 
-def make_pendulum() -> gym.Env[Any, Any]:
-    """Observation (4,): cart position [m], pole angle [rad], and their rates; action (1,), times 3 N m/m."""
-    return RescaleAction(InvertedPendulumEnv(), np.float32(-1), np.float32(1))
+class Pendulum(InvertedPendulumEnv):
+    """Observation (4,): cart position [m], pole angle [rad], and their rates.
+
+    Action (1,) in [-1, 1], a third of Gymnasium's. The episode terminates where |angle| > 0.2 rad.
+    """
+
+    def _set_action_space(self) -> Any:
+        super()._set_action_space()  # type: ignore[no-untyped-call]
+        self._full_action = self.model.actuator_ctrlrange[:, 1].astype(np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, self._full_action.shape, np.float32)
+        return self.action_space
+
+    def step(self, action: NDArray[np.float32]) -> Any:
+        return super().step(action * self._full_action)  # type: ignore[no-untyped-call]
 
 
 def phi(obs: Array, act: Array) -> Array:
@@ -63,4 +75,9 @@ SPEC = EnvSpec(
     why_ended=why_ended,
 )
 
-gym.register(SPEC.env_id, entry_point=make_pendulum, max_episode_steps=HORIZON, disable_env_checker=True)
+gym.register(
+    SPEC.env_id,
+    entry_point="envs.pendulum:Pendulum",
+    max_episode_steps=HORIZON,
+    disable_env_checker=True,
+)

@@ -28,7 +28,7 @@ def train_expert(env: str, budget: str) -> None:
 
 
 def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
-    """Everything of one cell; recordings of seed 0 go to `directory`/recordings. Raises what its method raises."""
+    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises."""
     work = _Work(cell, budget, protocol, directory)
     if cell.method == REFERENCE:
         work.reference()

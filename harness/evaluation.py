@@ -17,7 +17,7 @@ from methods.base import Array, Policy
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths (N,) of N episodes, how many ended why, and the first one with its drawings."""
+    """True returns and lengths (N,) of N episodes, how many ended why, and the first one, drawn."""
 
     returns: Array
     discounted: Array

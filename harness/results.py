@@ -1,11 +1,12 @@
 """What a run produces: cells, their rows and curves, and the layout of a run's directory.
 
-    DIR/run.json               the request: methods, envs, seeds, budget, protocol, and the format's version
-    DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
-    DIR/scores.csv             one row per (env, method, seed, policy)
-    DIR/leaderboard.csv, .md   aggregated over seeds
-    DIR/report.html, figures/  the report
-    DIR/recordings/*.rrd       rerun recordings
+DIR/run.json               the request: methods, envs, seeds, budget, protocol, and the format's version
+DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
+DIR/scores.csv             one row per (env, method, seed, policy)
+DIR/leaderboard.csv, .md   aggregated over seeds
+DIR/report.html, figures/  the report
+DIR/recordings/*.rrd       rerun recordings
+DIR/run.log                what the cells' processes print, full tracebacks included
 """
 
 from __future__ import annotations
@@ -95,6 +96,9 @@ class CellResult:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> CellResult:
         """Raises KeyError or TypeError where `data` is not such a result."""
-        rows = [Row(**{k: math.nan if v is None else v for k, v in row.items()}) for row in data["rows"]]
+        rows = []
+        for row in data["rows"]:
+            values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
+            rows.append(Row(**values))
         curves = {name: [(x, y) for x, y in points] for name, points in data["curves"].items()}
         return cls(Cell(**data["cell"]), rows, curves, data["endings"], data["warnings"])

@@ -11,8 +11,9 @@ After a random warm-up the rewards are scaled to a fixed mean size, and under `a
 constant, the absorbing state's reward included. Neither changes which policy is better.
 
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
-that the agent learns from, over fresh episodes up to the horizon. The untrained agent is the first checkpoint, and
-only a strictly better one replaces what is kept: a reward that tells no two policies apart teaches nothing.
+that the agent learns from, over fresh episodes up to the horizon. The untrained agent is the first one,
+and only a strictly better one replaces what is kept: a reward that cannot tell policies apart teaches
+nothing.
 """
 
 from __future__ import annotations
@@ -141,7 +142,9 @@ class Learner:
     def check(self, policy: Policy, seeds: list[int]) -> tuple[float, int]:
         """Mean undiscounted return under the reward that the agent learns from, and the steps it took."""
         episodes = self._checks.run(policy, seeds)
-        total = sum(float(self._env.raw_rewards(e.obs[:-1], e.act, e.obs[1:], e.rewards).sum()) for e in episodes)
+        total = sum(
+            float(self._env.raw_rewards(e.obs[:-1], e.act, e.obs[1:], e.rewards).sum()) for e in episodes
+        )
         return total / len(seeds), sum(len(e.act) for e in episodes)
 
 
@@ -258,5 +261,11 @@ class _Log:
 
     def add(self, obs: Array, act: NDArray[np.float32], next_obs: Array, true: float, *, alive: bool) -> None:
         i = self.steps
-        self.obs[i], self.act[i], self.next_obs[i], self.true[i], self.alive[i] = obs, act, next_obs, true, alive
+        self.obs[i], self.act[i], self.next_obs[i], self.true[i], self.alive[i] = (
+            obs,
+            act,
+            next_obs,
+            true,
+            alive,
+        )
         self.steps += 1

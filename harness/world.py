@@ -10,7 +10,7 @@ from envs import EnvSpec
 from harness.rl import Learner
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, Trajectory
-from methods.base import Array, Episodes, Policy, Reward
+from methods.base import Episodes, Policy, Reward
 
 
 class TaskWorld:

@@ -51,7 +51,9 @@ class Episodes:
             raise ValueError("episodes: obs, act and terminated must list the same episodes, at least one")
         for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
             if obs.ndim != 2 or act.ndim != 2 or len(obs) != len(act) + 1 or len(act) == 0:
-                raise ValueError(f"episode {i}: needs obs (T+1, O) and act (T, A), has {obs.shape}, {act.shape}")
+                raise ValueError(
+                    f"episode {i}: needs obs (T+1, O) and act (T, A), has {obs.shape}, {act.shape}"
+                )
             if obs.shape[1] != self.obs[0].shape[1] or act.shape[1] != self.act[0].shape[1]:
                 raise ValueError(f"episode {i}: its sizes differ from those of episode 0")
             if not (np.isfinite(obs).all() and np.isfinite(act).all()):

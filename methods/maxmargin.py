@@ -15,6 +15,7 @@ the expert: the one with the smallest |mu_E - mu(j)|. R* is the reward that it w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -43,7 +44,9 @@ class MaxMargin:
         w, margin = max_margin(expert, found)
         margins, policies, weights = [margin], [], []
         for i in range(self.iterations):
-            policy = world.solve(LinearReward(world, w), rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
+            policy = world.solve(
+                LinearReward(world, w), rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0
+            )
             policies.append(policy)
             weights.append(w)
             found.append(feature_expectations(world.rollout(policy, self.rollouts, rng), world))
@@ -61,9 +64,10 @@ def max_margin(expert: Array, found: list[Array]) -> tuple[Array, float]:
     """Eq. 3.2: the weights (K,), |w| <= 1, that separate the expert's feature expectations (K,) from all
     those found with the largest margin, and that margin. Raises ArithmeticError where it is not solved."""
     w, t = cp.Variable(len(expert)), cp.Variable()
-    apart = [(expert - mu) @ w >= t for mu in found]
-    problem = cp.Problem(cp.Maximize(t), [cp.norm(w, 2) <= 1, *apart])
-    problem.solve(solver=cp.CLARABEL)
+    length = cp.norm(w, 2)  # type: ignore[attr-defined]
+    constraints: list[Any] = [length <= 1, np.stack([expert - mu for mu in found]) @ w >= t]
+    problem = cp.Problem(cp.Maximize(t), constraints)
+    problem.solve(solver=cp.CLARABEL)  # type: ignore[no-untyped-call]
     if w.value is None or problem.status != cp.OPTIMAL:
         raise ArithmeticError(f"the margin problem ended as {problem.status}")
     return np.asarray(w.value), float(problem.value)
@@ -74,12 +78,13 @@ def feature_expectations(episodes: Episodes, world: World) -> Array:
     the absorbing indicator, scaled such that the discounts sum to 1."""
     discounts = world.gamma ** np.arange(world.horizon)
     discounts /= discounts.sum()
-    total = 0.0
+    each = []
     for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
         alive = discounts[: len(act)] @ world.phi(obs[:-1], act)
         absorbed = discounts[len(act) :].sum() if terminated else 0.0
-        total = total + np.append(alive, absorbed)
-    return np.asarray(total / len(episodes))
+        each.append(np.append(alive, absorbed))
+    mean: Array = np.mean(each, axis=0)
+    return mean
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -62,7 +63,7 @@ class Network:
 def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
     """Linear layers with ReLU between them, initialised by torch's rule for them, from the generator."""
     layers: list[torch.nn.Module] = []
-    for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+    for inputs, outputs in pairwise(sizes):
         linear = torch.nn.Linear(inputs, outputs)
         for parameter in linear.parameters():
             torch.nn.init.uniform_(parameter, -(inputs**-0.5), inputs**-0.5, generator=generator)
@@ -99,7 +100,7 @@ def descend(
         rows = torch.as_tensor(rng.integers(len(tensors[0]), size=batch))
         value = loss(*(tensor[rows] for tensor in tensors))
         optimizer.zero_grad()
-        value.backward()
+        value.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         schedule.step()
         values[step] = value.item()

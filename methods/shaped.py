@@ -9,7 +9,8 @@ demonstrated actions by a loss of its own; R's distance to 0, its upper bound, i
 Deviates from the paper: f passes through tanh, for actions are bounded and R must not reward leaving
 their range where there were no demonstrations; the auxiliary loss is squared, for the median that the
 absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
-standardised; Adam with a decaying learning rate instead of RMSprop; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
+standardised; Adam with a decaying learning rate instead of RMSprop; figure 4.4 multiplies the batch into
+one matrix, eq. 4.3 does not.
 """
 
 from __future__ import annotations
@@ -42,27 +43,27 @@ class Shaped:
         mean, std = standardiser(obs)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
-        l = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
+        chol = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             action = torch.tanh(f(s))
-            reward = shaped_reward(a, action, l(s))
+            reward = shaped_reward(a, action, chol(s))
             return -reward.mean() + (a - action).square().sum(1).mean()
 
         data = ((obs - mean) / std, act)
-        curve = descend(loss, [f, l], data, self.learning_rate, self.steps, self.batch, rng)
+        curve = descend(loss, [f, chol], data, self.learning_rate, self.steps, self.batch, rng)
         policy = Network.from_torch(f, mean, std, tanh=True)
-        reward = ShapedReward(policy, Network.from_torch(l, mean, std))
+        reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
         return Learned(
             policy, replace(reward, absorbing=default_absorbing(reward, demos, rng)), {"loss": curve}
         )
 
 
-def shaped_reward(a: torch.Tensor, f: torch.Tensor, l: torch.Tensor) -> torch.Tensor:
-    """Eq. 4.3 for each row of a batch: (B, A), (B, A) and (B, A * A) to (B,)."""
+def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch.Tensor:
+    """Eq. 4.3 for each row of a batch: actions (B, A), f(s) (B, A) and L(s) (B, A * A) to (B,)."""
     size = a.shape[1]
     d = (a - f).unsqueeze(1)
-    projected = d @ l.view(-1, size, size)
+    projected = d @ chol.view(-1, size, size)
     return -(projected.square().sum((1, 2)) + d.square().sum((1, 2)))
 
 
@@ -71,12 +72,12 @@ class ShapedReward:
     """Eq. 4.3 with fitted f and L: at most 0, and 0 exactly where the action is f(s)."""
 
     f: Network
-    l: Network
+    chol: Network
     absorbing: float = 0.0
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         d = act - self.f(obs)
         size = d.shape[1]
-        projected = np.einsum("bi,bij->bj", d, self.l(obs).reshape(-1, size, size))
+        projected = np.einsum("bi,bij->bj", d, self.chol(obs).reshape(-1, size, size))
         value: Array = -(np.square(projected).sum(1) + np.square(d).sum(1))
         return value

@@ -34,7 +34,9 @@ def test_reward_is_rllabs() -> None:
     assert reward == 0.0
 
 
-@pytest.mark.parametrize(("state", "reason"), [((2.5, 0, 0, 0), "cart left the track"), ((0, 0, 0.3, 0), "pole fell")])
+@pytest.mark.parametrize(
+    ("state", "reason"), [((2.5, 0, 0, 0), "cart left the track"), ((0, 0, 0.3, 0), "pole fell")]
+)
 def test_why_it_ended(state: tuple[float, ...], reason: str) -> None:
     env = CartPole()
     env.state = state  # type: ignore[assignment]
@@ -43,4 +45,6 @@ def test_why_it_ended(state: tuple[float, ...], reason: str) -> None:
 
 def test_phi_is_one_at_the_centre_and_falls_to_zero_at_the_limits() -> None:
     obs = np.array([[0, 0, 0, 0], [2.4, 0, 12 * math.pi / 180, 0]], float)
-    np.testing.assert_allclose(SPEC.phi(obs, np.zeros((2, 1))), [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        SPEC.phi(obs, np.zeros((2, 1))), [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1]], atol=1e-12
+    )

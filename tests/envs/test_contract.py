@@ -20,7 +20,9 @@ def play(env: gym.Env, seed: int, steps: int) -> list[tuple]:
     obs, _ = env.reset(seed=seed)
     seen = [obs.tolist()]
     for _ in range(steps):
-        obs, reward, terminated, truncated, _ = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
+        obs, reward, terminated, truncated, _ = env.step(
+            rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        )
         seen.append((obs.tolist(), reward, terminated, truncated))
         if terminated or truncated:
             break
@@ -56,7 +58,9 @@ def test_drawings_keep_their_names_and_lie_in_the_plane(spec: EnvSpec) -> None:
     env.step(np.ones(spec.act_size, np.float32))
     after = spec.draw(env)
     assert before.keys() == after.keys()
-    assert all(s.points.ndim == 2 and s.points.shape[1] == 2 and np.isfinite(s.points).all() for s in after.values())
+    assert all(
+        s.points.ndim == 2 and s.points.shape[1] == 2 and np.isfinite(s.points).all() for s in after.values()
+    )
     assert any(not np.array_equal(before[name].points, after[name].points) for name in before)
 
 

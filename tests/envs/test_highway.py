@@ -168,13 +168,24 @@ def test_observation_units() -> None:
     env = SPEC.make()
     obs, _ = env.reset(seed=2)
     inner: Any = env.unwrapped
-    ego, other = inner.vehicle, inner.road.vehicles[1]
-    assert obs[0] * 4 + 4 == pytest.approx(ego.position[1])
-    assert obs[1] * 5 + 20 == pytest.approx(ego.speed)
-    assert obs[3] == 1
-    assert obs[4] * 20 == pytest.approx(other.position[0] - ego.position[0], rel=1e-5)
-    assert obs[5] * 4 == pytest.approx(other.position[1] - ego.position[1], abs=1e-5)
-    assert obs[6] * 5 == pytest.approx(other.speed - ego.speed, rel=1e-4)
+    ego = inner.vehicle
+    middle = (highway.LANES - 1) / 2 * highway.LANE_WIDTH
+    assert obs[0] * highway.WIDE + middle == pytest.approx(ego.position[1])
+    assert obs[2] * highway.FAST + highway.CRUISE == pytest.approx(ego.speed)
+    own = [v for v in inner.road.vehicles if v is not ego and abs(v.position[1] - ego.position[1]) < 1]
+    ahead = min((v for v in own if v.position[0] > ego.position[0]), key=lambda v: v.position[0])
+    gap = ahead.position[0] - ego.position[0] - ego.LENGTH
+    assert obs[7] * highway.LONG == pytest.approx(min(gap, highway.REACH), rel=1e-5)
+    if gap < highway.REACH:
+        assert obs[8] * highway.FAST == pytest.approx(ahead.speed - ego.speed, rel=1e-4)
+
+
+@pytest.mark.parametrize(("lane", "missing"), [(0, slice(3, 7)), (2, slice(11, 15))])
+def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> None:
+    scene = highway.Highway({"initial_lane_id": lane})
+    obs, _ = scene.reset(seed=4)
+    assert (obs[missing] == 0).all()
+    assert (obs[[7, 9]] > 0).all()
 
 
 def test_drawing() -> None:
