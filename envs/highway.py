@@ -32,7 +32,7 @@ CONFIG = {
     "observation": {"type": "Kinematics", "vehicles_count": 1, "features": ["presence"], "normalize": False},
     "action": {
         "type": "ContinuousAction",
-        "acceleration_range": [-5.0, 5.0],
+        "acceleration_range": [-8.0, 8.0],
         # One degree turns 25 m/s at 2.2 m/s^2: a brisk lane change, not an emergency.
         "steering_range": [-math.pi / 180, math.pi / 180],
         "speed_range": [10.0, 30.0],  # stopping is no option
@@ -47,9 +47,9 @@ CONFIG = {
     "offroad_terminal": True,
     "normalize_reward": False,
     "high_speed_reward": 1.0,
-    "reward_speed_range": [10.0, 30.0],
+    "reward_speed_range": [10.0, 25.0],
     "right_lane_reward": 0.0,
-    "collision_reward": -5.0,
+    "collision_reward": -10.0,
 }
 
 
@@ -60,7 +60,7 @@ class Highway(FastHighwayEnv):
     Units: 4 m, 1 m/s, 5 m/s; 20 m (up to 60 m are seen), 5 m/s. Zeros for a lane that is not there.
 
     Action (2,) in [-1, 1]: acceleration and steering. Terminates on a crash or off the road.
-    Reward: forward speed from 10 to 30 m/s mapped to [0, 1], less 5 on crashing, 0 off the road.
+    Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 10 on crashing, 0 off the road.
     """
 
     def __init__(self, config: dict[str, Any] | None = None) -> None:
@@ -189,7 +189,7 @@ SPEC = EnvSpec(
     time_step=TIME_STEP,
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.05},
-    rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
+    rl_steps={"smoke": 600, "quick": 12_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 50, "full": 50},
     phi=phi,

@@ -39,6 +39,9 @@ ABSORBING_STEPS = 5
 """Steps in the absorbing state before the episode is truncated."""
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
+TRAIN_EVERY = 10
+"""Environment steps between bouts of learning."""
+STEP_UNIT = 2 * TRAIN_EVERY
 CHECKPOINT_EVERY = 500
 """Steps between checkpoints."""
 REWARD_SIZE = 0.1
@@ -58,10 +61,8 @@ class Settings:
     n_steps: int = 3
     noise: float = 0.3
     """Scale of the Ornstein-Uhlenbeck exploration noise; the action range is [-1, 1]."""
-    train_every: int = 10
-    """Environment steps between bouts of learning."""
     gradient_steps: int = 5
-    """Gradient steps in each bout."""
+    """Gradient steps after every `TRAIN_EVERY` environment steps."""
     check_episodes: int = 5
 
 
@@ -84,6 +85,8 @@ class Learner:
     relabelled by the new reward."""
 
     def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
+        if protocol not in ("absorbing", "native"):
+            raise ValueError(f"no protocol named {protocol!r}")
         self._spec = spec
         self._rng = rng
         self._settings = SETTINGS.get(spec.name, Settings())
@@ -93,12 +96,18 @@ class Learner:
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """Learn for `steps` environment steps under the reward; None is the environment's own, for the
-        expert and the control that learns from the truth. Raises FloatingPointError on NaN rewards."""
+        expert and the control that learns from the truth.
+
+        Raises ValueError unless `steps` is a positive multiple of `STEP_UNIT`, FloatingPointError on
+        rewards that are not finite.
+        """
+        if steps <= 0 or steps % STEP_UNIT:
+            raise ValueError(f"a solve takes a positive multiple of {STEP_UNIT} steps, not {steps}")
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
         warm_up = 0
         if self._model is None:
-            warm_up = min(WARM_UP, steps // 2)
+            warm_up = min(WARM_UP, steps // 2)  # a multiple of `TRAIN_EVERY`, as `steps` is of twice that
             self._model = self._build(warm_up, seed)
             self._model.learn(warm_up)
         else:
@@ -122,7 +131,7 @@ class Learner:
             tau=s.tau,
             gamma=self._spec.gamma,
             n_steps=s.n_steps,
-            train_freq=s.train_every,
+            train_freq=TRAIN_EVERY,
             gradient_steps=s.gradient_steps,
             action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
             policy_kwargs={"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}},

@@ -61,7 +61,7 @@ class MaxEnt:
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
-            gaps.append(float(d.mean() - e.mean()))
+            gaps.append((d.mean() - e.mean()).item())
             reward = NetworkReward.of(network, mean, std)
             policy = world.solve(reward, rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})

@@ -7,9 +7,9 @@ of the demonstrations. Features are the environment's, and one more for the abso
 others are 0; every episode is counted up to the horizon, so what absorption pays is learned as well.
 
 Deviates from the paper: "solve the MDP" is DDPG warm-started from the last iteration, and feature
-expectations come from a few rollouts, so the margin may rise again. pi* is not chosen by hand from the
-collection but is the policy that the margin problem, given that policy alone, cannot tell further from
-the expert: the one with the smallest |mu_E - mu(j)|. R* is the reward that it was found under.
+expectations come from a few rollouts, so a later policy may be further from the expert. pi* is not
+chosen by hand from the collection: it is the policy that the margin problem, given it alone, separates
+least from the expert, the one with the smallest |mu_E - mu(j)|. R* is the reward it was found under.
 """
 
 from __future__ import annotations

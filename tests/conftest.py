@@ -1,0 +1,83 @@
+"""A task so small that reinforcement learning takes a second, in two kinds."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from envs import BUDGETS, EnvSpec
+
+HORIZON = 10
+
+
+class Target(gym.Env):
+    """The observation (1,) is where to be, uniform in [-0.8, 0.8] at every step; the action (1,) goes there.
+
+    Reward: 1 - |observation - action|. Terminates where that distance is more than `reach`.
+    """
+
+    def __init__(self, reach: float) -> None:
+        self.observation_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.reach = reach
+        self.where = 0.0
+
+    def _move(self) -> np.ndarray:
+        obs = self.np_random.uniform(-0.8, 0.8, 1).astype(np.float32)
+        self.where = float(obs[0])
+        return obs
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        return self._move(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        miss = abs(self.where - float(action[0]))
+        return self._move(), 1 - miss, miss > self.reach, False, {"reward": 1 - miss}
+
+
+def target_spec(name: str, reach: float) -> EnvSpec:
+    env_id = f"irl_bench_tests/{name}-v0"
+    gym.register(
+        env_id,
+        entry_point=functools.partial(Target, reach),
+        max_episode_steps=HORIZON,
+        disable_env_checker=True,
+    )
+    return EnvSpec(
+        name=name,
+        summary="go where the observation says",
+        env_id=env_id,
+        obs_size=1,
+        act_size=1,
+        obs_scale=(0.5,),
+        horizon=HORIZON,
+        gamma=0.9,
+        time_step=0.1,
+        bar=lambda seeds: 9.0,
+        max_terminated=dict.fromkeys(BUDGETS, 1.0),
+        rl_steps=dict.fromkeys(BUDGETS, 1500),
+        eval_episodes=dict.fromkeys(BUDGETS, 5),
+        demo_episodes=dict.fromkeys(BUDGETS, 5),
+        phi=lambda obs, act: 1 - (obs - act) ** 2 / 4,
+        draw=lambda env: {},
+        why_ended=lambda env: "missed",
+    )
+
+
+@pytest.fixture(scope="session")
+def steady() -> EnvSpec:
+    """The task that never terminates."""
+    return target_spec("Steady", math.inf)
+
+
+@pytest.fixture(scope="session")
+def fragile() -> EnvSpec:
+    """The task that terminates on a miss of more than 0.5."""
+    return target_spec("Fragile", 0.5)

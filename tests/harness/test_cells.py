@@ -1,0 +1,151 @@
+"""A whole cell, on the smallest budget, and the cache of its expert."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness import experts
+from harness.cells import failed_rows, policies_of, run_cell
+from harness.experts import CACHE_VARIABLE, expert_for
+from harness.results import CONTROLS, Cell, CellResult, Row
+
+BC = Cell("cartpole", "bc", 0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """An empty cache, which the first test that needs the expert fills."""
+    with pytest.MonkeyPatch.context() as patch:
+        path = tmp_path_factory.mktemp("cache")
+        patch.setenv(CACHE_VARIABLE, str(path))
+        yield path
+
+
+def run(cell: Cell, directory: Path) -> CellResult:
+    return run_cell(cell, "smoke", "absorbing", directory)
+
+
+def timeless(result: CellResult) -> str:
+    rows = [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows]
+    return repr(dataclasses.replace(result, rows=rows))  # where NaN equals NaN
+
+
+def recordings(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.rglob("*.rrd"))
+
+
+def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> None:
+    result = run(BC, tmp_path)
+    star, skipped = result.rows
+    assert (star.policy, star.status, star.reason) == ("pi_star", "ok", "")
+    assert (star.env, star.method, star.seed, star.protocol) == ("cartpole", "bc", 0, "absorbing")
+    assert star.episodes == 5
+    assert 1 <= star.length_mean <= 500
+    assert 0 < star.discounted_mean < star.return_mean <= star.length_mean
+    assert star.fit_seconds > 0
+    assert (star.env_steps, star.rl_steps, star.rl_solves) == (0, 0, 0)
+    assert (skipped.policy, skipped.status, skipped.reason) == ("pi_R", "skipped", "learns no reward")
+    assert math.isnan(skipped.return_mean)
+    assert sum(result.endings["pi_star"].values()) == 5
+    assert [x for x, _ in result.curves["loss"]] == list(range(1, 101))
+    assert recordings(tmp_path) == ["cartpole__bc__seed0__pi_star.rrd"]
+
+    again = run(BC, tmp_path / "again")
+    assert timeless(again) == timeless(result)
+
+
+def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
+    one = run(Cell("cartpole", "bc", 1), tmp_path / "one")
+    assert recordings(tmp_path / "one") == []
+    two = run(Cell("cartpole", "bc", 2), tmp_path / "two")
+    assert one.rows[0].return_mean != two.rows[0].return_mean
+
+
+def test_the_reference_scores_the_expert_and_a_random_policy(tmp_path: Path) -> None:
+    result = run(Cell("cartpole", "reference", 0), tmp_path)
+    expert, random = result.rows
+    assert [row.policy for row in result.rows] == ["expert", "random"]
+    assert {row.status for row in result.rows} == {"ok"}
+    assert (expert.rl_steps, expert.rl_solves) == (600, 1)
+    assert expert.env_steps > 600
+    assert (random.env_steps, random.rl_steps, random.rl_solves) == (0, 0, 0)
+    assert random.length_mean < 100
+    assert result.curves["expert"] == expert_for("cartpole", "smoke").curve
+    assert set(result.endings) == {"expert", "random"}
+    (warning,) = result.warnings
+    assert "misses its bar" in warning
+    assert f"{expert.return_mean:.2f}" in warning
+    assert recordings(tmp_path) == [f"cartpole__reference__seed0__{p}.rrd" for p in ("expert", "random")]
+
+
+def test_a_control_has_pi_r_alone(tmp_path: Path) -> None:
+    result = run(Cell("cartpole", "control_plus1", 1), tmp_path)
+    (row,) = result.rows
+    assert (row.policy, row.status, row.rl_steps, row.rl_solves) == ("pi_R", "ok", 600, 1)
+    assert {y for _, y in result.curves["pi_R"]} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("method", "policies"),
+    [("reference", ("expert", "random")), ("bc", ("pi_star", "pi_R")), *((c, ("pi_R",)) for c in CONTROLS)],
+)
+def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[str, ...]) -> None:
+    cell = Cell("cartpole", method, 4)
+    result = failed_rows(cell, "native", "no luck")
+    assert policies_of(cell) == policies
+    assert result.cell == cell
+    rows = [Row("cartpole", method, 4, policy, "native", "failed", "no luck") for policy in policies]
+    assert repr(result.rows) == repr(rows)
+
+
+@pytest.fixture
+def stored(cache: Path) -> Path:
+    """The file of the smoke expert."""
+    expert_for("cartpole", "smoke")
+    (path,) = cache.glob("expert__cartpole__smoke__*")
+    return path
+
+
+def test_an_expert_is_trained_once(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        pytest.fail("trained again")
+
+    one = expert_for("cartpole", "smoke")
+    monkeypatch.setattr(experts, "Learner", never)
+    other = expert_for("cartpole", "smoke")
+    obs = np.eye(4)
+    np.testing.assert_array_equal(one.policy(obs), other.policy(obs))
+    assert one.curve == other.curve
+    assert one.seconds == other.seconds > 0
+
+
+@pytest.mark.parametrize("damage", ["empty", "half", "noise", "JSON", "absent"])
+def test_a_damaged_expert_is_no_expert(stored: Path, tmp_path: Path, damage: str) -> None:
+    whole = stored.read_bytes()
+    path = tmp_path / stored.name
+    path.write_bytes(whole)
+    assert experts._load(path) is not None
+    path.write_bytes(
+        {"empty": b"", "half": whole[: len(whole) // 2], "noise": bytes(range(256)) * 9, "JSON": b"{}"}.get(
+            damage, b""
+        )
+    )
+    if damage == "absent":
+        path.unlink()
+    assert experts._load(path) is None
+
+
+def test_a_damaged_expert_is_trained_again(stored: Path) -> None:
+    before = expert_for("cartpole", "smoke")
+    stored.write_bytes(stored.read_bytes()[:1000])
+    after = expert_for("cartpole", "smoke")
+    obs = np.random.default_rng(0).normal(size=(20, 4))
+    np.testing.assert_array_equal(after.policy(obs), before.policy(obs))
+    assert after.curve == before.curve
+    assert experts._load(stored) is not None

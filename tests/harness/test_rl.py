@@ -1,0 +1,285 @@
+"""The solver learns what a reward asks for, nothing where it asks for nothing, and ends episodes as told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from harness import rl
+from harness.rl import ABSORBING_STEPS, CHECKPOINT_EVERY, REWARD_SIZE, Learner, Solution
+from methods.base import Array
+from methods.network import Network
+
+STEPS = 1500
+OBS = np.linspace(-0.8, 0.8, 33)[:, None]
+
+
+@dataclass(frozen=True)
+class Seek:
+    """Pays for being close to `side` times the observation."""
+
+    side: float = 1.0
+    scale: float = 1.0
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.scale * (1 - np.abs(self.side * obs - act)[:, 0])
+
+
+@dataclass(frozen=True)
+class Constant:
+    value: float
+    absorbing: float
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.full(len(obs), self.value)
+
+
+def solve(
+    spec: EnvSpec, reward: Any, protocol: str = "absorbing", steps: int = STEPS, seed: int = 0
+) -> Solution:
+    return Learner(spec, protocol, np.random.default_rng(seed)).solve(reward, steps)
+
+
+def same(one: Network, other: Network) -> bool:
+    a, b = one.arrays(), other.arrays()
+    return all(np.array_equal(a[name], b[name]) for name in a)
+
+
+@pytest.fixture(scope="module")
+def learned(steady: EnvSpec) -> Solution:
+    return solve(steady, Seek())
+
+
+def test_it_learns_the_task(learned: Solution) -> None:
+    assert np.abs(learned.policy(OBS) - OBS).mean() < 0.15
+    returns = [value for _, value in learned.curve]
+    assert max(returns) > 8.5 > 7 > returns[0]
+
+
+def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
+    opposite = solve(steady, Seek(side=-1.0))
+    assert np.abs(opposite.policy(OBS) + OBS).mean() < 0.15
+
+
+def test_no_reward_means_the_environments_own(steady: EnvSpec, learned: Solution) -> None:
+    own = solve(steady, None)
+    np.testing.assert_allclose(own.policy(OBS), learned.policy(OBS), atol=0.05)
+    np.testing.assert_allclose(own.curve, learned.curve, atol=0.2)
+
+
+def test_it_accounts_for_every_step(learned: Solution) -> None:
+    xs = [x for x, _ in learned.curve]
+    assert xs == [STEPS / 2, 2 * CHECKPOINT_EVERY, STEPS]
+    # Five episodes of ten steps at each checkpoint.
+    assert learned.env_steps == STEPS + len(xs) * 5 * 10
+
+
+def test_the_generator_decides_everything(steady: EnvSpec) -> None:
+    # The library draws from the global generators, whose state must not matter.
+    np.random.seed(1)  # noqa: NPY002
+    one = solve(steady, Seek(), steps=400)
+    np.random.seed(2)  # noqa: NPY002
+    again = solve(steady, Seek(), steps=400)
+    other = solve(steady, Seek(), steps=400, seed=1)
+    assert one.curve == again.curve
+    assert one.env_steps == again.env_steps
+    assert same(one.policy, again.policy)
+    assert not same(one.policy, other.policy)
+    assert one.curve != other.curve
+
+
+@pytest.fixture
+def actors(monkeypatch: pytest.MonkeyPatch) -> list[Network]:
+    """The actor at every checkpoint, the untrained one first."""
+    seen: list[Network] = []
+    actor = Learner.actor
+
+    def spy(self: Learner) -> Network:
+        seen.append(actor(self))
+        return seen[-1]
+
+    monkeypatch.setattr(Learner, "actor", spy)
+    return seen
+
+
+@pytest.mark.parametrize("value", [1.0, -1.0])
+def test_a_constant_reward_teaches_nothing(fragile: EnvSpec, actors: list[Network], value: float) -> None:
+    solution = solve(fragile, Constant(value, absorbing=value), steps=400)
+    assert [y for _, y in solution.curve] == [0.0, 0.0]
+    assert len(actors) == 2
+    assert same(solution.policy, actors[0])
+    again = solve(fragile, Constant(0.3, absorbing=0.3), steps=400)
+    assert same(solution.policy, again.policy)
+
+
+def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> None:
+    solution = solve(steady, Seek(), steps=1100)
+    returns = [value for _, value in solution.curve]
+    assert len(actors) == len(returns) == 3
+    assert same(solution.policy, actors[int(np.argmax(returns))])
+    assert not same(actors[0], actors[-1])
+
+
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec, protocol: str) -> None:
+    one = solve(fragile, Seek(absorbing=-0.5), protocol, 500)
+    other = solve(fragile, Seek(scale=8.0, absorbing=-4.0), protocol, 500)
+    assert same(one.policy, other.policy)
+    assert [(x, 8 * y) for x, y in one.curve] == other.curve
+
+
+def test_ten_times_the_reward_changes_next_to_nothing(fragile: EnvSpec) -> None:
+    one = solve(fragile, Seek(absorbing=-0.5), steps=500)
+    other = solve(fragile, Seek(scale=10.0, absorbing=-5.0), steps=500)
+    np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
+    np.testing.assert_allclose([y / 10 for _, y in other.curve], [y for _, y in one.curve], atol=0.1)
+
+
+def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
+    @dataclass(frozen=True)
+    class Shifted(Seek):
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            return super().__call__(obs, act, next_obs) + 64.0
+
+    one = solve(fragile, Seek(absorbing=-0.5), steps=500)
+    other = solve(fragile, Shifted(absorbing=63.5), steps=500)
+    np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
+
+
+def training_env(spec: EnvSpec, protocol: str) -> Any:
+    return rl._TrainingEnv(spec, protocol, np.random.default_rng(0))
+
+
+def away_from(obs: np.ndarray) -> np.ndarray:
+    """A miss of at least 1, which ends a fragile episode."""
+    return np.array([-1.0 if obs[0] > 0 else 1.0], np.float32)
+
+
+def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -> None:
+    env = training_env(fragile, "absorbing")
+    reward = Seek(absorbing=0.25)
+    env.reward = reward
+    seen, _ = env.reset()
+    assert seen[1] == 0.0
+    where = seen[0] * 0.5  # obs_scale
+    action = away_from(seen)
+    seen, paid, terminated, truncated, _ = env.step(action)
+    assert paid == pytest.approx(1 - abs(where - action[0]) - 0.25)
+    for _ in range(ABSORBING_STEPS):
+        np.testing.assert_array_equal(seen, [0.0, 1.0])
+        assert not terminated
+        assert not truncated
+        seen, paid, terminated, truncated, _ = env.step(action)
+        assert paid == 0.0
+    np.testing.assert_array_equal(seen, [0.0, 1.0])
+    assert not terminated
+    assert truncated
+    assert env.reset()[0][1] == 0.0
+
+
+def test_a_native_episode_ends(fragile: EnvSpec) -> None:
+    env = training_env(fragile, "native")
+    env.reward = Seek(absorbing=0.25)
+    seen, _ = env.reset()
+    where, action = seen[0] * 0.5, away_from(seen)
+    seen, paid, terminated, truncated, _ = env.step(action)
+    assert terminated
+    assert not truncated
+    assert seen[1] == 0.0
+    assert paid == pytest.approx(1 - abs(where - action[0]))  # the reward as it is
+
+
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) -> None:
+    env = training_env(steady, protocol)
+    env.reset()
+    ends = [env.step(np.zeros(1, np.float32))[2:4] for _ in range(10)]
+    assert ends == [(False, False)] * 9 + [(False, True)]
+
+
+def experience(learner: Learner) -> dict[str, Array]:
+    """What the agent learned from, in order."""
+    buffer: Any = learner._model.replay_buffer  # type: ignore[union-attr]
+    names = ("observations", "actions", "next_observations", "rewards", "dones", "timeouts")
+    return {name: getattr(buffer, name)[: buffer.pos, 0].astype(float) for name in names}
+
+
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str) -> None:
+    learner = Learner(fragile, protocol, np.random.default_rng(0))
+    learner.solve(Seek(), 300)
+    seen = experience(learner)
+    assert len(seen["dones"]) == 300
+    terminal = (seen["dones"] > 0) & (seen["timeouts"] == 0)
+    absorbed = seen["observations"][:, 1] == 1
+    missed = np.abs(seen["observations"][:, 0] * 0.5 - seen["actions"][:, 0]) > 0.5
+    if protocol == "absorbing":
+        assert not terminal.any()
+        np.testing.assert_array_equal(seen["next_observations"][~absorbed, 1] == 1, missed[~absorbed])
+    else:
+        assert not absorbed.any()
+        assert terminal.any()
+        np.testing.assert_array_equal(terminal, missed)
+
+
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
+    learner = Learner(fragile, protocol, np.random.default_rng(0))
+    second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
+    for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
+        learner.solve(reward, steps)
+        seen = experience(learner)
+        alive = seen["observations"][:, 1] == 0
+        obs = seen["observations"][:, :1] * 0.5
+        raw = reward(obs, seen["actions"], obs)
+        if protocol == "absorbing":
+            raw = np.where(alive, raw - reward.absorbing, 0.0)
+        # Normalised by what had been seen when the solve began to learn.
+        known = raw[:seen_before][alive[:seen_before]]
+        centre = known.mean() if protocol == "absorbing" else 0.0
+        expected = (raw - centre) / np.abs(known).mean() * REWARD_SIZE
+        np.testing.assert_allclose(seen["rewards"], expected, atol=1e-5)
+    assert len(seen["rewards"]) == 500
+
+
+def test_a_second_solve_follows_the_new_reward(steady: EnvSpec) -> None:
+    learner = Learner(steady, "absorbing", np.random.default_rng(0))
+    first = learner.solve(Seek(), 600)
+    second = learner.solve(Seek(side=-1.0), 1000)
+    assert np.abs(first.policy(OBS) - OBS).mean() < 0.25
+    assert np.abs(second.policy(OBS) + OBS).mean() < 0.25
+    assert [x for x, _ in second.curve] == [0, 500, 1000]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda obs, act, next_obs: np.full(len(obs), np.nan),
+        lambda obs, act, next_obs: np.where(obs[:, 0] > 0.5, np.inf, 0.0),
+        lambda obs, act, next_obs: np.zeros((len(obs), 1)),
+    ],
+    ids=["NaN", "infinite", "wrong shape"],
+)
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_a_reward_that_is_no_number_is_refused(
+    steady: EnvSpec, protocol: str, wrong: Callable[..., Array]
+) -> None:
+    class Wrong:
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            return wrong(obs, act, next_obs)
+
+    with pytest.raises(FloatingPointError, match="finite"):
+        solve(steady, Wrong(), protocol, 40)
+
+
+def test_a_reward_whose_absorption_is_no_number_is_refused(steady: EnvSpec) -> None:
+    with pytest.raises(FloatingPointError, match="finite"):
+        solve(steady, Constant(1.0, absorbing=np.nan), steps=40)

@@ -1,0 +1,95 @@
+"""Episodes in lockstep are the episodes that one would get one by one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from harness.simulator import Simulator, Trajectory
+from methods.base import Array
+
+SEEDS = [11, 3, 8, 5, 2, 21, 13, 3]
+
+
+def contrary(obs: Array) -> Array:
+    """Misses by 1.2 |observation|, so that fragile episodes end at different times."""
+    return -0.2 * obs
+
+
+def one_by_one(spec: EnvSpec, seeds: list[int]) -> list[Trajectory]:
+    episodes = []
+    for seed in seeds:
+        env = spec.make()
+        obs, _ = env.reset(seed=seed)
+        seen, acts, rewards = [obs.astype(float)], [], []
+        terminated = truncated = False
+        while not (terminated or truncated):
+            act = contrary(seen[-1])
+            obs, reward, terminated, truncated, _ = env.step(act.astype(np.float32))
+            seen.append(obs.astype(float))
+            acts.append(act)
+            rewards.append(float(reward))
+        ending = "missed" if terminated else "time limit"
+        episodes.append(Trajectory(np.stack(seen), np.stack(acts), np.array(rewards), terminated, ending))
+    return episodes
+
+
+def assert_equal(found: list[Trajectory], expected: list[Trajectory]) -> None:
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.obs, other.obs)
+        np.testing.assert_array_equal(one.act, other.act)
+        np.testing.assert_array_equal(one.rewards, other.rewards)
+        assert (one.terminated, one.ending) == (other.terminated, other.ending)
+
+
+@pytest.mark.parametrize("lanes", [1, 3, 25])
+def test_lockstep_equals_one_by_one_in_the_order_of_the_seeds(fragile: EnvSpec, lanes: int) -> None:
+    expected = one_by_one(fragile, SEEDS)
+    assert len({len(e.act) for e in expected}) > 2
+    simulator = Simulator(fragile, lanes)
+    assert_equal(simulator.run(contrary, SEEDS), expected)
+    # And again, with environments that have been used, and other seeds beside.
+    assert_equal(simulator.run(contrary, SEEDS[::-1]), expected[::-1])
+
+
+def test_shapes_and_types(fragile: EnvSpec) -> None:
+    for episode in Simulator(fragile).run(contrary, SEEDS):
+        length = len(episode.rewards)
+        assert episode.obs.shape == (length + 1, 1)
+        assert episode.act.shape == (length, 1)
+        assert episode.obs.dtype == episode.act.dtype == episode.rewards.dtype == np.float64
+
+
+def test_every_reset_and_step_is_watched(fragile: EnvSpec) -> None:
+    seen: list[tuple[int, float]] = []
+
+    def watch(index: int, env: Any) -> None:
+        seen.append((index, env.unwrapped.where))
+
+    episodes = Simulator(fragile, lanes=3).run(contrary, SEEDS, watch)
+    assert Counter(index for index, _ in seen) == {i: len(e.act) + 1 for i, e in enumerate(episodes)}
+    for i, episode in enumerate(episodes):
+        assert [where for index, where in seen if index == i] == episode.obs[:, 0].tolist()
+
+
+def test_endings_are_told_in_words(fragile: EnvSpec, steady: EnvSpec) -> None:
+    for episode in Simulator(steady).run(contrary, SEEDS):
+        assert (episode.ending, episode.terminated, len(episode.act)) == ("time limit", False, 10)
+    short = Simulator(fragile).run(lambda obs: -np.sign(obs), SEEDS)
+    assert {(e.ending, e.terminated, len(e.act)) for e in short} == {("missed", True, 1)}
+
+
+def test_the_policy_is_asked_once_a_step_for_all_lanes(steady: EnvSpec) -> None:
+    batches: list[int] = []
+
+    def policy(obs: Array) -> Array:
+        batches.append(len(obs))
+        return 0 * obs
+
+    Simulator(steady, lanes=5).run(policy, range(8))
+    assert batches == [5] * 10 + [3] * 10

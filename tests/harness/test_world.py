@@ -1,0 +1,192 @@
+"""The world counts what it is asked for and hides its reward; controls and scores are what they claim."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from harness.controls import Constant, control_reward
+from harness.evaluation import evaluate
+from harness.results import CONTROLS
+from harness.simulator import Trajectory
+from harness.world import TaskWorld, without_rewards
+from methods.base import Array, Episodes, Reward, default_absorbing
+from methods.network import Network
+
+ZERO = Constant(0.0, absorbing=0.0)
+
+
+def on_target(obs: Array) -> Array:
+    return obs
+
+
+def off_target(obs: Array) -> Array:
+    return -np.sign(obs)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
+    world = TaskWorld(steady, "absorbing")
+    world.rollout(on_target, 3, rng())
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30, 0, 0)
+    # Each solve checks five episodes of ten steps before it learns and at its end.
+    world.solve(ZERO, rng(), 40)
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 140, 40, 1)
+    world.solve(ZERO, rng(), 20, warm=True)
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 140 + 120, 60, 2)
+
+
+def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
+    world = TaskWorld(fragile, "native")
+    episodes = world.rollout(off_target, 4, rng())
+    assert world.env_steps == 4
+    assert episodes.terminated == (True,) * 4
+
+
+def test_a_solve_starts_anew_unless_it_is_warm(steady: EnvSpec) -> None:
+    def solve(world: TaskWorld, seed: int, warm: bool) -> Network:
+        policy = world.solve(ZERO, rng(seed), 40, warm)
+        assert isinstance(policy, Network)
+        return policy
+
+    world, obs = TaskWorld(steady, "absorbing"), np.linspace(-0.8, 0.8, 9)[:, None]
+    first = solve(world, 0, False)(obs)
+    # Under a constant reward learning stands still, and the first actor of a solve is the one returned.
+    np.testing.assert_array_equal(solve(world, 0, False)(obs), first)
+    assert (solve(world, 1, False)(obs) != first).any()
+    np.testing.assert_array_equal(solve(TaskWorld(steady, "absorbing"), 0, True)(obs), first)
+
+
+def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
+    world, generator = TaskWorld(steady, "absorbing"), rng()
+    one, other = (world.rollout(on_target, 2, generator) for _ in range(2))
+    assert {f.name for f in dataclasses.fields(one)} == {"obs", "act", "terminated"}
+    assert len({obs.tobytes() for obs in (*one.obs, *other.obs)}) == 4
+    again = world.rollout(on_target, 2, rng())
+    np.testing.assert_array_equal(again.obs[0], one.obs[0])
+
+
+def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
+    public = {name: value for name, value in vars(TaskWorld(steady, "absorbing")).items() if name[0] != "_"}
+    assert set(public) == {
+        *("obs_size", "act_size", "horizon", "gamma", "phi"),
+        *("env_steps", "rl_steps", "rl_solves"),
+    }
+    assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")
+
+
+def test_what_a_method_sees_of_a_trajectory_is_a_copy() -> None:
+    trajectory = Trajectory(np.zeros((3, 1)), np.zeros((2, 1)), np.ones(2), True, "missed")
+    episodes = without_rewards([trajectory])
+    trajectory.obs[:] = 7.0
+    trajectory.act[:] = 7.0
+    assert (episodes.obs[0] == 0).all()
+    assert (episodes.act[0] == 0).all()
+    assert episodes.terminated == (True,)
+
+
+def demonstrations(terminated: bool = False) -> Episodes:
+    generator = rng(5)
+    count = 200
+    return Episodes(
+        tuple(generator.normal(3, 2, (11, 3)) for _ in range(count)),
+        tuple(generator.uniform(-0.2, 0.2, (10, 2)) for _ in range(count)),
+        (terminated,) * count,
+    )
+
+
+def control(name: str, demos: Episodes | None = None, seed: int = 0) -> Any:
+    def draw() -> Episodes:
+        assert demos is not None, "only the untrained control needs demonstrations"
+        return demos
+
+    return control_reward(name, draw, rng(seed))
+
+
+def test_constant_controls() -> None:
+    batch = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3))
+    for name, alive, absorbing in (
+        ("control_plus1", 1.0, 1.0),
+        ("control_minus1", -1.0, -1.0),
+        ("control_survival", 0.0, -1.0),
+    ):
+        reward = control(name)
+        assert isinstance(reward, Reward)
+        np.testing.assert_array_equal(reward(*batch), np.full(4, alive))
+        assert reward.absorbing == absorbing
+
+
+def test_the_true_control_is_the_environments_own_reward() -> None:
+    assert control("control_true") is None
+
+
+def test_every_control_of_the_leaderboard_has_a_reward() -> None:
+    for name in CONTROLS:
+        assert (control(name, demonstrations()) is None) is (name == "control_true")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_untrained_control_pays_nothing_on_average_above_absorption(seed: int) -> None:
+    demos = demonstrations()
+    reward = control("control_untrained", demos, seed)
+    obs = np.tile(demos.pairs()[0], (10, 1))
+    above = reward(obs, rng(9).uniform(-1, 1, (len(obs), 2)), obs) - reward.absorbing
+    assert above.std() > 1e-3
+    # The absorbing value was estimated from 2000 pairs.
+    assert abs(above.mean()) < 4 * above.std() / np.sqrt(2000)
+
+
+def test_the_untrained_control_of_demonstrations_that_terminate() -> None:
+    demos = demonstrations(terminated=True)
+    reward = control("control_untrained", demos)
+    obs, act = demos.pairs()
+    assert reward.absorbing == pytest.approx(reward(obs, act, obs).mean())
+    assert reward.absorbing == default_absorbing(reward, demos, rng())
+
+
+def test_the_untrained_control_differs_by_seed() -> None:
+    demos = demonstrations()
+    one, same, other = (control("control_untrained", demos, seed) for seed in (0, 0, 1))
+    obs, act = demos.pairs()
+    np.testing.assert_array_equal(one(obs, act, obs), same(obs, act, obs))
+    assert (one(obs, act, obs) != other(obs, act, obs)).any()
+
+
+def test_returns_are_sums_of_true_rewards(steady: EnvSpec) -> None:
+    scored = evaluate(steady, on_target, range(6))
+    # Each of ten steps pays 1.
+    np.testing.assert_allclose(scored.returns, 10)
+    np.testing.assert_allclose(scored.discounted, (1 - 0.9**10) / (1 - 0.9))
+    assert scored.lengths.tolist() == [10.0] * 6
+    assert scored.endings == {"time limit": 6}
+    assert scored.columns() == {
+        "episodes": 6,
+        **{"return_mean": pytest.approx(10), "return_std": pytest.approx(0)},
+        **{"discounted_mean": pytest.approx((1 - 0.9**10) / 0.1), "discounted_std": pytest.approx(0)},
+        **{"length_mean": 10, "length_std": 0},
+    }
+
+
+def test_later_rewards_are_discounted_more(steady: EnvSpec) -> None:
+    scored = evaluate(steady, lambda obs: 0 * obs, [3])
+    rewards = 1 - np.abs(scored.first.obs[:-1, 0])
+    np.testing.assert_allclose(scored.first.rewards, rewards, rtol=1e-6)
+    assert scored.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
+
+
+def test_endings_are_counted_and_the_first_episode_is_drawn_once_a_frame(fragile: EnvSpec) -> None:
+    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30))
+    assert set(scored.endings) <= {"missed", "time limit"}
+    assert sum(scored.endings.values()) == 30
+    assert scored.endings["missed"] >= (scored.lengths < 10).sum() > 10
+    assert len(scored.frames) == len(scored.first.obs) == scored.lengths[0] + 1
+    columns = scored.columns()
+    assert columns["length_std"] == pytest.approx(scored.lengths.std())
+    assert columns["return_mean"] == pytest.approx(scored.returns.mean())

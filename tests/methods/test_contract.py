@@ -1,0 +1,91 @@
+"""What every method must satisfy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from methods.base import Array, Episodes, Learned, Method, Reward
+from methods.bc import BehaviourCloning
+from methods.maxent import MaxEnt
+from methods.maxmargin import MaxMargin
+from methods.shaped import Shaped
+
+METHODS: dict[str, Method] = {
+    "shaped": Shaped(steps=40),
+    "bc": BehaviourCloning(steps=40),
+    "maxmargin": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0),
+    "maxent": MaxEnt(iterations=2, rollouts=3, reward_steps=20),
+}
+OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
+ACT = np.random.default_rng(8).uniform(-1, 1, (40, 2))
+
+
+@pytest.fixture(params=METHODS.values(), ids=list(METHODS))
+def method(request: pytest.FixtureRequest) -> Method:
+    return request.param
+
+
+@pytest.fixture(params=[10, 3], ids=["demonstrations of whole episodes", "that terminate"])
+def demos(request: pytest.FixtureRequest, demonstrate: Callable[..., Episodes]) -> Episodes:
+    return demonstrate(lambda obs: np.clip(obs[:, :2], -0.9, 0.9), count=4, lifetime=request.param)
+
+
+def check(learned: Learned) -> None:
+    act = learned.policy(OBS)
+    assert act.shape == (40, 2)
+    assert np.abs(act).max() <= 1
+    np.testing.assert_array_equal(learned.policy(OBS), act)
+    np.testing.assert_allclose(learned.policy(OBS[3:4]), act[3:4])
+    for curve in learned.curves.values():
+        assert len(curve) > 0
+        assert np.isfinite(curve).all()
+    reward = learned.reward
+    if reward is None:
+        return
+    assert isinstance(reward, Reward)
+    assert isinstance(reward.absorbing, float)
+    assert np.isfinite(reward.absorbing)
+    values = reward(OBS, ACT, OBS)
+    assert values.shape == (40,)
+    assert np.isfinite(values).all()
+    np.testing.assert_array_equal(reward(OBS, ACT, OBS), values)
+    np.testing.assert_allclose(reward(OBS[3:4], ACT[3:4], OBS[3:4]), values[3:4])
+
+
+def test_it_returns_a_deterministic_policy_and_a_finite_reward(
+    method: Method, demos: Episodes, world: Any
+) -> None:
+    check(method.fit(demos, world, np.random.default_rng(0)))
+
+
+def test_the_generator_decides_everything(method: Method, demos: Episodes, world: Any) -> None:
+    def outcome(seed: int) -> list[Array]:
+        learned = method.fit(demos, world, np.random.default_rng(seed))
+        found = [learned.policy(OBS), *map(np.array, learned.curves.values())]
+        if learned.reward is not None:
+            found += [learned.reward(OBS, ACT, OBS), np.array(learned.reward.absorbing)]
+        return found
+
+    one = outcome(0)
+    # Nor may a global generator matter.
+    np.random.seed(5)  # noqa: NPY002
+    for first, second in zip(one, outcome(0), strict=True):
+        np.testing.assert_array_equal(first, second)
+    assert any((first != other).any() for first, other in zip(one, outcome(1), strict=True))
+
+
+def test_it_leaves_the_demonstrations_as_they_are(method: Method, demos: Episodes, world: Any) -> None:
+    before = [array.copy() for array in (*demos.obs, *demos.act)]
+    learned = method.fit(demos, world, np.random.default_rng(0))
+    learned.policy(OBS)
+    for array, copy in zip((*demos.obs, *demos.act), before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+        assert not array.flags.writeable
+
+
+@pytest.mark.parametrize("terminated", [False, True])
+def test_one_demonstration_of_one_step_is_enough(method: Method, world: Any, terminated: bool) -> None:
+    one = Episodes((np.array([[0.1, 0.2, 0.3], [0.3, 0.2, 0.1]]),), (np.array([[0.5, -0.5]]),), (terminated,))
+    check(method.fit(one, world, np.random.default_rng(0)))

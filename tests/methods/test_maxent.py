@@ -1,0 +1,109 @@
+"""Maximum-entropy IRL raises the reward where demonstrations go and lowers it where the learner goes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from methods.base import Array, Episodes
+from methods.maxent import MaxEnt, NetworkReward, sample, visitations
+from methods.network import mlp
+
+MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
+METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20)
+
+
+def constant(*action: float) -> Callable[[Array], Array]:
+    return lambda obs: np.tile(action, (len(obs), 1))
+
+
+def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -> None:
+    rng = np.random.default_rng(0)
+    lengths, terminated = (4, 10, 3, 10), (True, False, False, True)
+    episodes = Episodes(
+        tuple(rng.normal(size=(n + 1, 3)) for n in lengths),
+        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
+        terminated,
+    )
+    visits = visitations(episodes, 10, MEAN, STD)
+    alive, absorbed = visits[: sum(lengths)], visits[sum(lengths) :]
+    obs, act = episodes.pairs()
+    np.testing.assert_allclose(alive[:, :3] * STD + MEAN, obs)
+    np.testing.assert_array_equal(alive[:, 3:5], act)
+    assert (alive[:, 5] == 0).all()
+    # Only the first episode terminated before the horizon, six steps early.
+    np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
+
+
+def test_minibatches_are_rows_of_the_visitations() -> None:
+    visits = np.arange(12.0).reshape(4, 3)
+    rows = sample(visits, 200, np.random.default_rng(0)).numpy()
+    assert {tuple(row) for row in rows} == {tuple(row) for row in visits}
+
+
+def test_the_reward_is_the_torch_network_on_standardised_observations() -> None:
+    layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(0))
+    reward = NetworkReward.of(layers, MEAN, STD)
+    rng = np.random.default_rng(0)
+    obs, act = rng.normal(size=(20, 3)), rng.uniform(-1, 1, (20, 2))
+    inputs = np.concatenate([(obs - MEAN) / STD, act, np.zeros((20, 1))], axis=1)
+    absorbed = np.array([[0, 0, 0, 0, 0, 1.0]])
+    with torch.no_grad():
+        expected = layers.double()(torch.as_tensor(np.concatenate([inputs, absorbed])))[:, 0].numpy()
+    np.testing.assert_allclose(reward(obs, act, obs), expected[:-1], rtol=1e-6)
+    assert reward.absorbing == pytest.approx(expected[-1], rel=1e-6)
+
+
+def test_demonstrated_actions_pay_more_than_others(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    learned = METHOD.fit(demonstrate(constant(0.7, -0.4)), world, np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    obs = rng.uniform(-1, 1, (300, 3))
+    shown = learned.reward(obs, constant(0.7, -0.4)(obs), obs)
+    for action in ((-0.7, 0.4), (0.7, 0.6), (-0.3, -0.4)):
+        assert (shown > learned.reward(obs, constant(*action)(obs), obs)).mean() > 0.95
+    np.testing.assert_allclose(learned.policy(obs[:1])[0], [0.7, -0.4], atol=0.35)
+    (gaps,) = learned.curves.values()
+    assert len(gaps) == 2
+    assert gaps[0] > 0
+
+
+def test_it_depends_on_observations_as_well(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    demos = demonstrate(lambda obs: 0.8 * np.sign(obs[:, :2]), count=40)
+    reward = METHOD.fit(demos, world, np.random.default_rng(0)).reward
+    obs = np.array([[0.8, 0.8, 0.0], [-0.8, 0.8, 0.0], [0.8, -0.8, 0.0], [-0.8, -0.8, 0.0]])
+    right = 0.8 * np.sign(obs[:, :2])
+    assert (reward(obs, right, obs) > reward(obs, -right, obs)).all()
+
+
+def test_what_absorption_pays_is_learned(
+    world: Any, mortal_world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    still = constant(0.0, 0.0)
+    lives, dies = demonstrate(still), demonstrate(still, lifetime=2)
+    at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
+    reward = METHOD.fit(lives, mortal_world, np.random.default_rng(0)).reward
+    assert reward.absorbing < -0.5 < 0.5 < reward(*at)[0]
+    reward = METHOD.fit(dies, world, np.random.default_rng(0)).reward
+    assert reward.absorbing > 0.5
+
+
+def test_the_prior_bounds_the_reward(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    # At the optimum it is (p_D - p) / (prior (p_D + p)), for densities p_D and p of visitations.
+    method = MaxEnt(iterations=1, reward_steps=400, rollouts=20, prior=2.0)
+    learned = method.fit(demonstrate(constant(0.9, 0.9)), world, np.random.default_rng(0))
+    obs = np.random.default_rng(1).uniform(-1, 1, (300, 3))
+    shown = learned.reward(obs, constant(0.9, 0.9)(obs), obs)
+    absent = learned.reward(obs, constant(-0.9, -0.9)(obs), obs)
+    assert shown.max() < 0.75
+    assert shown.mean() > 0.2
+    assert absent.mean() == pytest.approx(-0.5, abs=0.15)
+
+
+def test_it_warms_every_solve_but_the_first(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    method = MaxEnt(iterations=3, rl_steps=7, reward_steps=1)
+    learned = method.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
+    assert [(steps, warm) for _, steps, warm in world.solves] == [(14, False), (7, True), (7, True)]
+    # R* is the reward that pi* was found under.
+    assert learned.reward is world.solves[-1][0]

@@ -1,0 +1,155 @@
+"""The margin problem is the distance to a convex hull; apprenticeship by it finds a constant expert."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from methods.base import Array, Episodes
+from methods.maxmargin import LinearReward, MaxMargin, feature_expectations, max_margin
+
+POINTS = st.tuples(*[st.integers(-5, 5)] * 3).map(lambda p: np.array(p, float))
+
+
+def test_one_policy_is_left_behind_along_the_difference() -> None:
+    expert, found = np.array([1.0, 2.0, -1.0]), np.array([-2.0, 2.0, 3.0])
+    w, t = max_margin(expert, [found])
+    np.testing.assert_allclose(w, [3 / 5, 0, -4 / 5], atol=1e-5)
+    assert t == pytest.approx(5, abs=1e-5)
+
+
+def test_of_two_symmetric_policies_neither_is_favoured() -> None:
+    w, t = max_margin(np.array([2.0, 0.0]), [np.array([0.0, 1.0]), np.array([0.0, -1.0])])
+    np.testing.assert_allclose(w, [1, 0], atol=1e-5)
+    assert t == pytest.approx(2, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        [[1, 0], [-1, 0], [0, 1], [0, -1]],
+        [[0, 0]],
+        [[2, 2], [-1, -1]],
+    ],
+    ids=["inside", "one of them", "between two"],
+)
+def test_an_expert_in_the_hull_cannot_be_told_apart(found: list[list[float]]) -> None:
+    w, t = max_margin(np.zeros(2), [np.array(mu, float) for mu in found])
+    assert t == pytest.approx(0, abs=1e-6)
+    assert np.linalg.norm(w) <= 1 + 1e-6
+
+
+@given(POINTS, POINTS, POINTS)
+@settings(deadline=None, max_examples=30)
+def test_the_margin_is_the_distance_to_the_segment_of_two(expert: Array, a: Array, b: Array) -> None:
+    along = b - a
+    share = np.clip((expert - a) @ along / max(along @ along, 1e-12), 0, 1)
+    w, t = max_margin(expert, [a, b])
+    assert t == pytest.approx(np.linalg.norm(expert - a - share * along), abs=1e-4)
+    assert np.linalg.norm(w) <= 1 + 1e-6
+    assert min((expert - mu) @ w for mu in (a, b)) == pytest.approx(t, abs=1e-4)
+
+
+def constant(*action: float) -> Callable[[Array], Array]:
+    return lambda obs: np.tile(action, (len(obs), 1))
+
+
+@pytest.mark.parametrize(("length", "terminated"), [(10, False), (10, True), (4, True), (4, False)])
+def test_feature_expectations_weigh_steps_by_discounts_that_sum_to_1(
+    world: Any, length: int, terminated: bool
+) -> None:
+    act = np.linspace([-1.0, 0.5], [1.0, -0.5], length)
+    weights = 0.9 ** np.arange(10) / sum(0.9**t for t in range(10))
+    alive = weights[:length]
+    expected = [*(alive @ act), alive.sum(), weights[length:].sum() if terminated else 0.0]
+    one = Episodes((np.zeros((length + 1, 3)),), (act,), (terminated,))
+    np.testing.assert_allclose(feature_expectations(one, world), expected)
+    # And the mean over episodes, of any length.
+    still = Episodes((*one.obs, np.zeros((11, 3))), (act, np.zeros((10, 2))), (terminated, False))
+    np.testing.assert_allclose(feature_expectations(still, world), np.add(expected, [0, 0, 1, 0]) / 2)
+
+
+def test_the_reward_is_linear_and_its_last_weight_is_absorption(world: Any) -> None:
+    reward = LinearReward(world, np.array([2.0, -1.0, 0.5, 7.0]))
+    act = np.array([[1.0, 0.0], [0.5, 1.0]])
+    np.testing.assert_allclose(reward(np.zeros((2, 3)), act, np.zeros((2, 3))), [2.5, 0.5])
+    assert reward.absorbing == 7.0
+
+
+@pytest.mark.parametrize("corner", [(0.95, -0.95), (-0.95, 0.95), (-0.95, -0.95)])
+def test_it_finds_the_demonstrated_action(
+    world: Any, demonstrate: Callable[..., Episodes], corner: tuple[float, float]
+) -> None:
+    learned = MaxMargin(iterations=4, epsilon=-1.0).fit(
+        demonstrate(constant(*corner)), world, np.random.default_rng(0)
+    )
+    obs = np.zeros((5, 3))
+    np.testing.assert_allclose(learned.policy(obs), np.tile(corner, (5, 1)), atol=0.12)
+    reward: Any = learned.reward
+    assert (np.sign(reward.w[:2]) == np.sign(corner)).all()
+    assert (reward(obs, np.tile(corner, (5, 1)), obs) > reward(obs, np.zeros((5, 2)), obs)).all()
+
+
+def test_the_margin_never_rises_and_the_closest_policy_is_chosen(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    learned = MaxMargin(iterations=5, epsilon=-1.0).fit(
+        demonstrate(constant(0.3, -0.6)), world, np.random.default_rng(0)
+    )
+    margins, distances = learned.curves["margin"], learned.curves["distance"]
+    assert len(margins) == len(distances) + 1 == 6
+    assert (np.diff(margins) <= 1e-6).all()
+    assert margins[-1] < 0.5 * margins[0]
+    # Here phi is the action itself and a constant.
+    action = learned.policy(np.zeros((1, 3)))[0]
+    assert np.linalg.norm(action - [0.3, -0.6]) == pytest.approx(min(distances))
+
+
+@pytest.mark.parametrize("best", range(3))
+def test_the_closest_policy_is_returned_with_the_reward_it_was_found_under(
+    world: Any, demonstrate: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch, best: int
+) -> None:
+    actions = [(0.9, -0.9), (0.9, -0.8), (0.8, -0.9)]
+    actions[best] = (0.4, -0.5)
+    rewards: list[Any] = []
+
+    def solve(reward: Any, *_: object, **__: object) -> Callable[[Array], Array]:
+        rewards.append(reward)
+        return constant(*actions[len(rewards) - 1])
+
+    monkeypatch.setattr(world, "solve", solve)
+    learned: Any = MaxMargin(iterations=3, epsilon=-1.0).fit(
+        demonstrate(constant(0.3, -0.6)), world, np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(learned.policy(np.zeros((1, 3))), [[0.4, -0.5]])
+    np.testing.assert_array_equal(learned.reward.w, rewards[best].w)
+    assert np.abs(rewards[0].w - rewards[-1].w).max() > 0.1
+
+
+def test_it_stops_at_a_small_margin_and_warms_every_solve_but_the_first(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    demos = demonstrate(constant(0.95, -0.95))
+    MaxMargin(iterations=3, rl_steps=7, epsilon=-1.0).fit(demos, world, np.random.default_rng(0))
+    assert [(steps, warm) for _, steps, warm in world.solves] == [(14, False), (7, True), (7, True)]
+    world.solves.clear()
+    learned = MaxMargin(iterations=3, epsilon=10.0).fit(demos, world, np.random.default_rng(0))
+    assert len(world.solves) == 1
+    assert len(learned.curves["margin"]) == 2
+
+
+def test_what_absorption_pays_is_learned(
+    world: Any, mortal_world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    rng = np.random.default_rng(0)
+    lives = demonstrate(constant(0.0, 0.0))
+    dies = demonstrate(constant(0.0, 0.0), lifetime=2)
+    settings = MaxMargin(iterations=1)
+    for demos, its_world, sign in ((lives, mortal_world, -1), (dies, world, 1)):
+        reward: Any = settings.fit(demos, its_world, rng).reward
+        alive = reward(np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3)))[0]
+        assert np.sign(reward.absorbing) == sign
+        assert np.sign(alive) == -sign
