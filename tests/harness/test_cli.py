@@ -242,8 +242,8 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
     )
     assert second.returncode == 2
     assert f"in use by another run (process {process.pid})" in second.stderr
-    pid = (tmp_path / "run/computed.txt").read_text().split()[-1]
-    os.kill(int(pid), signal.SIGSEGV)
+    lines = (tmp_path / "run/computed.txt").read_text().splitlines()
+    os.kill(int(dict(line.split() for line in lines)["cartpole__bc__seed0"]), signal.SIGSEGV)
     assert process.wait(20) == 1
     assert process.stderr is not None
     err = process.stderr.read()

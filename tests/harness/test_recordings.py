@@ -17,7 +17,6 @@ from harness.simulator import Simulator, Trajectory
 
 SPEC = SPECS["cartpole"]
 CELL = Cell("cartpole", "shaped", 3)
-DT = 0.02
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +50,7 @@ def test_every_number_of_the_episode_can_be_read_back(tmp_path: Path, episode: A
     trajectory, frames = episode
     length = len(trajectory.act)
     learned = np.linspace(-1, 2, length)
-    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, learned, DT)
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, learned)
     columns = read(tmp_path / "a.rrd")
 
     expected = {"/reward/true": trajectory.rewards, "/reward/learned": learned}
@@ -63,13 +62,13 @@ def test_every_number_of_the_episode_can_be_read_back(tmp_path: Path, episode: A
         assert np.array_equal(values(column["Scalars:scalars"]), truth)
         assert column["step"].to_pylist() == list(range(len(truth)))
         seconds = column["sim_time"].cast(pa.int64()).to_numpy() / 1e9
-        assert seconds == pytest.approx(DT * np.arange(len(truth)))
+        assert seconds == pytest.approx(SPEC.time_step * np.arange(len(truth)))
         assert values(column["SeriesLines:aggregation_policy"]) == [rr.components.AggregationPolicy.Off.value]
 
 
 def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Any) -> None:
     trajectory, frames = episode
-    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None)
     columns = read(tmp_path / "a.rrd")
     for name in ("track", "cart", "pole"):
         strips = columns[f"/scene/{name}"]["LineStrips2D:strips"].to_pylist()
@@ -84,7 +83,7 @@ def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Any
 def test_the_ending_and_the_facts_are_in_the_recording(tmp_path: Path, episode: Any) -> None:
     trajectory, frames = episode
     length = len(trajectory.act)
-    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None)
     (entry,) = RrdReader(tmp_path / "a.rrd").recordings()
     assert entry.application_id == "irl-bench-cartpole"
     assert entry.recording_id == "cartpole__shaped__seed3__pi_R"
@@ -108,7 +107,7 @@ def test_the_ending_and_the_facts_are_in_the_recording(tmp_path: Path, episode: 
 def test_equal_episodes_give_recordings_of_equal_content(tmp_path: Path, episode: Any) -> None:
     trajectory, frames = episode
     for name in ("a.rrd", "b.rrd"):
-        record(tmp_path / name, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards, DT)
+        record(tmp_path / name, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards)
     assert read(tmp_path / "a.rrd") == read(tmp_path / "b.rrd")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.rrd", "b.rrd"]
 
@@ -116,13 +115,13 @@ def test_equal_episodes_give_recordings_of_equal_content(tmp_path: Path, episode
 def test_a_recording_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, episode: Any) -> None:
     trajectory, frames = episode
     path = tmp_path / "a.rrd"
-    record(path, SPEC, CELL, "pi_R", trajectory, frames, None, DT)
+    record(path, SPEC, CELL, "pi_R", trajectory, frames, None)
     before = path.read_bytes()
     with pytest.raises(ValueError, match="drawings"):
-        record(path, SPEC, CELL, "pi_R", trajectory, frames[:-1], None, DT)
+        record(path, SPEC, CELL, "pi_R", trajectory, frames[:-1], None)
     with pytest.raises(ValueError, match="same names"):
-        record(path, SPEC, CELL, "pi_R", trajectory, [{}, *frames[1:]], None, DT)
+        record(path, SPEC, CELL, "pi_R", trajectory, [{}, *frames[1:]], None)
     with pytest.raises(ValueError, match="learned rewards"):
-        record(path, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards[1:], DT)
+        record(path, SPEC, CELL, "pi_R", trajectory, frames, trajectory.rewards[1:])
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
