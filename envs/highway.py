@@ -29,7 +29,14 @@ CRUISE = 25.0  # m/s, the speed that is observed as 0
 TARGET_SPEED = 30.0  # m/s, of the reference driver
 LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
 CONFIG = {
-    "observation": {"type": "Kinematics", "vehicles_count": 1, "features": ["presence"], "normalize": False},
+    # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
+    "observation": {
+        "type": "Kinematics",
+        "vehicles_count": 2,
+        "features": ["presence"],
+        "features_range": {"presence": [0, 1]},
+        "normalize": False,
+    },
     "action": {
         "type": "ContinuousAction",
         "acceleration_range": [-8.0, 8.0],
