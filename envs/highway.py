@@ -42,7 +42,7 @@ CONFIG = {
         "acceleration_range": [-8.0, 8.0],
         # One degree turns 25 m/s at 2.2 m/s^2: a brisk lane change, not an emergency.
         "steering_range": [-math.pi / 180, math.pi / 180],
-        "speed_range": [10.0, 30.0],  # stopping is no option
+        "speed_range": [10.0, 25.0],  # stopping is no option
     },
     "lanes_count": LANES,
     "vehicles_count": 15,
@@ -196,7 +196,7 @@ SPEC = EnvSpec(
     time_step=TIME_STEP,
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.05},
-    rl_steps={"smoke": 600, "quick": 12_000, "full": 40_000},
+    rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 50, "full": 50},
     phi=phi,

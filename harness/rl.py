@@ -63,10 +63,14 @@ class Settings:
     """Scale of the Ornstein-Uhlenbeck exploration noise; the action range is [-1, 1]."""
     gradient_steps: int = 5
     """Gradient steps after every `TRAIN_EVERY` environment steps."""
+    critics: int = 1
+    """With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
     check_episodes: int = 5
 
 
-SETTINGS: dict[str, Settings] = {}
+SETTINGS: dict[str, Settings] = {
+    "highway": Settings(tau=0.01, noise=0.15, critics=2, check_episodes=20),
+}
 """By environment; the defaults elsewhere."""
 
 
@@ -134,7 +138,11 @@ class Learner:
             train_freq=TRAIN_EVERY,
             gradient_steps=s.gradient_steps,
             action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
-            policy_kwargs={"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}},
+            policy_kwargs={
+                "net_arch": list(s.net),
+                "n_critics": s.critics,
+                "optimizer_kwargs": {"fused": True},
+            },
             seed=seed,
             device="cpu",
         )
