@@ -25,8 +25,11 @@ TIME_STEP = 0.4  # s
 LANES, LANE_WIDTH = 3, 4.0  # m
 REACH = 60.0  # m, how far the ego sees
 CORRIDOR = 2.5  # m, half the width of what counts as a lane; two vehicles touch at 2 m
+ELBOW_ROOM = 2.0  # m, ahead and behind, within which a vehicle is beside
+SIDE_REACH = 8.0  # m, how far the ego sees to its sides
 CRUISE = 25.0  # m/s, the speed that is observed as 0
 TARGET_SPEED = 30.0  # m/s, of the reference driver
+OBS_SIZE = 18
 LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
 CONFIG = {
     # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
@@ -56,22 +59,24 @@ CONFIG = {
     "high_speed_reward": 1.0,
     "reward_speed_range": [10.0, 25.0],
     "right_lane_reward": 0.0,
-    "collision_reward": -10.0,
+    "collision_reward": -15.0,
 }
 
 
 class Highway(FastHighwayEnv):
-    """Observation (15,): of the ego the offset from the road's middle, lateral speed, and forward speed
-    less 25 m/s; then for the left, its own and the right lane, each centred on the ego, the free gap
-    ahead, the relative speed of who is there, the free gap behind, the relative speed of who is there.
-    Units: 4 m, 1 m/s, 5 m/s; 20 m (up to 60 m are seen), 5 m/s. Zeros for a lane that is not there.
+    """Observation (18,): of the ego the offset from the road's middle and from its lane's (4 m, 1 m),
+    lateral speed (1 m/s), forward speed less 25 m/s (5 m/s), and the distance to the left and to the right
+    (4 m, up to 8 m) of the road's edge or of a vehicle that is beside the ego or would be in a second;
+    then for the left, its own and the right lane, each centred on the ego, the free gap ahead, the relative
+    speed of who is there, the free gap behind, the relative speed of who is there (20 m, up to 60 m;
+    5 m/s). Zeros for a lane that is not there.
 
     Action (2,) in [-1, 1]: acceleration and steering. Terminates on a crash or off the road.
-    Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 10 on crashing, 0 off the road.
+    Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 15 on crashing, 0 off the road.
     """
 
     def __init__(self, config: dict[str, Any] | None = None) -> None:
-        bound = np.full(15, 50.0, np.float32)
+        bound = np.full(OBS_SIZE, 50.0, np.float32)
         self.fixed_spaces = spaces.Box(-bound, bound), spaces.Box(-1.0, 1.0, (2,), np.float32)
         super().__init__({**CONFIG, **(config or {})})
 
@@ -96,12 +101,23 @@ class Highway(FastHighwayEnv):
         ego = self.vehicle
         x, y = ego.position
         speed, drift = ego.speed * math.cos(ego.heading), ego.speed * math.sin(ego.heading)
-        middle = (LANES - 1) / 2 * LANE_WIDTH
-        seen = [(y - middle) / WIDE, drift / DRIFT, (speed - CRUISE) / FAST]
         others = [
             (v.position[0] - x, v.position[1] - y, v.speed * math.cos(v.heading) - speed)
             for v in self.road.vehicles
             if v is not ego and abs(v.position[0] - x) < REACH + ego.LENGTH
+        ]
+        left, right = y + LANE_WIDTH / 2, (LANES - 0.5) * LANE_WIDTH - y
+        for dx, dy, dv in others:
+            closing = max(-dv if dx > 0 else dv, 0.0)  # m in a second
+            if abs(dx) < ego.LENGTH + ELBOW_ROOM + closing:
+                left, right = (left, min(right, dy)) if dy > 0 else (min(left, -dy), right)
+        seen = [
+            (y - (LANES - 1) / 2 * LANE_WIDTH) / WIDE,
+            y - LANE_WIDTH * min(max(round(y / LANE_WIDTH), 0), LANES - 1),
+            drift / DRIFT,
+            (speed - CRUISE) / FAST,
+            min(left, SIDE_REACH) / WIDE,
+            min(right, SIDE_REACH) / WIDE,
         ]
         for lane in (-LANE_WIDTH, 0.0, LANE_WIDTH):
             if not -LANE_WIDTH / 2 < y + lane < (LANES - 0.5) * LANE_WIDTH:
@@ -142,17 +158,15 @@ def idm_return(seeds: Sequence[int]) -> tuple[Array, NDArray[np.bool_]]:
 def phi(obs: Array, act: Array) -> Array:
     """(B, 8) in [-1, 1], larger mostly better: forward speed, lane centring, little drift, distance to the
     road's edge, free gap ahead and behind in the own lane, opening speed to whoever is ahead, a constant."""
-    side = obs[:, 0] * WIDE + (LANES - 1) / 2 * LANE_WIDTH
-    off_centre = np.abs(side - LANE_WIDTH * np.clip(np.round(side / LANE_WIDTH), 0, LANES - 1))
-    edge = np.minimum(side + LANE_WIDTH / 2, (LANES - 0.5) * LANE_WIDTH - side)
+    edge = LANES / 2 * LANE_WIDTH - np.abs(obs[:, 0]) * WIDE
     features = [
-        obs[:, 2] * FAST / 10,
-        1 - off_centre,
-        1 - np.abs(obs[:, 1]) * DRIFT,
+        obs[:, 3] * FAST / 10,
+        1 - np.abs(obs[:, 1]),
+        1 - np.abs(obs[:, 2]) * DRIFT,
         edge / LANE_WIDTH - 0.5,
-        obs[:, 7] * LONG / 20 - 1,
-        obs[:, 9] * LONG / 20 - 1,
-        obs[:, 8],
+        obs[:, 10] * LONG / 20 - 1,
+        obs[:, 12] * LONG / 20 - 1,
+        obs[:, 11],
         np.ones(len(obs)),
     ]
     clipped: Array = np.clip(np.stack(features, axis=1), -1, 1)
@@ -188,14 +202,14 @@ SPEC = EnvSpec(
     name="highway",
     summary="highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
     env_id="irl_bench/Highway-v0",
-    obs_size=15,
+    obs_size=OBS_SIZE,
     act_size=2,
-    obs_scale=(1.0,) * 15,
+    obs_scale=(1.0,) * OBS_SIZE,
     horizon=HORIZON,
     gamma=0.95,
     time_step=TIME_STEP,
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
-    max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.05},
+    max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.02},
     rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 50, "full": 50},

@@ -171,21 +171,54 @@ def test_observation_units() -> None:
     ego = inner.vehicle
     middle = (highway.LANES - 1) / 2 * highway.LANE_WIDTH
     assert obs[0] * highway.WIDE + middle == pytest.approx(ego.position[1])
-    assert obs[2] * highway.FAST + highway.CRUISE == pytest.approx(ego.speed)
+    assert obs[3] * highway.FAST + highway.CRUISE == pytest.approx(ego.speed)
     own = [v for v in inner.road.vehicles if v is not ego and abs(v.position[1] - ego.position[1]) < 1]
     ahead = min((v for v in own if v.position[0] > ego.position[0]), key=lambda v: v.position[0])
     gap = ahead.position[0] - ego.position[0] - ego.LENGTH
-    assert obs[7] * highway.LONG == pytest.approx(min(gap, highway.REACH), rel=1e-5)
+    assert obs[10] * highway.LONG == pytest.approx(min(gap, highway.REACH), rel=1e-5)
     if gap < highway.REACH:
-        assert obs[8] * highway.FAST == pytest.approx(ahead.speed - ego.speed, rel=1e-4)
+        assert obs[11] * highway.FAST == pytest.approx(ahead.speed - ego.speed, rel=1e-4)
 
 
-@pytest.mark.parametrize(("lane", "missing"), [(0, slice(3, 7)), (2, slice(11, 15))])
+@pytest.mark.parametrize(("lane", "missing"), [(0, slice(6, 10)), (2, slice(14, 18))])
 def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> None:
     scene = highway.Highway({"initial_lane_id": lane})
     obs, _ = scene.reset(seed=4)
     assert (obs[missing] == 0).all()
-    assert (obs[[7, 9]] > 0).all()
+    assert (obs[[10, 12]] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("dx", "dv", "beside"),
+    [
+        (0, 0, True),
+        (6.5, 0, True),
+        (-6.5, 0, True),
+        (7.5, 0, False),
+        (9, -3, True),
+        (9, 3, False),
+        (-9, 3, True),
+    ],
+)
+@pytest.mark.parametrize("side", [-1, 1])
+def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:
+    scene = highway.Highway({"initial_lane_id": 1, "vehicles_count": 1})
+    scene.reset(seed=0)
+    ego, other = scene.vehicle, scene.road.vehicles[1]
+    other.position = ego.position + np.array([dx, 0.9 * side * highway.LANE_WIDTH])
+    other.heading, other.speed = 0.0, ego.speed + dv
+    free = scene._observe()[4:6] * highway.WIDE
+    to_the_edge = 1.5 * highway.LANE_WIDTH
+    there, elsewhere = free if side == -1 else free[::-1]
+    assert there == pytest.approx(0.9 * highway.LANE_WIDTH if beside else to_the_edge, rel=1e-5)
+    assert elsewhere == pytest.approx(to_the_edge)
+
+
+def test_offset_from_its_lane() -> None:
+    scene = highway.Highway({"initial_lane_id": 2})
+    scene.reset(seed=0)
+    scene.vehicle.position[1] -= 1.5
+    assert scene._observe()[1] == pytest.approx(-1.5)
 
 
 def test_drawing() -> None:
