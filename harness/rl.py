@@ -42,8 +42,6 @@ WARM_UP = 1000
 TRAIN_EVERY = 10
 """Environment steps between bouts of learning."""
 STEP_UNIT = 2 * TRAIN_EVERY
-CHECKPOINT_EVERY = 500
-"""Steps between checkpoints."""
 REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 BUFFER = 100_000
@@ -56,6 +54,8 @@ class Settings:
 
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
+    final_learning_rate: float = 1e-3
+    """Reached linearly at the end of each solve."""
     tau: float = 0.02
     batch: int = 128
     n_steps: int = 3
@@ -65,11 +65,21 @@ class Settings:
     """Gradient steps after every `TRAIN_EVERY` environment steps."""
     critics: int = 1
     """With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints."""
     check_episodes: int = 5
 
 
 SETTINGS: dict[str, Settings] = {
-    "highway": Settings(tau=0.01, noise=0.15, critics=2, check_episodes=20),
+    "cartpole": Settings(gradient_steps=10),
+    "highway": Settings(
+        final_learning_rate=5e-5,
+        tau=0.01,
+        noise=0.15,
+        critics=2,
+        checkpoint_every=1000,
+        check_episodes=20,
+    ),
 }
 """By environment; the defaults elsewhere."""
 
@@ -93,10 +103,12 @@ class Learner:
             raise ValueError(f"no protocol named {protocol!r}")
         self._spec = spec
         self._rng = rng
-        self._settings = SETTINGS.get(spec.name, Settings())
+        self.settings = SETTINGS.get(spec.name, Settings())
         self._env = _TrainingEnv(spec, protocol, rng)
         self._checks = Simulator(spec)
         self._model: DDPG | None = None
+        self.progress = 0.0
+        """Share of the present solve that is done."""
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """Learn for `steps` environment steps under the reward; None is the environment's own, for the
@@ -119,16 +131,19 @@ class Learner:
         buffer = self._model.replay_buffer
         assert buffer is not None
         buffer.rewards[: self._env.steps, 0] = self._env.normalise()
-        keeper = _Keeper(self, training_seeds(self._rng, self._settings.check_episodes), warm_up, steps)
+        keeper = _Keeper(self, training_seeds(self._rng, self.settings.check_episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         return Solution(keeper.best, keeper.curve, steps + keeper.check_steps)
 
     def _build(self, warm_up: int, seed: int) -> DDPG:
-        s, size = self._settings, self._spec.act_size
+        s, size = self.settings, self._spec.act_size
         return DDPG(
             "MlpPolicy",
             self._env,
-            learning_rate=s.learning_rate,
+            # Of SB3's own progress a warm start would begin in the middle.
+            learning_rate=lambda _: (
+                s.learning_rate + (s.final_learning_rate - s.learning_rate) * self.progress
+            ),
             buffer_size=BUFFER,
             learning_starts=warm_up,
             batch_size=s.batch,
@@ -179,7 +194,8 @@ class _Keeper(BaseCallback):
 
     def _on_step(self) -> bool:
         self.done_steps += 1
-        if self.done_steps % CHECKPOINT_EVERY == 0 or self.done_steps == self.steps:
+        self.learner.progress = self.done_steps / self.steps
+        if self.done_steps % self.learner.settings.checkpoint_every == 0 or self.done_steps == self.steps:
             self._check()
         return True
 

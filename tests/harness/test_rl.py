@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stable_baselines3 import DDPG
 
 from envs import EnvSpec
 from harness import rl
-from harness.rl import ABSORBING_STEPS, CHECKPOINT_EVERY, REWARD_SIZE, Learner, Solution
+from harness.rl import ABSORBING_STEPS, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
 
@@ -75,7 +76,7 @@ def test_no_reward_means_the_environments_own(steady: EnvSpec, learned: Solution
 
 def test_it_accounts_for_every_step(learned: Solution) -> None:
     xs = [x for x, _ in learned.curve]
-    assert xs == [STEPS / 2, 2 * CHECKPOINT_EVERY, STEPS]
+    assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
     # Five episodes of ten steps at each checkpoint.
     assert learned.env_steps == STEPS + len(xs) * 5 * 10
 
@@ -124,6 +125,47 @@ def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> 
     assert len(actors) == len(returns) == 3
     assert same(solution.policy, actors[int(np.argmax(returns))])
     assert not same(actors[0], actors[-1])
+
+
+@pytest.mark.parametrize(
+    ("returns", "kept"),
+    [([1, 5, 3, 5, 4], 1), ([1, 5, 5, 6, 2], 3), ([5, 5, 4, 5, 5], 0), ([5, 1, 2, 3, 4], 0)],
+)
+def test_only_a_better_checkpoint_replaces_what_is_kept(
+    steady: EnvSpec,
+    actors: list[Network],
+    monkeypatch: pytest.MonkeyPatch,
+    returns: list[float],
+    kept: int,
+) -> None:
+    monkeypatch.setitem(SETTINGS, steady.name, Settings(checkpoint_every=100))
+    scores = iter(returns)
+    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), 0))
+    solution = solve(steady, Seek(), steps=800)
+    assert [value for _, value in solution.curve] == returns
+    assert same(solution.policy, actors[kept])
+
+
+def test_the_learning_rate_falls_within_each_solve(steady: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = Settings(learning_rate=1e-3, final_learning_rate=1e-4)
+    monkeypatch.setitem(SETTINGS, steady.name, settings)
+    rates: list[float] = []
+    train = DDPG.train
+
+    def spy(self: DDPG, gradient_steps: int, batch_size: int = 100) -> None:
+        train(self, gradient_steps, batch_size)
+        rates.append(self.actor.optimizer.param_groups[0]["lr"])
+
+    monkeypatch.setattr(DDPG, "train", spy)
+    learner = Learner(steady, "absorbing", np.random.default_rng(0))
+    learner.solve(Seek(), 400)
+    first = list(rates)
+    rates.clear()
+    learner.solve(Seek(), 400)
+    for solve_rates in (first, rates):
+        assert solve_rates == sorted(solve_rates, reverse=True)
+        assert solve_rates[-1] == pytest.approx(1e-4)
+    assert rates[0] > 9e-4
 
 
 @pytest.mark.parametrize("protocol", ["absorbing", "native"])
