@@ -105,3 +105,32 @@ def descend(
         schedule.step()
         values[step] = value.item()
     return [float(stretch.mean()) for stretch in np.array_split(values, min(points, steps))]
+
+
+def converge(
+    loss: Callable[..., torch.Tensor],
+    networks: Sequence[torch.nn.Module],
+    data: Sequence[Array],
+    iterations: int,
+) -> float:
+    """L-BFGS with a strong-Wolfe line search on `loss(*data)`, all rows at once: what minibatches leave
+    undone on a small network. Returns the final loss."""
+    tensors = [torch.as_tensor(array, dtype=torch.float32) for array in data]
+    optimizer = torch.optim.LBFGS(
+        [p for network in networks for p in network.parameters()],
+        max_iter=iterations,
+        history_size=20,
+        tolerance_grad=0,
+        tolerance_change=0,
+        line_search_fn="strong_wolfe",
+    )
+
+    def closure() -> torch.Tensor:
+        optimizer.zero_grad()
+        value = loss(*tensors)
+        value.backward()  # type: ignore[no-untyped-call]
+        return value
+
+    optimizer.step(closure)  # type: ignore[no-untyped-call]
+    with torch.no_grad():
+        return float(loss(*tensors))

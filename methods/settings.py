@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
-    ("shaped", "*", "smoke"): {"steps": 300},
+    ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("bc", "*", "smoke"): {"steps": 300},
     ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},

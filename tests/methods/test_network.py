@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from methods.network import Network, descend, mlp, standardiser
+from methods.network import Network, converge, descend, mlp, standardiser
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -124,3 +124,17 @@ def test_fewer_steps_than_points_give_one_value_a_step() -> None:
     expected = net(torch.ones(1, 3)).square().mean().item()
     assert curve == pytest.approx([expected] * 3)
     assert expected > 0
+
+
+def test_converge_finishes_what_minibatches_leave() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(2000, 3))
+    y = np.sin(x @ [1.0, -2.0, 0.5])[:, None]
+    net = mlp(3, 32, 16, 1, generator=torch.Generator().manual_seed(0))
+
+    def loss(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        value: torch.Tensor = (net(x) - y).square().mean()
+        return value
+
+    left = np.mean(descend(loss, [net], (x, y), 3e-3, 1000, 256, rng)[-10:])
+    assert converge(loss, [net], (x, y), 100) < 0.3 * left
