@@ -77,7 +77,7 @@ SETTINGS: dict[str, Settings] = {
         tau=0.01,
         noise=0.15,
         critics=2,
-        checkpoint_every=1000,
+        checkpoint_every=2000,
         check_episodes=20,
     ),
 }
