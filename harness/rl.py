@@ -67,7 +67,7 @@ class Settings:
     """With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
-    check_episodes: int = 5
+    check_episodes: int = 20
 
 
 SETTINGS: dict[str, Settings] = {
@@ -78,7 +78,6 @@ SETTINGS: dict[str, Settings] = {
         noise=0.15,
         critics=2,
         checkpoint_every=2000,
-        check_episodes=20,
     ),
 }
 """By environment; the defaults elsewhere."""

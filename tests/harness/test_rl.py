@@ -77,8 +77,8 @@ def test_no_reward_means_the_environments_own(steady: EnvSpec, learned: Solution
 def test_it_accounts_for_every_step(learned: Solution) -> None:
     xs = [x for x, _ in learned.curve]
     assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
-    # Five episodes of ten steps at each checkpoint.
-    assert learned.env_steps == STEPS + len(xs) * 5 * 10
+    # Twenty episodes of ten steps at each checkpoint.
+    assert learned.env_steps == STEPS + len(xs) * 20 * 10
 
 
 def test_the_generator_decides_everything(steady: EnvSpec) -> None:
