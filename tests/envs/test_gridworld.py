@@ -44,6 +44,7 @@ def test_slip_of_0375_is_the_papers_chance_of_another_action() -> None:
     np.testing.assert_allclose(transitions(3, 0.375)[4], transition_by_other_action(0.3)[4])
 
 
+@settings(deadline=None)
 @given(st.integers(2, 7), st.floats(0, 1))
 def test_rows_are_distributions_over_the_cell_and_its_neighbours(size: int, slip: float) -> None:
     model = transitions(size, slip)
@@ -70,7 +71,7 @@ def naive_distance(world: ObjectWorld, size: int, state: int, colours: np.ndarra
     return min(found, default=math.sqrt(2) * size)
 
 
-@settings(max_examples=30)
+@settings(deadline=None, max_examples=30)
 @given(st.integers(2, 8), st.integers(1, 8), st.integers(2, 4), st.booleans(), st.integers(0, 2**32))
 def test_objectworld_recomputed_object_by_object(
     size: int, objects: int, colours: int, continuous: bool, seed: int

@@ -68,6 +68,7 @@ def test_soft_values_solved_by_hand() -> None:
     np.testing.assert_allclose(soft_policy(q), 1 / 3)
 
 
+@settings(deadline=None)
 @given(problems())
 def test_value_iteration_solves_bellmans_equation(problem: tuple) -> None:
     P, r, gamma, _ = problem
@@ -79,6 +80,7 @@ def test_value_iteration_solves_bellmans_equation(problem: tuple) -> None:
     assert np.abs(loose - v).max() <= 1e-2 + 1e-8
 
 
+@settings(deadline=None)
 @given(problems())
 def test_the_greedy_policy_is_worth_v_and_no_policy_more(problem: tuple) -> None:
     P, r, gamma, rng = problem
@@ -87,6 +89,7 @@ def test_the_greedy_policy_is_worth_v_and_no_policy_more(problem: tuple) -> None
     assert (policy_value(P, r, random_policy(P, rng), gamma) <= v + 1e-6).all()
 
 
+@settings(deadline=None)
 @given(problems())
 def test_soft_value_is_return_plus_entropy_of_the_soft_policy(problem: tuple) -> None:
     P, r, gamma, _ = problem
@@ -97,6 +100,7 @@ def test_soft_value_is_return_plus_entropy_of_the_soft_policy(problem: tuple) ->
     np.testing.assert_allclose(policy_value(P, surprise, policy, gamma), v, atol=1e-6)
 
 
+@settings(deadline=None)
 @given(problems())
 def test_soft_value_falls_to_the_hard_one_with_the_temperature(problem: tuple) -> None:
     """t V_soft(r / t) lies between V* and V* + t log A / (1 - gamma), and falls with t."""
@@ -129,6 +133,7 @@ def test_finite_soft_policy_weighs_paths_by_their_return() -> None:
     assert values[0, start] == pytest.approx(math.log(sum(weights)))
 
 
+@settings(deadline=None)
 @given(problems())
 def test_a_long_horizon_approaches_the_infinite_one(problem: tuple) -> None:
     P, r, gamma, _ = problem
@@ -140,6 +145,7 @@ def test_a_long_horizon_approaches_the_infinite_one(problem: tuple) -> None:
     np.testing.assert_allclose(policies[0], soft_policy(q), atol=4 * left + 1e-6)
 
 
+@settings(deadline=None)
 @given(problems(), st.integers(1, 20), st.booleans())
 def test_visitations_sum_to_the_horizon_and_give_the_return(
     problem: tuple, horizon: int, timed: bool
@@ -156,6 +162,7 @@ def test_visitations_sum_to_the_horizon_and_give_the_return(
     assert gamma ** np.arange(horizon) @ visits @ r == pytest.approx(start @ v)
 
 
+@settings(deadline=None)
 @given(problems())
 def test_discounted_visitations_sum_to_the_horizon_and_give_the_value(problem: tuple) -> None:
     P, _, gamma, rng = problem
@@ -174,7 +181,7 @@ def test_visitations_by_hand() -> None:
     assert visits.tolist() == [[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0]]
 
 
-@settings(max_examples=30)
+@settings(deadline=None, max_examples=30)
 @given(st.integers(2, 6), st.floats(0, 0.9), st.floats(0.1, 0.95), st.integers(0, 2**32))
 def test_shaping_by_the_optimal_value_gives_the_optimal_advantage(
     size: int, slip: float, gamma: float, seed: int
@@ -196,6 +203,7 @@ def test_shaping_by_the_optimal_value_gives_the_optimal_advantage(
         np.testing.assert_allclose(policy_value(world.P, r, greedy(shaped_q), gamma), v, atol=1e-5)
 
 
+@settings(deadline=None)
 @given(problems())
 def test_shaping_by_any_potential_keeps_advantages(problem: tuple) -> None:
     P, r, gamma, rng = problem
