@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from envs import SPECS
 from harness import experts
 from harness.cells import failed_rows, policies_of, run_cell
 from harness.experts import CACHE_VARIABLE, expert_for
@@ -67,7 +68,11 @@ def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
     assert one.rows[0].return_mean != two.rows[0].return_mean
 
 
-def test_the_reference_scores_the_expert_and_a_random_policy(tmp_path: Path) -> None:
+def test_the_reference_scores_the_expert_and_a_random_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out_of_reach = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 501.0)
+    monkeypatch.setitem(SPECS, "cartpole", out_of_reach)
     result = run(Cell("cartpole", "reference", 0), tmp_path)
     expert, random = result.rows
     assert [row.policy for row in result.rows] == ["expert", "random"]
@@ -80,6 +85,7 @@ def test_the_reference_scores_the_expert_and_a_random_policy(tmp_path: Path) -> 
     assert set(result.endings) == {"expert", "random"}
     (warning,) = result.warnings
     assert "misses its bar" in warning
+    assert "at least 501.00" in warning
     assert f"{expert.return_mean:.2f}" in warning
     assert recordings(tmp_path) == [f"cartpole__reference__seed0__{p}.rrd" for p in ("expert", "random")]
 

@@ -36,11 +36,11 @@ def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
     world = TaskWorld(steady, "absorbing")
     world.rollout(on_target, 3, rng())
     assert (world.env_steps, world.rl_steps, world.rl_solves) == (30, 0, 0)
-    # Each solve checks five episodes of ten steps before it learns and at its end.
+    # Each solve checks twenty episodes of ten steps before it learns and at its end.
     world.solve(ZERO, rng(), 40)
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 140, 40, 1)
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 440, 40, 1)
     world.solve(ZERO, rng(), 20, warm=True)
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 140 + 120, 60, 2)
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 440 + 420, 60, 2)
 
 
 def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
