@@ -94,7 +94,12 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     """'cart left the track' or 'pole fell'."""
     inner = env.unwrapped
     assert isinstance(inner, CartPole)
-    return "cart left the track" if abs(inner.state[0]) > MAX_X else "pole fell"
+    return failure(inner.state[0])
+
+
+def failure(x: float) -> str:
+    """What ended an episode with the cart at x [m]."""
+    return "cart left the track" if abs(x) > MAX_X else "pole fell"
 
 
 SPEC = EnvSpec(

@@ -16,47 +16,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.spec import Array
+from envs.spec import Array, EnvSpec, Shape, Tabular
 
 ACTIONS = ("right", "up", "left", "down", "stay")
 MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, in the order of ACTIONS
-ROUNDING = 1e-9  # how far from 1 probabilities may sum
-
-
-@dataclass(frozen=True)
-class Tabular:
-    """A Markov decision process without terminal states, and the features a learner sees. Its arrays are
-    read-only. Raises ValueError where shapes disagree, a distribution is none or a feature leaves [-1, 1].
-    """
-
-    P: Array
-    """(S, A, S): probability of each next state, given state and action."""
-    reward: Array
-    """(S,): the true reward."""
-    start: Array
-    """(S,): distribution of the first state."""
-    features: Array
-    """(S, K), within [-1, 1]."""
-
-    def __post_init__(self) -> None:
-        states = len(self.reward)
-        if self.P.ndim != 3 or self.P.shape[::2] != (states, states) or self.P.size == 0:
-            raise ValueError(f"tabular: P must be (S, A, S) with S = {states}, not {self.P.shape}")
-        if self.reward.shape != (states,) or self.start.shape != (states,):
-            raise ValueError(
-                f"tabular: reward and start must be (S,), not {self.reward.shape}, {self.start.shape}"
-            )
-        if self.features.ndim != 2 or len(self.features) != states or self.features.size == 0:
-            raise ValueError(f"tabular: features must be (S, K) with S = {states}, not {self.features.shape}")
-        for name, rows in (("P", self.P), ("start", self.start)):
-            if not (rows.min() >= 0 and np.abs(rows.sum(axis=-1) - 1).max() <= ROUNDING):
-                raise ValueError(f"tabular: {name} must hold probabilities that sum to 1")
-        if not np.isfinite(self.reward).all():
-            raise ValueError("tabular: reward must be finite")
-        if not np.abs(self.features).max() <= 1:
-            raise ValueError("tabular: features must lie in [-1, 1]")
-        for array in (self.P, self.reward, self.start, self.features):
-            array.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -73,17 +36,16 @@ class ObjectWorld(Tabular):
 
 def grid(size: int, slip: float) -> Tabular:
     """Reward 1 in the top right corner and 0 elsewhere; starts anywhere; the features are one indicator a
-    state. Ng & Russell's grid is size 5, without `stay`, and slips with probability 0.3."""
+    state, observations (S, 2) the position from -1 to 1. Ng & Russell's grid is size 5, without `stay`, and
+    slips with probability 0.3."""
     model = transitions(size, slip)
     states = len(model)
     reward = np.zeros(states)
     reward[-1] = 1
-    return Tabular(model, reward, np.full(states, 1 / states), np.eye(states))
+    return Tabular(model, np.full(states, 1 / states), _scaled(size), reward, np.eye(states))
 
 
-def objectworld(
-    size: int, objects: int, colours: int, slip: float, rng: np.random.Generator, continuous: bool
-) -> ObjectWorld:
+def objectworld(size: int, objects: int, colours: int, slip: float, rng: np.random.Generator) -> ObjectWorld:
     """Objects in distinct random cells, each of a random inner and a random outer colour; starts anywhere.
 
     Reward: 1 nearer than 3 cells to outer colour 0 and nearer than 2 to outer colour 1, -1 nearer than 3 to
@@ -91,8 +53,9 @@ def objectworld(
     and the grid's diagonal where there is none. The paper says "within"; strictly nearer is how its
     authors' code reads it, and makes the reward a function of the discrete features.
 
-    continuous: (S, 2C) distances to the inner, then the outer colours, scaled to [-1, 1]; otherwise
-    (S, 2CN) indicators of each distance being less than 1, ..., N cells.
+    Observations (S, 2 + 2C): the position, and the distances to the inner, then the outer colours, all from
+    -1 to 1. Features (S, 2CN): indicators of each distance being less than 1, ..., N cells. They are the
+    continuous and the discrete features of the paper, position aside.
 
     The paper has N = 32 and 30 % chance of a *different* random action, which is slip = 0.375 here; its
     authors' code puts an object in a cell with probability 0.05. Raises ValueError for fewer than two
@@ -118,17 +81,21 @@ def objectworld(
     )
     near_0, near_1 = nearest[:, colours] < 3, nearest[:, colours + 1] < 2
     reward = np.where(near_0, np.where(near_1, 1.0, -1.0), 0.0)
-    if continuous:
-        features = 2 * nearest / diagonal - 1
-    else:
-        features = (nearest[:, :, None] < np.arange(1, size + 1)).reshape(states, -1).astype(np.float64)
-    return ObjectWorld(model, reward, np.full(states, 1 / states), features, cells, inner, outer)
+    obs = np.concatenate([_scaled(size), (2 * nearest / diagonal - 1).astype(np.float32)], axis=1)
+    features = (nearest[:, :, None] < np.arange(1, size + 1)).reshape(states, -1).astype(np.float64)
+    start = np.full(states, 1 / states)
+    return ObjectWorld(model, start, obs, reward, features, cells, inner, outer)
 
 
 def positions(size: int) -> NDArray[np.int64]:
     """(S, 2): x and y of each state [cells]."""
     y, x = np.divmod(np.arange(size**2), size)
     return np.stack([x, y], axis=1)
+
+
+def _scaled(size: int) -> Array:
+    """(S, 2): positions from -1 to 1."""
+    return (2 * positions(size) / (size - 1) - 1).astype(np.float32).astype(np.float64)
 
 
 def transitions(size: int, slip: float) -> Array:
@@ -144,13 +111,13 @@ def transitions(size: int, slip: float) -> Array:
 
 
 class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
-    """A `Tabular` to act in. Observation (K,): the features of the state, which `state` and `info["state"]`
-    tell too. Never terminates. Reward: that of the state in which the action was taken."""
+    """A `Tabular` to act in, by default `WORLD`. `state` and `info["state"]` tell the state. It never
+    terminates. Reward: that of the state in which the action was taken."""
 
-    def __init__(self, tabular: Tabular) -> None:
-        self.tabular = tabular
-        self.action_space = spaces.Discrete(tabular.P.shape[1])
-        self.observation_space = spaces.Box(-1.0, 1.0, (tabular.features.shape[1],), np.float32)
+    def __init__(self, tabular: Tabular | None = None) -> None:
+        self.tabular = tabular or WORLD
+        self.action_space = spaces.Discrete(self.tabular.P.shape[1])
+        self.observation_space = spaces.Box(-1.0, 1.0, self.tabular.obs.shape[1:], np.float32)
         self.state = 0
 
     def reset(
@@ -167,4 +134,58 @@ class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
     def _arrive(self, distribution: Array) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """In a state drawn from (S,) probabilities."""
         self.state = int(self.np_random.choice(len(distribution), p=distribution))
-        return self.tabular.features[self.state].astype(np.float32), {"state": self.state}
+        return self.tabular.obs[self.state].astype(np.float32), {"state": self.state}
+
+
+SIZE = 12  # cells
+HORIZON = 50
+WORLD = objectworld(SIZE, objects=10, colours=2, slip=0.3, rng=np.random.default_rng(0))
+COLOURS = {1.0: (120, 190, 120), -1.0: (220, 130, 120), 0.0: (200, 200, 200)}
+"""Of a cell, by its reward."""
+
+
+def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
+    """A square for each cell, a metre wide, green where the reward is 1 and red where it is -1, and a diamond
+    for the agent."""
+    inner = env.unwrapped
+    assert isinstance(inner, GridWorld)
+    square = 0.46 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    diamond = 0.35 * np.array([[-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]])
+    where = positions(SIZE)
+    cells = {
+        f"cell {x} {y}": Shape(square + np.array([x, y]), COLOURS[float(reward)])
+        for (x, y), reward in zip(where, WORLD.reward, strict=True)
+    }
+    return {**cells, "agent": Shape(diamond + where[inner.state], (66, 133, 244))}
+
+
+def phi(obs: Array, act: Array) -> Array:
+    """(B, K): the features of the states observed."""
+    return WORLD.features[WORLD.states(obs)]
+
+
+SPEC = EnvSpec(
+    name="gridworld",
+    summary=f"objectworld, {SIZE} by {SIZE} cells: find what pays, avoid what costs; the model is known",
+    env_id="irl_bench/GridWorld-v0",
+    obs_size=WORLD.obs.shape[1],
+    act_size=len(ACTIONS),
+    obs_scale=(1.0,) * WORLD.obs.shape[1],
+    horizon=HORIZON,
+    gamma=0.95,
+    time_step=1.0,
+    bar=lambda seeds: 0.0,
+    max_terminated={"smoke": 0.0, "quick": 0.0, "full": 0.0},
+    rl_steps={"smoke": 1, "quick": 1, "full": 1},
+    eval_episodes={"smoke": 5, "quick": 100, "full": 100},
+    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
+    phi=phi,
+    draw=draw,
+    why_ended=lambda env: "",
+    discrete=True,
+    tabular=WORLD,
+)
+
+gym.register(
+    SPEC.env_id, entry_point="envs.gridworld:GridWorld", max_episode_steps=HORIZON, disable_env_checker=True
+)

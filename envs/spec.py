@@ -1,17 +1,23 @@
-"""What an environment of this benchmark is: `EnvSpec`, and `Shape`, the unit of its drawings."""
+"""What an environment of this benchmark is: `EnvSpec`; `Tabular`, the whole of one whose model is known;
+and `Shape`, the unit of drawings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
 BUDGETS = ("smoke", "quick", "full")
+ROUNDING = 1e-9  # how far from 1 probabilities may sum
 
 
 @dataclass(frozen=True)
@@ -27,12 +33,79 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class Model:
+    """The dynamics of a Markov decision process without terminal states, which a method may know. Its arrays
+    are read-only. Raises ValueError where shapes disagree, a distribution is none, observations repeat or
+    an environment, which gives them as 32-bit floats, could not give them exactly.
+    """
+
+    P: Array
+    """(S, A, S): probability of each next state, given state and action."""
+    start: Array
+    """(S,): distribution of the first state."""
+    obs: Array
+    """(S, O): what is observed in each state, a row of its own."""
+
+    def __post_init__(self) -> None:
+        states = len(self.start)
+        if self.P.ndim != 3 or self.P.shape[::2] != (states, states) or self.P.size == 0:
+            raise ValueError(f"tabular: P must be (S, A, S) with S = {states}, not {self.P.shape}")
+        for name, rows in (("P", self.P), ("start", self.start)):
+            if not (rows.min() >= 0 and np.abs(rows.sum(axis=-1) - 1).max() <= ROUNDING):
+                raise ValueError(f"tabular: {name} must hold probabilities that sum to 1")
+        if self.obs.ndim != 2 or len(self.obs) != states or self.obs.size == 0:
+            raise ValueError(f"tabular: obs must be (S, O) with S = {states}, not {self.obs.shape}")
+        if len(np.unique(self.obs, axis=0)) < states or not np.array_equal(
+            self.obs, self.obs.astype(np.float32)
+        ):
+            raise ValueError("tabular: obs must be different in each state, and 32-bit floats")
+        for array in (self.P, self.start, self.obs):
+            array.flags.writeable = False
+
+    def states(self, obs: Array) -> NDArray[np.int64]:
+        """(B,): the state whose observation is nearest to each of (B, O)."""
+        return np.asarray(self._tree.query(obs)[1], np.int64)
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.obs)
+
+
+@dataclass(frozen=True)
+class Tabular(Model):
+    """A model with its true reward, and features for linear ones."""
+
+    reward: Array
+    """(S,): paid when an action is taken in the state."""
+    features: Array
+    """(S, K), within [-1, 1]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        states = len(self.start)
+        if self.reward.shape != (states,) or not np.isfinite(self.reward).all():
+            raise ValueError(f"tabular: reward must be finite and (S,) with S = {states}")
+        if self.features.ndim != 2 or len(self.features) != states or self.features.size == 0:
+            raise ValueError(f"tabular: features must be (S, K) with S = {states}, not {self.features.shape}")
+        if not np.abs(self.features).max() <= 1:
+            raise ValueError("tabular: features must lie in [-1, 1]")
+        for array in (self.reward, self.features):
+            array.flags.writeable = False
+
+    @property
+    def model(self) -> Model:
+        """It without its reward."""
+        return Model(self.P, self.start, self.obs)
+
+
+@dataclass(frozen=True)
 class EnvSpec:
     """One task: the environment itself and everything about it that a benchmark must know.
 
-    The environment has flat float observations and actions in [-1, 1]^A, terminates as its authors
-    meant it to, and truncates at `horizon`. Raises ValueError where a field contradicts another or
-    the environment.
+    The environment has flat float observations, terminates as its authors meant it to, and truncates at
+    `horizon`. Its actions are in [-1, 1]^A or, in a discrete one, 0 to A-1; everywhere else these are (B, A)
+    too, one entry for each, of which the largest acts. Raises ValueError where a field contradicts another
+    or the environment.
     """
 
     name: str
@@ -67,6 +140,10 @@ class EnvSpec:
     """The scene as it stands, in metres; the same names throughout an episode."""
     why_ended: Callable[[gym.Env], str]
     """Why the episode just terminated, in a few words, e.g. 'pole fell'."""
+    discrete: bool = False
+    """Whether an action is a choice among A."""
+    tabular: Tabular | None = None
+    """What is known exactly where the environment is finite: it is solved instead of learned."""
 
     def __post_init__(self) -> None:
         if not 0 < self.gamma < 1:
@@ -82,6 +159,24 @@ class EnvSpec:
         """A new instance, checked against the sizes above."""
         env = gym.make(self.env_id)
         obs, act = env.observation_space, env.action_space
-        if obs.shape != (self.obs_size,) or act.shape != (self.act_size,):
+        actions = (
+            isinstance(act, spaces.Discrete) and act.n == self.act_size
+            if self.discrete
+            else act.shape == (self.act_size,)
+        )
+        if obs.shape != (self.obs_size,) or not actions:
             raise ValueError(f"{self.name}: spaces {obs}, {act} contradict the spec's sizes")
         return env
+
+    def executed(self, act: Array) -> Array:
+        """(B, A): what a policy's actions (B, A) amount to; in a discrete environment 1 for the largest
+        entry, the first of equals, and 0 for the others."""
+        return np.eye(self.act_size)[act.argmax(axis=1)] if self.discrete else act
+
+    def native(self, act: Array) -> Any:
+        """One action (A,) as the environment's `step` takes it."""
+        return np.int64(act.argmax()) if self.discrete else act.astype(np.float32)
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, A), uniform over all actions."""
+        return self.executed(rng.uniform(-1, 1, (count, self.act_size)))

@@ -14,10 +14,9 @@ from harness.evaluation import Evaluation, evaluate
 from harness.experts import Expert, expert_for
 from harness.registry import load_method
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, PolicyName, Row
-from harness.rl import Learner
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
-from harness.world import TaskWorld, without_rewards
+from harness.world import TaskWorld, solver_for, without_rewards
 from methods.base import Array, Episodes, Policy, Reward
 from methods.settings import settings_for
 
@@ -33,7 +32,7 @@ def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellRes
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
-        work.retrain(control_reward(cell.method, work.demos, work.rng("control")))
+        work.retrain(control_reward(cell.method, work.demos, work.spec.random_actions, work.rng("control")))
     else:
         work.method()
     return work.result
@@ -73,7 +72,7 @@ class _Work:
             "expert", expert.policy, None, expert.seconds, expert.env_steps, expert.rl_steps, rl_solves=1
         )
         self.result.curves["expert"] = expert.curve
-        self.score("random", lambda obs: rng.uniform(-1, 1, (len(obs), self.spec.act_size)), None)
+        self.score("random", lambda obs: self.spec.random_actions(len(obs), rng), None)
         terminated = 1 - scored.endings.get("time limit", 0) / len(scored.returns)
         bar = self.spec.bar(self.seeds)
         if scored.returns.mean() < bar or terminated > self.spec.max_terminated[self.budget]:
@@ -111,11 +110,13 @@ class _Work:
     def retrain(self, reward: Reward | None) -> None:
         """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
         started = time.perf_counter()
-        steps = self.spec.rl_steps[self.budget]
-        solution = Learner(self.spec, self.protocol, self.rng("pi_R")).solve(reward, steps)
+        solver = solver_for(self.spec, self.protocol, self.rng("pi_R"))
+        solution = solver.solve(reward, self.spec.rl_steps[self.budget])
         seconds = time.perf_counter() - started
         self.result.curves["pi_R"] = solution.curve
-        self.score("pi_R", solution.policy, reward, seconds, solution.env_steps, steps, rl_solves=1)
+        self.score(
+            "pi_R", solution.policy, reward, seconds, solution.env_steps, solution.rl_steps, rl_solves=1
+        )
 
     @property
     def seeds(self) -> range:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from methods.base import Array, Episodes, Reward, default_absorbing
+from methods.base import Array, Episodes, RandomActions, Reward, default_absorbing
 from methods.maxent import NetworkReward
 from methods.network import mlp, standardiser
 
@@ -24,10 +24,12 @@ class Constant:
         return np.full(len(obs), self.value)
 
 
-def control_reward(name: str, demos: Callable[[], Episodes], rng: np.random.Generator) -> Reward | None:
+def control_reward(
+    name: str, demos: Callable[[], Episodes], random_actions: RandomActions, rng: np.random.Generator
+) -> Reward | None:
     """The reward of a control row by its name; None is the environment's own."""
     if name == "control_untrained":
-        return untrained(demos(), rng)
+        return untrained(demos(), random_actions, rng)
     return {
         "control_true": None,
         "control_plus1": Constant(1.0, absorbing=1.0),
@@ -36,10 +38,10 @@ def control_reward(name: str, demos: Callable[[], Episodes], rng: np.random.Gene
     }[name]
 
 
-def untrained(demos: Episodes, rng: np.random.Generator) -> Reward:
+def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:
     """A reward network with its random initial weights, on demonstration-standardised observations."""
     mean, std = standardiser(demos.pairs()[0])
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
     layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)
     reward = NetworkReward.of(layers, mean, std)
-    return replace(reward, absorbing=default_absorbing(reward, demos, rng))
+    return replace(reward, absorbing=default_absorbing(reward, demos, random_actions, rng))

@@ -1,4 +1,5 @@
-"""Experts: DDPG on the true reward, trained once for each environment and budget, kept in a cache."""
+"""Experts: RL on the true reward, trained once for each environment and budget, kept in a cache; exact
+where the model is known."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import safetensors.numpy
 from safetensors import safe_open
@@ -17,8 +19,9 @@ from safetensors import safe_open
 from envs import SPECS, EnvSpec
 from harness import rl
 from harness.files import write_atomic
-from harness.rl import Learner
 from harness.seeds import rng_for
+from harness.world import solver_for
+from methods.base import Policy
 from methods.network import Network
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
@@ -32,7 +35,7 @@ PACKAGES = ("torch", "numpy", "gymnasium", "mujoco", "highway-env", "stable-base
 class Expert:
     """A trained expert and what it took. curve: (environment steps, mean true return) at checkpoints."""
 
-    policy: Network
+    policy: Policy
     curve: list[tuple[float, float]]
     seconds: float
     env_steps: int
@@ -46,16 +49,17 @@ def expert_for(env: str, budget: str) -> Expert:
     if (expert := _load(path)) is not None:
         return expert
     started = time.perf_counter()
-    steps = spec.rl_steps[budget]
-    solution = Learner(spec, "absorbing", rng_for(0, env, "expert")).solve(None, steps)
-    facts = {
+    solution = solver_for(spec, "absorbing", rng_for(0, env, "expert")).solve(None, spec.rl_steps[budget])
+    facts: dict[str, Any] = {
         "curve": solution.curve,
         "seconds": time.perf_counter() - started,
         "env_steps": solution.env_steps,
-        "rl_steps": steps,
+        "rl_steps": solution.rl_steps,
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, safetensors.numpy.save(solution.policy.arrays(), {"facts": json.dumps(facts)}))
+    # An exact solution is found faster than it is read.
+    if isinstance(solution.policy, Network):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, safetensors.numpy.save(solution.policy.arrays(), {"facts": json.dumps(facts)}))
     return Expert(solution.policy, **facts)
 
 

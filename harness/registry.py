@@ -36,6 +36,8 @@ ENVS = {
     "cartpole": "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
     "pendulum": "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
     "highway": "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
+    "cartpole_discrete": "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
+    "gridworld": "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
 }
 
 

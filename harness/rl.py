@@ -1,5 +1,6 @@
 """Reinforcement learning for every purpose here: the expert, inner loops, and pi_R. The only file that
-knows the RL library (DDPG of Stable-Baselines3; Lillicrap et al. 2015, with n-step returns).
+knows the RL library (DDPG of Stable-Baselines3; Lillicrap et al. 2015, with n-step returns; and where
+actions are discrete its DQN; Mnih et al. 2013, thesis, figure 3.2).
 
 Protocol `absorbing` (Kostrikov et al. 2019, Discriminator-Actor-Critic): observations carry an absorbing
 indicator; what would terminate goes to the absorbing state instead, stays there a few steps, and is
@@ -18,14 +19,14 @@ nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3 import DDPG
+from stable_baselines3 import DDPG, DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
@@ -50,7 +51,7 @@ BUFFER = 100_000
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters of DDPG: the same for the expert, inner loops and pi_R in one environment."""
+    """Hyper-parameters of DDPG or DQN: the same for the expert, inner loops and pi_R in one environment."""
 
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
@@ -60,11 +61,12 @@ class Settings:
     batch: int = 128
     n_steps: int = 3
     noise: float = 0.3
-    """Scale of the Ornstein-Uhlenbeck exploration noise; the action range is [-1, 1]."""
+    """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
+    actions."""
     gradient_steps: int = 5
     """Gradient steps after every `TRAIN_EVERY` environment steps."""
     critics: int = 1
-    """With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
+    """Of DDPG. With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
     check_episodes: int = 20
@@ -86,15 +88,17 @@ SETTINGS: dict[str, Settings] = {
 @dataclass(frozen=True)
 class Solution:
     """What a solve found. curve: (environment steps of this solve, mean return under the learner's
-    reward) at each checkpoint. env_steps: steps taken, those of checkpoint episodes included."""
+    reward) at each checkpoint. env_steps: steps taken, those of checkpoint episodes included; rl_steps:
+    those that were learned from."""
 
-    policy: Network
+    policy: Policy
     curve: list[tuple[float, float]]
     env_steps: int
+    rl_steps: int
 
 
 class Learner:
-    """DDPG in one environment. Solving again goes on with the same networks and the same experience,
+    """DDPG or DQN in one environment. Solving again goes on with the same networks and the same experience,
     relabelled by the new reward."""
 
     def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
@@ -105,7 +109,7 @@ class Learner:
         self.settings = SETTINGS.get(spec.name, Settings())
         self._env = _TrainingEnv(spec, protocol, rng)
         self._checks = Simulator(spec)
-        self._model: DDPG | None = None
+        self._model: DDPG | DQN | None = None
         self.progress = 0.0
         """Share of the present solve that is done."""
 
@@ -132,43 +136,53 @@ class Learner:
         buffer.rewards[: self._env.steps, 0] = self._env.normalise()
         keeper = _Keeper(self, training_seeds(self._rng, self.settings.check_episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
-        return Solution(keeper.best, keeper.curve, steps + keeper.check_steps)
+        return Solution(keeper.best, keeper.curve, steps + keeper.check_steps, steps)
 
-    def _build(self, warm_up: int, seed: int) -> DDPG:
+    def _build(self, warm_up: int, seed: int) -> DDPG | DQN:
         s, size = self.settings, self._spec.act_size
-        return DDPG(
-            "MlpPolicy",
-            self._env,
+        common: dict[str, Any] = {
+            "policy": "MlpPolicy",
+            "env": self._env,
             # Of SB3's own progress a warm start would begin in the middle.
-            learning_rate=lambda _: (
+            "learning_rate": lambda _: (
                 s.learning_rate + (s.final_learning_rate - s.learning_rate) * self.progress
             ),
-            buffer_size=BUFFER,
-            learning_starts=warm_up,
-            batch_size=s.batch,
-            tau=s.tau,
-            gamma=self._spec.gamma,
-            n_steps=s.n_steps,
-            train_freq=TRAIN_EVERY,
-            gradient_steps=s.gradient_steps,
+            "buffer_size": BUFFER,
+            "learning_starts": warm_up,
+            "batch_size": s.batch,
+            "tau": s.tau,
+            "gamma": self._spec.gamma,
+            "n_steps": s.n_steps,
+            "train_freq": TRAIN_EVERY,
+            "gradient_steps": s.gradient_steps,
+            "seed": seed,
+            "device": "cpu",
+        }
+        network = {"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}}
+        if self._spec.discrete:
+            return DQN(
+                **common,
+                target_update_interval=1,
+                exploration_initial_eps=s.noise,
+                exploration_final_eps=s.noise,
+                policy_kwargs=network,
+            )
+        return DDPG(
+            **common,
             action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
-            policy_kwargs={
-                "net_arch": list(s.net),
-                "n_critics": s.critics,
-                "optimizer_kwargs": {"fused": True},
-            },
-            seed=seed,
-            device="cpu",
+            policy_kwargs={**network, "n_critics": s.critics},
         )
 
     def actor(self) -> Network:
         """The current policy on the environment's own observations (the absorbing indicator is 0)."""
-        assert self._model is not None
         size = self._spec.obs_size
-        net = Network.from_torch(
-            self._model.actor.mu, np.zeros(size), np.array(self._spec.obs_scale), tanh=True
-        )
-        return Network(net.mean, net.std, (net.weights[0][:size], *net.weights[1:]), net.biases, True)
+        zeros, scale = np.zeros(size), np.array(self._spec.obs_scale)
+        if isinstance(self._model, DQN):
+            net = Network.from_torch(self._model.q_net.q_net, zeros, scale)
+        else:
+            assert self._model is not None
+            net = Network.from_torch(self._model.actor.mu, zeros, scale, tanh=True)
+        return replace(net, weights=(net.weights[0][:size], *net.weights[1:]))
 
     def check(self, policy: Policy, seeds: list[int]) -> tuple[float, int]:
         """Mean undiscounted return under the reward that the agent learns from, and the steps it took."""
@@ -207,13 +221,18 @@ class _Keeper(BaseCallback):
             self.best, self.best_return = policy, score
 
 
-class _TrainingEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class _TrainingEnv(gym.Env[NDArray[np.float32], Any]):
     """The environment as the agent sees it. It logs every transition, so that rewards can be relabelled."""
 
     def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
         self.observation_space = spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
+        self.action_space: spaces.Space[Any] = (
+            spaces.Discrete(spec.act_size)
+            if spec.discrete
+            else spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
+        )
         self.reward: Reward | None = None
+        self._spec = spec
         self._env = spec.make()
         self._obs_scale = np.array(spec.obs_scale)
         self._absorbing = protocol == "absorbing"
@@ -257,18 +276,17 @@ class _TrainingEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._absorbed_for = None
         return self._seen(), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        act = np.eye(self._spec.act_size)[action] if self._spec.discrete else np.asarray(action, np.float64)
         if self._absorbed_for is not None:
             self._absorbed_for += 1
-            self._log.add(self._obs, action, self._obs, 0.0, alive=False)
+            self._log.add(self._obs, act, self._obs, 0.0, alive=False)
             return self._seen(), -self._centre / self._size, False, self._absorbed_for == ABSORBING_STEPS, {}
         obs, true, terminated, truncated, _ = self._env.step(action)
         obs = np.asarray(obs, np.float64)
-        batch = (self._obs[None], np.asarray(action, np.float64)[None], obs[None], np.array([float(true)]))
+        batch = (self._obs[None], act[None], obs[None], np.array([float(true)]))
         reward = (float(self.raw_rewards(*batch)[0]) - self._centre) / self._size
-        self._log.add(self._obs, action, obs, float(true), alive=True)
+        self._log.add(self._obs, act, obs, float(true), alive=True)
         self._obs = obs
         if terminated and self._absorbing:
             self._absorbed_for, terminated, truncated = 0, False, False
@@ -291,7 +309,7 @@ class _Log:
         self.true = np.zeros(BUFFER)
         self.alive = np.zeros(BUFFER, bool)
 
-    def add(self, obs: Array, act: NDArray[np.float32], next_obs: Array, true: float, *, alive: bool) -> None:
+    def add(self, obs: Array, act: Array, next_obs: Array, true: float, *, alive: bool) -> None:
         i = self.steps
         self.obs[i], self.act[i], self.next_obs[i], self.true[i], self.alive[i] = (
             obs,

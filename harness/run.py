@@ -29,7 +29,7 @@ from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult
 from harness.store import LOG, decode, encode
 
-ENV_COST = {"cartpole": 1.0, "pendulum": 1.5, "highway": 4.0}
+ENV_COST = {"cartpole": 1.0, "pendulum": 1.5, "highway": 4.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
 METHOD_COST = {REFERENCE: 0.3, "bc": 0.3, "maxmargin": 1.5, "maxent": 1.5, **dict.fromkeys(CONTROLS, 1.0)}
 EXPERT_COST = 2.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
@@ -77,7 +77,8 @@ class Grid:
     """What to do with cells: at which budget and protocol, where, with how many processes at a time.
 
     save: called in this process with each result as soon as it is there.
-    work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells.
+    work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells;
+    torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
     """
 
     budget: str
@@ -86,7 +87,7 @@ class Grid:
     workers: int
     save: Callable[[CellResult], None]
     work: str = "harness.cells"
-    preload: tuple[str, ...] = ("harness.run", "harness.rl", "envs")
+    preload: tuple[str, ...] = ("harness.run", "harness.world", "torch._dynamo")
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""

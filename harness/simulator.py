@@ -65,10 +65,10 @@ class Simulator:
 
         lanes = [lane for env in self._envs if (lane := enter(env))]
         while lanes:
-            actions = policy(np.stack([lane.obs[-1] for lane in lanes]))
+            actions = self.spec.executed(policy(np.stack([lane.obs[-1] for lane in lanes])))
             going = []
             for lane, action in zip(lanes, actions, strict=True):
-                obs, reward, terminated, truncated, _ = lane.env.step(action.astype(np.float32))
+                obs, reward, terminated, truncated, _ = lane.env.step(self.spec.native(action))
                 lane.obs.append(np.asarray(obs, np.float64))
                 lane.act.append(action)
                 lane.rewards.append(float(reward))

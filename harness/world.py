@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from envs import EnvSpec
+from harness.exact import ExactSolver
 from harness.rl import Learner
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, Trajectory
@@ -25,9 +26,11 @@ class TaskWorld:
         self.env_steps = 0
         self.rl_steps = 0
         self.rl_solves = 0
+        self.model = spec.tabular.model if spec.tabular else None
+        self.random_actions = spec.random_actions
         self._spec = spec
         self._protocol = protocol
-        self._learner: Learner | None = None
+        self._solver: Learner | ExactSolver | None = None
 
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         rollouts = without_rewards(Simulator(self._spec).run(policy, training_seeds(rng, episodes)))
@@ -35,13 +38,18 @@ class TaskWorld:
         return rollouts
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
-        if not warm or self._learner is None:
-            self._learner = Learner(self._spec, self._protocol, rng)
-        solution = self._learner.solve(reward, steps)
+        if not warm or self._solver is None:
+            self._solver = solver_for(self._spec, self._protocol, rng)
+        solution = self._solver.solve(reward, steps)
         self.env_steps += solution.env_steps
-        self.rl_steps += steps
+        self.rl_steps += solution.rl_steps
         self.rl_solves += 1
         return solution.policy
+
+
+def solver_for(spec: EnvSpec, protocol: str, rng: np.random.Generator) -> Learner | ExactSolver:
+    """What solves an environment: dynamic programming where its model is known, else RL."""
+    return ExactSolver(spec.tabular, spec.gamma, rng) if spec.tabular else Learner(spec, protocol, rng)
 
 
 def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:

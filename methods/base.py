@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.spec import Model
+
 Array = NDArray[np.float64]
+RandomActions = Callable[[int, np.random.Generator], Array]
+"""(count, A), uniform over all actions."""
 
 
 class Policy(Protocol):
-    """A deterministic policy: observations (B, O) to actions (B, A) within [-1, 1]."""
+    """A deterministic policy: observations (B, O) to actions (B, A) within [-1, 1]; where an action is a
+    choice among A, the largest entry acts."""
 
     def __call__(self, obs: Array, /) -> Array: ...
 
@@ -37,7 +42,7 @@ class Episodes:
     """Episodes without rewards: demonstrations, or rollouts in a `World`. Its arrays are read-only.
 
     obs: for each episode (T+1, O), the last row being where it ended.
-    act: for each episode (T, A), in [-1, 1].
+    act: for each episode (T, A), in [-1, 1]; 1 for a choice and 0 for the others where actions are choices.
     terminated: for each episode whether it terminated (and was not cut at the horizon).
     Raises ValueError for anything else: no episode, no step, wrong shapes, NaN, actions out of range.
     """
@@ -82,6 +87,11 @@ class World(Protocol):
     act_size: int
     horizon: int
     gamma: float
+    model: Model | None
+    """The dynamics, where they are known."""
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, A), uniform over all actions."""
 
     def phi(self, obs: Array, act: Array) -> Array:
         """The environment's features for linear rewards, (B, K), within [-1, 1]."""
@@ -91,7 +101,8 @@ class World(Protocol):
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
         """Reinforcement learning for `steps` environment steps under the reward; `warm` goes on from
-        this world's last solve, with its networks and its experience relabelled by the new reward."""
+        this world's last solve, with its networks and its experience relabelled by the new reward.
+        Where the model is known, exactly and without a step."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +122,9 @@ class Method(Protocol):
         """Learn from the demonstrations alone, in a world without its reward."""
 
 
-def default_absorbing(reward: Reward, demos: Episodes, rng: np.random.Generator) -> float:
+def default_absorbing(
+    reward: Reward, demos: Episodes, random_actions: RandomActions, rng: np.random.Generator
+) -> float:
     """What absorption pays under a reward learned from expert pairs only: its mean over the demonstrated
     states with uniform actions; over the demonstrated pairs where the demonstrations themselves terminate.
 
@@ -119,5 +132,5 @@ def default_absorbing(reward: Reward, demos: Episodes, rng: np.random.Generator)
     """
     obs, act = demos.pairs()
     if not all(demos.terminated):
-        act = rng.uniform(-1, 1, act.shape)
+        act = random_actions(len(act), rng)
     return float(reward(obs, act, obs).mean())

@@ -2,8 +2,11 @@
 2008), algorithm 1: the gradient of the demonstrations' log-likelihood with respect to the reward is
 mu_D - E[mu], propagated back through a reward network.
 
-Deviates from the paper: the environments are continuous, so "solve the MDP" is warm-started DDPG and the
-expected visitations E[mu] come from rollouts of it. They are averaged over the iterations, and a Gaussian
+Where the model is known this is the algorithm line by line; the likelihood is that of maximum causal entropy
+up to the horizon (Ziebart, Bagnell & Dey 2010), without a discount, for only then is that its gradient.
+
+Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is warm-started RL and
+the expected visitations E[mu] come from rollouts of it. They are averaged over the iterations, and a Gaussian
 prior on the reward's values (the paper's is on the weights) keeps it bounded between sparse visitations.
 The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
 absorption pays is learned like any state's reward.
@@ -16,8 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from envs.spec import Model
 from methods.base import Array, Episodes, Learned, Policy, World
 from methods.network import Network, mlp, standardiser
+from methods.tabular import finite_soft_value_iteration, state_visitations
 
 
 @dataclass(frozen=True)
@@ -41,13 +46,39 @@ class MaxEnt:
     """Inverse variance of the Gaussian prior on reward values."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Ascend the likelihood of the demonstrations."""
+        if world.model is None:
+            return self._fit(demos, world, rng)
+        return self._fit_exactly(demos, world, world.model, rng)
+
+    def _fit_exactly(self, demos: Episodes, world: World, model: Model, rng: np.random.Generator) -> Learned:
+        """Algorithm 1; its lines are numbered."""
+        mean, std = standardiser(model.obs)
+        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+        network = mlp(world.obs_size, *self.layers, 1, generator=generator)  # 1
+        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
+        features = torch.as_tensor((model.obs - mean) / std, dtype=torch.float32)
+        mu_demo = demonstrated(demos, model)
+        likelihoods: list[float] = []
+        for _ in range(self.iterations):  # 2
+            r = network(features)[:, 0]  # 3
+            likelihood, gradient = log_likelihood(model, r.detach().double().numpy(), mu_demo)
+            optimizer.zero_grad()
+            r.backward(-torch.as_tensor(gradient, dtype=torch.float32))  # 8
+            optimizer.step()  # 9
+            likelihoods.append(likelihood)
+        reward = StateReward(Network.from_torch(network, mean, std))
+        policy = world.solve(reward, rng, self.rl_steps)
+        return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
+
+    def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
         mean, std = standardiser(demos.pairs()[0])
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         network = mlp(world.obs_size + world.act_size + 1, *self.layers, 1, generator=generator)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
         visits_demo = visitations(demos, world.horizon, mean, std)
-        policy: Policy = lambda obs: rng.uniform(-1, 1, (len(obs), world.act_size))  # noqa: E731
+        policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         visits_policy: list[Array] = []
         gaps: list[float] = []
         for i in range(self.iterations):
@@ -67,6 +98,33 @@ class MaxEnt:
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
 
 
+def demonstrated(demos: Episodes, model: Model) -> Array:
+    """mu_D (T, S, A): the share of the demonstrations, all of T steps, in each state and choosing each action
+    at each time. Raises ValueError where their lengths differ."""
+    if demos.lengths.min() < demos.lengths.max():
+        raise ValueError("in a known model, demonstrations must be equally long")
+    mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
+    for obs, act in zip(demos.obs, demos.act, strict=True):
+        mu[np.arange(len(act)), model.states(obs[:-1]), act.argmax(axis=1)] += 1 / len(demos)
+    return mu
+
+
+def log_likelihood(model: Model, r: Array, mu_demo: Array) -> tuple[float, Array]:
+    """Mean log-likelihood of a demonstrated step under the reward r (S,), and its gradient mu_D - E[mu] (S,).
+
+    E[mu] is what the policy would visit from where the demonstrations start and, where chance then leads
+    them elsewhere than the model expects, from there: their luck is not the reward's doing.
+    """
+    horizon = len(mu_demo)
+    _, policies = finite_soft_value_iteration(model.P, r, horizon)  # 4
+    arrivals = mu_demo.sum(axis=2)
+    arrivals[1:] -= np.tensordot(mu_demo[:-1], model.P, axes=2)
+    expected = state_visitations(model.P, policies, arrivals, horizon)  # 5
+    seen = mu_demo > 0
+    likelihood = float(mu_demo[seen] @ np.log(policies[seen]))  # 6
+    return likelihood / horizon, (mu_demo.sum(axis=2) - expected).sum(axis=0) / horizon  # 7
+
+
 def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array) -> Array:
     """(N, O + A + 1): every visited (observation, action, absorbing indicator), observations standardised;
     an episode that terminated visits the absorbing state, all zeros and 1, up to the horizon."""
@@ -81,6 +139,17 @@ def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array) -> Ar
 def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:
     """A uniform minibatch of visitations."""
     return torch.as_tensor(visits[rng.integers(len(visits), size=batch)], dtype=torch.float32)
+
+
+@dataclass(frozen=True)
+class StateReward:
+    """A network of the observation alone, for environments without an absorbing state."""
+
+    network: Network
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.network(obs)[:, 0]
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,17 @@
 
 t(i) = max over |w| <= 1 of min over j < i of w^T (mu_E - mu(j))     (thesis, eq. 3.2)
 
+or, as `maxmargin_projection`, w from the paper's simpler projection method (its section 3.1).
+
 The reward is w^T phi. mu(j) are discounted feature expectations of the policies found so far, mu_E those
 of the demonstrations. Features are the environment's, and one more for the absorbing state, where all
 others are 0; every episode is counted up to the horizon, so what absorption pays is learned as well.
 
-Deviates from the paper: "solve the MDP" is DDPG warm-started from the last iteration, and feature
-expectations come from a few rollouts, so a later policy may be further from the expert. pi* is not
-chosen by hand from the collection: it is the policy that the margin problem, given it alone, separates
-least from the expert, the one with the smallest |mu_E - mu(j)|. R* is the reward it was found under.
+Deviates from the paper: where the model is not known, "solve the MDP" is RL warm-started from the last
+iteration, and feature expectations come from a few rollouts, so a later policy may be further from the
+expert. pi* is not chosen by hand from the collection: it is the policy that the margin problem, given it
+alone, separates least from the expert, the one with the smallest |mu_E - mu(j)|. R* is the reward it was
+found under.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, World
+from envs.spec import Model
+from methods.base import Array, Episodes, Learned, Policy, World
+from methods.tabular import state_visitations
 
 
 @dataclass(frozen=True)
@@ -35,13 +40,15 @@ class MaxMargin:
     """Stops where the margin t is at most this. Feature expectations are scaled to sums of 1."""
     rollouts: int = 10
     """Episodes that estimate a policy's feature expectations."""
+    projection: bool = False
+    """Whether weights come from the projection method instead of the margin problem."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate the margin problem and reinforcement learning on its reward."""
         expert = feature_expectations(demos, world)
-        random = world.rollout(lambda obs: rng.uniform(-1, 1, (len(obs), world.act_size)), self.rollouts, rng)
-        found = [feature_expectations(random, world)]
-        w, margin = max_margin(expert, found)
+        found = [self._expectations(lambda obs: world.random_actions(len(obs), rng), world, rng)]
+        separate = projection if self.projection else max_margin
+        w, margin = separate(expert, found)
         margins, policies, weights = [margin], [], []
         for i in range(self.iterations):
             policy = world.solve(
@@ -49,8 +56,8 @@ class MaxMargin:
             )
             policies.append(policy)
             weights.append(w)
-            found.append(feature_expectations(world.rollout(policy, self.rollouts, rng), world))
-            w, margin = max_margin(expert, found)
+            found.append(self._expectations(policy, world, rng))
+            w, margin = separate(expert, found)
             margins.append(margin)
             if margin <= self.epsilon:
                 break
@@ -58,6 +65,12 @@ class MaxMargin:
         best = int(np.argmin(distances))
         curves = {"margin": margins, "distance": distances}
         return Learned(policies[best], LinearReward(world, weights[best]), curves)
+
+    def _expectations(self, policy: Policy, world: World, rng: np.random.Generator) -> Array:
+        """mu of a policy: exact where the model is known, else from rollouts."""
+        if world.model is None:
+            return feature_expectations(world.rollout(policy, self.rollouts, rng), world)
+        return exact_feature_expectations(policy, world, world.model)
 
 
 def max_margin(expert: Array, found: list[Array]) -> tuple[Array, float]:
@@ -73,18 +86,49 @@ def max_margin(expert: Array, found: list[Array]) -> tuple[Array, float]:
     return np.asarray(w.value), float(problem.value)
 
 
+def projection(expert: Array, found: list[Array]) -> tuple[Array, float]:
+    """Section 3.1: weights (K,), |w| <= 1, and margin, from the expert's distance to a point that comes
+    nearer to it with each policy found: its projection on the segment from there to that policy's mu.
+
+    Deviates from the paper, which projects on the whole line: where a policy is not optimal for its reward,
+    the point would leave the hull of what was found.
+    """
+    point = found[0]
+    for mu in found[1:]:
+        step = mu - point
+        length = step @ step
+        if length > 0:
+            point = point + np.clip(step @ (expert - point) / length, 0, 1) * step
+    margin = float(np.linalg.norm(expert - point))
+    return (expert - point) / (margin or 1.0), margin
+
+
+def discounts(world: World) -> Array:
+    """(T,): what a step is worth, up to the horizon; they sum to 1."""
+    weights: Array = np.power(world.gamma, np.arange(world.horizon, dtype=np.float64))
+    weights /= weights.sum()
+    return weights
+
+
 def feature_expectations(episodes: Episodes, world: World) -> Array:
     """(K + 1,): the mean over episodes of the discounted sum of features up to the horizon, the last being
     the absorbing indicator, scaled such that the discounts sum to 1."""
-    discounts = world.gamma ** np.arange(world.horizon)
-    discounts /= discounts.sum()
+    weights = discounts(world)
     each = []
     for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
-        alive = discounts[: len(act)] @ world.phi(obs[:-1], act)
-        absorbed = discounts[len(act) :].sum() if terminated else 0.0
+        alive = weights[: len(act)] @ world.phi(obs[:-1], act)
+        absorbed = weights[len(act) :].sum() if terminated else 0.0
         each.append(np.append(alive, absorbed))
     mean: Array = np.mean(each, axis=0)
     return mean
+
+
+def exact_feature_expectations(policy: Policy, world: World, model: Model) -> Array:
+    """(K + 1,): what `feature_expectations` would be over infinitely many rollouts."""
+    act = policy(model.obs)
+    choices = np.eye(world.act_size)[act.argmax(axis=1)]
+    visits = discounts(world) @ state_visitations(model.P, choices, model.start, world.horizon)
+    return np.append(visits @ world.phi(model.obs, choices), 0.0)
 
 
 @dataclass(frozen=True)

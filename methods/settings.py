@@ -8,6 +8,11 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("bc", "*", "smoke"): {"steps": 300},
     ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
+    ("maxmargin_projection", "*", "*"): {"projection": True},
+    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
+    ("maxmargin_projection", "gridworld", "*"): {"iterations": 30},
+    ("maxmargin", "gridworld", "*"): {"iterations": 30},
+    ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
     ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""

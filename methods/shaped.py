@@ -58,9 +58,8 @@ class Shaped:
         curve.append(converge(loss, [f, chol], data, self.iterations))
         policy = Network.from_torch(f, mean, std, tanh=True)
         reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
-        return Learned(
-            policy, replace(reward, absorbing=default_absorbing(reward, demos, rng)), {"loss": curve}
-        )
+        absorbing = default_absorbing(reward, demos, world.random_actions, rng)
+        return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve})
 
 
 def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch.Tensor:

@@ -78,14 +78,14 @@ def policy_value(P: Array, r: Array, policy: Array, gamma: float) -> Array:
 def state_visitations(P: Array, policy: Array, start: Array, horizon: int) -> Array:
     """(T, S): the distribution over states at times 0 to T-1, from `start` (S,); it sums to T = `horizon`.
 
-    policy: (S, A), or (T, S, A) where it depends on time.
+    policy: (S, A), or (T, S, A) where it depends on time. start: also (T, S), what comes in at each time.
     """
     _check_horizon(horizon)
     policies = np.broadcast_to(policy, (horizon, *P.shape[:2]))
-    visits = np.empty((horizon, len(P)))
-    visits[0] = start
+    visits = np.zeros((horizon, len(P)))
+    visits[: 1 if start.ndim == 1 else horizon] = start
     for t in range(1, horizon):
-        visits[t] = (visits[t - 1, :, None] * policies[t - 1]).reshape(-1) @ P.reshape(-1, len(P))
+        visits[t] += (visits[t - 1, :, None] * policies[t - 1]).reshape(-1) @ P.reshape(-1, len(P))
     return visits
 
 
