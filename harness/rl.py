@@ -1,6 +1,7 @@
 """Reinforcement learning for every purpose here: the expert, inner loops, and pi_R. The only file that
-knows the RL library (DDPG of Stable-Baselines3; Lillicrap et al. 2015, with n-step returns; and where
-actions are discrete its DQN; Mnih et al. 2013, thesis, figure 3.2).
+knows the RL library: DDPG (Lillicrap et al. 2015) with n-step returns, of SBX, which is Stable-Baselines3
+in JAX, or of Stable-Baselines3 itself; where actions are discrete its DQN (Mnih et al. 2013; thesis,
+figure 3.2).
 
 Protocol `absorbing` (Kostrikov et al. 2019, Discriminator-Actor-Critic): observations carry an absorbing
 indicator; what would terminate goes to the absorbing state instead, stays there a few steps, and is
@@ -20,10 +21,12 @@ nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
+import optax
+import sbx
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG, DQN
@@ -53,6 +56,8 @@ BUFFER = 100_000
 class Settings:
     """Hyper-parameters of DDPG or DQN: the same for the expert, inner loops and pi_R in one environment."""
 
+    library: Literal["sbx", "sb3"] = "sbx"
+    """Whose DDPG."""
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
     final_learning_rate: float = 1e-3
@@ -109,9 +114,8 @@ class Learner:
         self.settings = SETTINGS.get(spec.name, Settings())
         self._env = _TrainingEnv(spec, protocol, rng)
         self._checks = Simulator(spec)
-        self._model: DDPG | DQN | None = None
-        self.progress = 0.0
-        """Share of the present solve that is done."""
+        self._model: sbx.DDPG | DDPG | DQN | None = None
+        self._progress = 0.0
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """Learn for `steps` environment steps under the reward; None is the environment's own, for the
@@ -138,15 +142,12 @@ class Learner:
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         return Solution(keeper.best, keeper.curve, steps + keeper.check_steps, steps)
 
-    def _build(self, warm_up: int, seed: int) -> DDPG | DQN:
+    def _build(self, warm_up: int, seed: int) -> sbx.DDPG | DDPG | DQN:
         s, size = self.settings, self._spec.act_size
         common: dict[str, Any] = {
             "policy": "MlpPolicy",
             "env": self._env,
-            # Of SB3's own progress a warm start would begin in the middle.
-            "learning_rate": lambda _: (
-                s.learning_rate + (s.final_learning_rate - s.learning_rate) * self.progress
-            ),
+            "learning_rate": s.learning_rate,
             "buffer_size": BUFFER,
             "learning_starts": warm_up,
             "batch_size": s.batch,
@@ -158,7 +159,7 @@ class Learner:
             "seed": seed,
             "device": "cpu",
         }
-        network = {"net_arch": list(s.net), "optimizer_kwargs": {"fused": True}}
+        network: dict[str, Any] = {"net_arch": list(s.net)}
         if self._spec.discrete:
             return DQN(
                 **common,
@@ -167,21 +168,38 @@ class Learner:
                 exploration_final_eps=s.noise,
                 policy_kwargs=network,
             )
-        return DDPG(
-            **common,
-            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise)),
-            policy_kwargs={**network, "n_critics": s.critics},
-        )
+        common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
+        network["n_critics"] = s.critics
+        if s.library == "sb3":
+            # Of SB3's own progress a warm start would begin in the middle.
+            common["learning_rate"] = lambda _: self._learning_rate
+            return DDPG(**common, policy_kwargs={**network, "optimizer_kwargs": {"fused": True}})
+        network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
+        return sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
+
+    @property
+    def _learning_rate(self) -> float:
+        s = self.settings
+        return s.learning_rate + (s.final_learning_rate - s.learning_rate) * self._progress
+
+    def advance(self, progress: float) -> None:
+        """Says what share of the present solve is done; the learning rate follows."""
+        self._progress = progress
+        if isinstance(self._model, sbx.DDPG):
+            for state in (self._model.policy.actor_state, self._model.policy.qf_state):
+                state.opt_state.hyperparams["learning_rate"] = np.float32(self._learning_rate)
 
     def actor(self) -> Network:
         """The current policy on the environment's own observations (the absorbing indicator is 0)."""
         size = self._spec.obs_size
         zeros, scale = np.zeros(size), np.array(self._spec.obs_scale)
-        if isinstance(self._model, DQN):
-            net = Network.from_torch(self._model.q_net.q_net, zeros, scale)
+        if isinstance(self._model, sbx.DDPG):
+            net = Network.from_flax(self._model.policy.actor_state.params["params"], zeros, scale, tanh=True)
+        elif isinstance(self._model, DDPG):
+            net = Network.from_torch(self._model.actor.mu, zeros, scale, tanh=True)
         else:
             assert self._model is not None
-            net = Network.from_torch(self._model.actor.mu, zeros, scale, tanh=True)
+            net = Network.from_torch(self._model.q_net.q_net, zeros, scale)
         return replace(net, weights=(net.weights[0][:size], *net.weights[1:]))
 
     def check(self, policy: Policy, seeds: list[int]) -> tuple[float, int]:
@@ -207,7 +225,7 @@ class _Keeper(BaseCallback):
 
     def _on_step(self) -> bool:
         self.done_steps += 1
-        self.learner.progress = self.done_steps / self.steps
+        self.learner.advance(self.done_steps / self.steps)
         if self.done_steps % self.learner.settings.checkpoint_every == 0 or self.done_steps == self.steps:
             self._check()
         return True

@@ -14,6 +14,7 @@ import multiprocessing.forkserver
 import os
 import signal
 import sys
+import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -194,7 +195,18 @@ def _processes(preload: tuple[str, ...]) -> Iterator[multiprocessing.context.Bas
     # the order in which strings are hashed must not differ between runs.
     for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"):
         os.environ[f"{name}_NUM_THREADS"] = "1"
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
     os.environ["PYTHONHASHSEED"] = "0"
+    with tempfile.TemporaryDirectory(prefix="irl-bench-") as compiled:
+        # What JAX compiles in one process, seconds of work, all others of this run may use.
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        with _fresh_processes(preload) as context:
+            yield context
+
+
+@contextlib.contextmanager
+def _fresh_processes(preload: tuple[str, ...]) -> Iterator[multiprocessing.context.BaseContext]:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         # Elsewhere, forking after the preloaded libraries were imported is not safe.

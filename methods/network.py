@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,6 +39,16 @@ class Network:
         linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
         weights = tuple(m.weight.detach().cpu().double().numpy().T.copy() for m in linear)
         biases = tuple(m.bias.detach().cpu().double().numpy().copy() for m in linear)
+        return cls(mean, std, weights, biases, tanh)
+
+    @classmethod
+    def from_flax(
+        cls, layers: Mapping[str, Mapping[str, Any]], mean: Array, std: Array, tanh: bool = False
+    ) -> Network:
+        """From the parameters of layers Dense_0, Dense_1, ..., with ReLU between them."""
+        dense = [layers[f"Dense_{i}"] for i in range(len(layers))]
+        weights = tuple(np.array(layer["kernel"], np.float64) for layer in dense)
+        biases = tuple(np.array(layer["bias"], np.float64) for layer in dense)
         return cls(mean, std, weights, biases, tanh)
 
     def arrays(self) -> dict[str, Array]:

@@ -38,6 +38,7 @@ def test_methods_know_no_harness() -> None:
 
 def test_each_heavy_library_has_one_home() -> None:
     assert importers("stable_baselines3") == ["harness/rl.py"]
+    assert importers("sbx") == ["harness/rl.py"]
     assert importers("rerun") == ["harness/recordings.py"]
     (home,) = importers("cvxpy")
     assert home.startswith("methods/")
