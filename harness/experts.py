@@ -28,7 +28,10 @@ CACHE_VARIABLE = "IRL_BENCH_CACHE"
 DEFAULT_CACHE = Path("results") / "cache"
 SOURCES = ("envs", "harness/rl.py", "harness/seeds.py", "harness/simulator.py", "methods/network.py")
 """What can change an expert, besides the packages below."""
-PACKAGES = ("torch", "numpy", "gymnasium", "mujoco", "highway-env", "stable-baselines3")
+PACKAGES = (
+    *("torch", "numpy", "jax", "flax", "optax", "stable-baselines3", "sbx-rl"),
+    *("gymnasium", "mujoco", "highway-env"),
+)
 
 
 @dataclass(frozen=True)

@@ -81,10 +81,12 @@ SETTINGS: dict[str, Settings] = {
     "cartpole": Settings(gradient_steps=10),
     "highway": Settings(
         final_learning_rate=5e-5,
-        tau=0.01,
+        tau=0.005,
         noise=0.15,
+        gradient_steps=10,
         critics=2,
-        checkpoint_every=2000,
+        checkpoint_every=2500,
+        check_episodes=10,
     ),
 }
 """By environment; the defaults elsewhere."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3 import DDPG
+import sbx
+import stable_baselines3
+from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
@@ -47,20 +52,34 @@ def solve(
     return Learner(spec, protocol, np.random.default_rng(seed)).solve(reward, steps)
 
 
+@pytest.fixture(autouse=True)
+def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Whose DDPG learns. What is ours is tested with Stable-Baselines3, whose first step takes no seconds of
+    compiling; tests of the library itself ask for both."""
+    chosen: str = getattr(request, "param", "sb3")
+    monkeypatch.setattr(rl, "Settings", functools.partial(Settings, library=chosen))
+    return chosen
+
+
+both_libraries = pytest.mark.parametrize("library", ["sbx", "sb3"], indirect=True)
+
+
 def same(one: Network, other: Network) -> bool:
     a, b = one.arrays(), other.arrays()
     return all(np.array_equal(a[name], b[name]) for name in a)
 
 
-@pytest.fixture(scope="module")
-def learned(steady: EnvSpec) -> Solution:
-    return solve(steady, Seek())
-
-
-def test_it_learns_the_task(learned: Solution) -> None:
+@both_libraries
+def test_it_learns_the_task(steady: EnvSpec) -> None:
+    learned = solve(steady, Seek())
     assert np.abs(learned.policy(OBS) - OBS).mean() < 0.15
     returns = [value for _, value in learned.curve]
     assert max(returns) > 8.5 > 7 > returns[0]
+    xs = [x for x, _ in learned.curve]
+    assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
+    # Twenty episodes of ten steps at each checkpoint.
+    assert learned.env_steps == STEPS + len(xs) * 20 * 10
+    assert learned.rl_steps == STEPS
 
 
 def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
@@ -68,19 +87,56 @@ def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
     assert np.abs(opposite.policy(OBS) + OBS).mean() < 0.15
 
 
-def test_no_reward_means_the_environments_own(steady: EnvSpec, learned: Solution) -> None:
-    own = solve(steady, None)
+def test_no_reward_means_the_environments_own(steady: EnvSpec) -> None:
+    own, learned = solve(steady, None), solve(steady, Seek())
     np.testing.assert_allclose(own.policy(OBS), learned.policy(OBS), atol=0.05)
     np.testing.assert_allclose(own.curve, learned.curve, atol=0.2)
 
 
-def test_it_accounts_for_every_step(learned: Solution) -> None:
-    xs = [x for x, _ in learned.curve]
-    assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
-    # Twenty episodes of ten steps at each checkpoint.
-    assert learned.env_steps == STEPS + len(xs) * 20 * 10
+class Side(gym.Env):
+    """The observation (1,) is drawn from [-1, 1] at every step; choosing its sign, 1 for positive, pays 1."""
+
+    observation_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    action_space = spaces.Discrete(2)
+
+    def _move(self) -> np.ndarray:
+        self.where = self.np_random.uniform(-1, 1, 1).astype(np.float32)
+        return self.where
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        return self._move(), {}
+
+    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict]:
+        paid = float(action == (self.where[0] > 0))
+        return self._move(), paid, False, False, {}
 
 
+def test_it_learns_to_choose(steady: EnvSpec) -> None:
+    gym.register("irl_bench_tests/Side-v0", Side, max_episode_steps=10, disable_env_checker=True)
+    spec = dataclasses.replace(
+        steady, name="Side", env_id="irl_bench_tests/Side-v0", act_size=2, discrete=True, obs_scale=(1.0,)
+    )
+    positive = OBS[:, 0] > 0
+
+    @dataclass(frozen=True)
+    class Other:
+        """Pays for the choice of the other sign: `act` is one-hot."""
+
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            assert set(act.ravel()) <= {0.0, 1.0}
+            assert (act.sum(axis=1) == 1).all()
+            return act[np.arange(len(act)), (obs[:, 0] < 0).astype(int)]
+
+    sure = np.abs(OBS[:, 0]) > 0.2
+    own, other = (solve(spec, reward).policy(OBS).argmax(axis=1) == positive for reward in (None, Other()))
+    assert own[sure].all()
+    assert not other[sure].any()
+
+
+@both_libraries
 def test_the_generator_decides_everything(steady: EnvSpec) -> None:
     # The library draws from the global generators, whose state must not matter.
     np.random.seed(1)  # noqa: NPY002
@@ -138,7 +194,7 @@ def test_only_a_better_checkpoint_replaces_what_is_kept(
     returns: list[float],
     kept: int,
 ) -> None:
-    monkeypatch.setitem(SETTINGS, steady.name, Settings(checkpoint_every=100))
+    monkeypatch.setitem(SETTINGS, steady.name, rl.Settings(checkpoint_every=100))
     scores = iter(returns)
     monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), 0))
     solution = solve(steady, Seek(), steps=800)
@@ -146,17 +202,24 @@ def test_only_a_better_checkpoint_replaces_what_is_kept(
     assert same(solution.policy, actors[kept])
 
 
-def test_the_learning_rate_falls_within_each_solve(steady: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = Settings(learning_rate=1e-3, final_learning_rate=1e-4)
+@both_libraries
+def test_the_learning_rate_falls_within_each_solve(
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: str
+) -> None:
+    settings = rl.Settings(learning_rate=1e-3, final_learning_rate=1e-4)
     monkeypatch.setitem(SETTINGS, steady.name, settings)
     rates: list[float] = []
-    train = DDPG.train
+    solver: Any = sbx.DDPG if library == "sbx" else stable_baselines3.DDPG
+    train = solver.train
 
-    def spy(self: DDPG, gradient_steps: int, batch_size: int = 100) -> None:
+    def spy(self: Any, gradient_steps: int, batch_size: int = 100) -> None:
         train(self, gradient_steps, batch_size)
-        rates.append(self.actor.optimizer.param_groups[0]["lr"])
+        if library == "sbx":
+            rates.append(float(self.policy.actor_state.opt_state.hyperparams["learning_rate"]))
+        else:
+            rates.append(self.actor.optimizer.param_groups[0]["lr"])
 
-    monkeypatch.setattr(DDPG, "train", spy)
+    monkeypatch.setattr(solver, "train", spy)
     learner = Learner(steady, "absorbing", np.random.default_rng(0))
     learner.solve(Seek(), 400)
     first = list(rates)
@@ -290,6 +353,7 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
     assert len(seen["rewards"]) == 500
 
 
+@both_libraries
 def test_a_second_solve_follows_the_new_reward(steady: EnvSpec) -> None:
     learner = Learner(steady, "absorbing", np.random.default_rng(0))
     first = learner.solve(Seek(), 600)
