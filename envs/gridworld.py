@@ -153,7 +153,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     diamond = 0.35 * np.array([[-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]])
     where = positions(SIZE)
     cells = {
-        f"cell {x} {y}": Shape(square + np.array([x, y]), COLOURS[float(reward)])
+        f"cell_{x}_{y}": Shape(square + np.array([x, y]), COLOURS[float(reward)])
         for (x, y), reward in zip(where, WORLD.reward, strict=True)
     }
     return {**cells, "agent": Shape(diamond + where[inner.state], (66, 133, 244))}

@@ -45,7 +45,8 @@ class ExactSolver:
         q = value_iteration(tabular.P, r, self.gamma)[1]
         best = q >= q.max(axis=1, keepdims=True) - TIE * np.abs(q).max()
         choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
-        return Solution(TabularPolicy(tabular, np.eye(q.shape[1])[choice]), curve=[], env_steps=0, rl_steps=0)
+        policy = TabularPolicy(tabular.model, np.eye(q.shape[1])[choice])
+        return Solution(policy, curve=[], env_steps=0, rl_steps=0)
 
 
 def expected_rewards(model: Model, reward: Reward) -> Array:

@@ -11,7 +11,7 @@ from harness.exact import ExactSolver
 from harness.rl import Learner
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, Trajectory
-from methods.base import Episodes, Policy, Reward
+from methods.base import Array, Episodes, Policy, Reward
 
 
 class TaskWorld:
@@ -27,10 +27,12 @@ class TaskWorld:
         self.rl_steps = 0
         self.rl_solves = 0
         self.model = spec.tabular.model if spec.tabular else None
-        self.random_actions = spec.random_actions
         self._spec = spec
         self._protocol = protocol
         self._solver: Learner | ExactSolver | None = None
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return self._spec.random_actions(count, rng)
 
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         rollouts = without_rewards(Simulator(self._spec).run(policy, training_seeds(rng, episodes)))
