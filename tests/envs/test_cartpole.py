@@ -4,6 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from envs import cartpole_discrete
 from envs.cartpole import SPEC, CartPole
 
 
@@ -38,9 +39,31 @@ def test_reward_is_rllabs() -> None:
     ("state", "reason"), [((2.5, 0, 0, 0), "cart left the track"), ((0, 0, 0.3, 0), "pole fell")]
 )
 def test_why_it_ended(state: tuple[float, ...], reason: str) -> None:
-    env = CartPole()
-    env.state = state  # type: ignore[assignment]
-    assert SPEC.why_ended(env) == reason
+    for spec in (SPEC, cartpole_discrete.SPEC):
+        env = spec.make().unwrapped
+        env.state = state  # type: ignore[attr-defined]
+        assert spec.why_ended(env) == reason
+
+
+def test_two_actions_are_gymnasiums_and_full_force_left_and_right() -> None:
+    two, one, theirs = cartpole_discrete.SPEC.make(), SPEC.make(), gym.make("CartPole-v1")
+    for seed in range(5):
+        for env in (two, one, theirs):
+            env.reset(seed=seed)
+        failed = False
+        for push in np.random.default_rng(seed).integers(2, size=500):
+            obs, reward, failed, truncated, _ = two.step(cartpole_discrete.SPEC.native(np.eye(2)[push]))
+            expected = theirs.step(push)
+            assert np.array_equal(obs, expected[0])
+            assert (reward, failed, truncated) == expected[1:4]
+            one.step(np.array([2.0 * push - 1], np.float32))
+            scenes = zip(cartpole_discrete.SPEC.draw(two).items(), SPEC.draw(one).items(), strict=True)
+            for (name, shape), (its_name, its_shape) in scenes:
+                assert name == its_name
+                np.testing.assert_allclose(shape.points, its_shape.points, atol=1e-9)
+            if failed:
+                break
+        assert failed
 
 
 def test_phi_is_one_at_the_centre_and_falls_to_zero_at_the_limits() -> None:

@@ -5,6 +5,7 @@ import dataclasses
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
 from envs import BUDGETS, SPECS, EnvSpec
@@ -15,14 +16,12 @@ def spec(request: pytest.FixtureRequest) -> EnvSpec:
     return request.param
 
 
-def play(env: gym.Env, seed: int, steps: int) -> list[tuple]:
+def play(spec: EnvSpec, env: gym.Env, seed: int, steps: int) -> list[tuple]:
     rng = np.random.default_rng(seed)
     obs, _ = env.reset(seed=seed)
     seen = [obs.tolist()]
-    for _ in range(steps):
-        obs, reward, terminated, truncated, _ = env.step(
-            rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
-        )
+    for act in spec.random_actions(steps, rng):
+        obs, reward, terminated, truncated, _ = env.step(spec.native(act))
         seen.append((obs.tolist(), reward, terminated, truncated))
         if terminated or truncated:
             break
@@ -38,26 +37,58 @@ def test_gymnasium_accepts_it(spec: EnvSpec) -> None:
 
 def test_the_same_seed_gives_the_same_episode(spec: EnvSpec) -> None:
     env = spec.make()
-    first = play(env, 5, 60)
-    assert play(env, 5, 60) == first
-    assert play(spec.make(), 5, 60) == first
-    assert play(env, 6, 60) != first
+    first = play(spec, env, 5, 60)
+    assert play(spec, env, 5, 60) == first
+    assert play(spec, spec.make(), 5, 60) == first
+    assert play(spec, env, 6, 60) != first
 
 
 def test_actions_are_scaled_and_sizes_are_as_said(spec: EnvSpec) -> None:
     env = spec.make()
-    assert np.array_equal(env.action_space.low, -np.ones(spec.act_size, np.float32))
-    assert np.array_equal(env.action_space.high, np.ones(spec.act_size, np.float32))
+    if spec.discrete:
+        assert env.action_space == spaces.Discrete(spec.act_size)
+    else:
+        assert np.array_equal(env.action_space.low, -np.ones(spec.act_size, np.float32))
+        assert np.array_equal(env.action_space.high, np.ones(spec.act_size, np.float32))
     assert env.reset(seed=0)[0].shape == (spec.obs_size,)
+
+
+def test_of_choices_the_largest_acts_and_the_first_of_equals(spec: EnvSpec) -> None:
+    rng = np.random.default_rng(0)
+    scores = rng.choice(5, (50, spec.act_size)) / 4 - 0.5
+    executed = spec.executed(scores)
+    if not spec.discrete:
+        assert np.array_equal(executed, scores)
+        assert np.array_equal(spec.native(scores[0]), scores[0].astype(np.float32))
+        return
+    for its_scores, act in zip(scores.tolist(), executed, strict=True):
+        first = its_scores.index(max(its_scores))
+        assert act.tolist() == [float(i == first) for i in range(spec.act_size)]
+        assert spec.native(act) == spec.native(np.array(its_scores)) == first
+
+
+def test_random_actions_are_uniform(spec: EnvSpec) -> None:
+    count = 20_000
+    act = spec.random_actions(count, np.random.default_rng(0))
+    assert act.shape == (count, spec.act_size)
+    if spec.discrete:
+        assert np.array_equal(np.sort(act, axis=1), np.tile(np.eye(spec.act_size)[-1], (count, 1)))
+        np.testing.assert_allclose(act.mean(axis=0), 1 / spec.act_size, atol=0.015)
+    else:
+        below = (np.sort(act, axis=0) + 1) / 2
+        np.testing.assert_allclose(
+            below, np.tile(np.linspace(0, 1, count)[:, None], spec.act_size), atol=0.015
+        )
 
 
 def test_drawings_keep_their_names_and_lie_in_the_plane(spec: EnvSpec) -> None:
     env = spec.make()
     env.reset(seed=1)
     before = spec.draw(env)
-    env.step(np.ones(spec.act_size, np.float32))
+    env.step(spec.native(np.ones(spec.act_size)))
     after = spec.draw(env)
     assert before.keys() == after.keys()
+    assert all(name.isidentifier() for name in before), "recordings use them as paths"
     assert all(
         s.points.ndim == 2 and s.points.shape[1] == 2 and np.isfinite(s.points).all() for s in after.values()
     )
@@ -67,23 +98,25 @@ def test_drawings_keep_their_names_and_lie_in_the_plane(spec: EnvSpec) -> None:
 def test_features_are_bounded_and_finite(spec: EnvSpec) -> None:
     rng = np.random.default_rng(2)
     obs = 100 * rng.standard_normal((200, spec.obs_size))
-    features = spec.phi(obs, rng.uniform(-1, 1, (200, spec.act_size)))
+    features = spec.phi(obs, spec.random_actions(200, rng))
     assert features.shape[0] == 200
     assert np.abs(features).max() <= 1
 
 
-def test_it_terminates_and_says_why(spec: EnvSpec) -> None:
+def test_it_terminates_and_says_why_or_is_finite_and_never_does(spec: EnvSpec) -> None:
     env = spec.make()
     for seed in range(20):
         env.reset(seed=seed)
         for _ in range(spec.horizon):
-            _, _, terminated, truncated, _ = env.step(np.ones(spec.act_size, np.float32))
+            _, _, terminated, truncated, _ = env.step(spec.native(np.ones(spec.act_size)))
             if terminated or truncated:
                 break
+        assert terminated or truncated
         if terminated:
+            assert spec.tabular is None, "a known model has no terminal states"
             assert spec.why_ended(env)
             return
-    pytest.fail("full actions never ended an episode early")
+    assert spec.tabular, "full actions never ended an episode early"
 
 
 def test_budgets_grow(spec: EnvSpec) -> None:
@@ -101,3 +134,5 @@ def test_a_spec_that_contradicts_its_environment_is_refused(spec: EnvSpec) -> No
     liar = dataclasses.replace(spec, obs_size=spec.obs_size + 1, obs_scale=(*spec.obs_scale, 1.0))
     with pytest.raises(ValueError, match="contradict"):
         liar.make()
+    with pytest.raises(ValueError, match="contradict"):
+        dataclasses.replace(spec, discrete=not spec.discrete).make()

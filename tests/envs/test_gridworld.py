@@ -7,7 +7,8 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from envs.gridworld import ACTIONS, GridWorld, ObjectWorld, Tabular, grid, objectworld, transitions
+from envs.gridworld import ACTIONS, SPEC, WORLD, GridWorld, ObjectWorld, grid, objectworld, transitions
+from envs.spec import Model, Tabular
 
 RIGHT, UP, LEFT, DOWN, STAY = range(5)
 
@@ -57,6 +58,7 @@ def test_rows_are_distributions_over_the_cell_and_its_neighbours(size: int, slip
 
 def test_grid_rewards_one_corner_and_marks_each_state() -> None:
     world = grid(3, 0.1)
+    assert world.obs.tolist() == [[x, y] for y in (-1, 0, 1) for x in (-1, 0, 1)]
     assert world.reward.tolist() == [0.0] * 8 + [1.0]
     assert np.array_equal(world.features, np.eye(9))
     assert world.start.sum() == pytest.approx(1)
@@ -72,12 +74,10 @@ def naive_distance(world: ObjectWorld, size: int, state: int, colours: np.ndarra
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.integers(2, 8), st.integers(1, 8), st.integers(2, 4), st.booleans(), st.integers(0, 2**32))
-def test_objectworld_recomputed_object_by_object(
-    size: int, objects: int, colours: int, continuous: bool, seed: int
-) -> None:
+@given(st.integers(2, 8), st.integers(1, 8), st.integers(2, 4), st.integers(0, 2**32))
+def test_objectworld_recomputed_object_by_object(size: int, objects: int, colours: int, seed: int) -> None:
     objects = min(objects, size**2)
-    world = objectworld(size, objects, colours, 0.3, np.random.default_rng(seed), continuous)
+    world = objectworld(size, objects, colours, 0.3, np.random.default_rng(seed))
     assert len(set(world.cells.tolist())) == objects
     for state in range(size**2):
         distances = [
@@ -89,22 +89,22 @@ def test_objectworld_recomputed_object_by_object(
             assert world.reward[state] == 0
         else:
             assert world.reward[state] == (1 if distances[colours + 1] < 2 else -1)
-        if continuous:
-            expected = [2 * d / (math.sqrt(2) * size) - 1 for d in distances]
-        else:
-            expected = [float(d < limit) for d in distances for limit in range(1, size + 1)]
-        np.testing.assert_allclose(world.features[state], expected, atol=1e-12)
+        y, x = divmod(state, size)
+        place = [2 * x / (size - 1) - 1, 2 * y / (size - 1) - 1]
+        scaled = [2 * d / (math.sqrt(2) * size) - 1 for d in distances]
+        np.testing.assert_allclose(world.obs[state], [*place, *scaled], atol=1e-7)
+        expected = [float(d < limit) for d in distances for limit in range(1, size + 1)]
+        assert world.features[state].tolist() == expected
 
 
 def test_objectworld_of_the_papers_size() -> None:
-    worlds = [objectworld(32, 51, 2, 0.375, np.random.default_rng(0), c) for c in (True, False)]
-    assert [w.features.shape for w in worlds] == [(1024, 4), (1024, 128)]
-    assert np.array_equal(worlds[0].reward, worlds[1].reward)
-    assert set(worlds[0].reward) == {-1.0, 0.0, 1.0}
+    world = objectworld(32, 51, 2, 0.375, np.random.default_rng(0))
+    assert (world.obs.shape, world.features.shape) == ((1024, 2 + 4), (1024, 128))
+    assert set(world.reward) == {-1.0, 0.0, 1.0}
 
 
 def test_discrete_features_determine_the_reward() -> None:
-    world = objectworld(12, 10, 3, 0.3, np.random.default_rng(1), continuous=False)
+    world = objectworld(12, 10, 3, 0.3, np.random.default_rng(1))
     rewards: dict[bytes, set[float]] = {}
     for features, reward in zip(world.features, world.reward, strict=True):
         rewards.setdefault(features.tobytes(), set()).add(float(reward))
@@ -124,7 +124,7 @@ def test_discrete_features_determine_the_reward() -> None:
 )
 def test_objectworld_refuses(size: int, objects: int, colours: int, slip: float, names: str) -> None:
     with pytest.raises(ValueError, match=names):
-        objectworld(size, objects, colours, slip, np.random.default_rng(0), continuous=True)
+        objectworld(size, objects, colours, slip, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
@@ -136,8 +136,14 @@ def test_objectworld_refuses(size: int, objects: int, colours: int, slip: float,
         ({"P": np.full((4, 5, 4), math.nan)}, "P must hold"),
         ({"P": np.tile([2.0, -1.0, 0.0, 0.0], (4, 5, 1))}, "P must hold"),
         ({"start": np.ones(4)}, "start must hold"),
-        ({"start": np.ones(3) / 3}, r"\(S,\)"),
+        ({"start": np.ones(3) / 3}, "S = 3"),
+        ({"obs": np.ones((3, 2))}, "obs must be"),
+        ({"obs": np.zeros((4, 0))}, "obs must be"),
+        ({"obs": np.zeros((4, 2))}, "different in each state"),
+        ({"obs": np.array([[0.1], [0.2], [0.3], [0.4]])}, "32-bit"),
+        ({"obs": np.array([[0], [1], [2], [math.nan]])}, "32-bit"),
         ({"reward": np.array([0, 0, 0, math.inf])}, "finite"),
+        ({"reward": np.zeros((4, 5))}, r"\(S,\)"),
         ({"features": np.full((4, 2), 1.01)}, "features must lie"),
         ({"features": np.full((4, 2), math.nan)}, "features must lie"),
         ({"features": np.ones((3, 2))}, "features must be"),
@@ -148,14 +154,60 @@ def test_tabular_refuses(changes: dict[str, np.ndarray], names: str) -> None:
         replace(grid(2, 0.3), **changes)
 
 
-def test_tabular_is_read_only() -> None:
+@pytest.mark.parametrize("name", ["P", "start", "obs", "reward", "features"])
+def test_tabular_is_read_only(name: str) -> None:
     with pytest.raises(ValueError, match="read-only"):
-        grid(2, 0.3).P[0, 0, 0] = 1
+        vars(grid(2, 0.3))[name].flat[0] = 1
+
+
+def test_states_are_those_whose_observation_is_nearest() -> None:
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(WORLD.obs))
+    assert WORLD.states(WORLD.obs[order]).tolist() == order.tolist()
+    seen = rng.uniform(-1.5, 1.5, (300, WORLD.obs.shape[1]))
+    distances = np.linalg.norm(seen[:, None] - WORLD.obs, axis=2)
+    assert WORLD.states(seen).tolist() == distances.argmin(axis=1).tolist()
+
+
+def test_a_model_tells_no_reward() -> None:
+    model = WORLD.model
+    assert type(model) is Model
+    assert set(vars(model)) == {"P", "start", "obs"}
+    for name, array in vars(model).items():
+        assert array is vars(WORLD)[name]
+
+
+def test_features_of_the_task_are_those_of_the_state_observed() -> None:
+    env = SPEC.make()
+    obs, info = env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for act in SPEC.random_actions(SPEC.horizon, rng):
+        features = SPEC.phi(obs.astype(np.float64)[None], act[None])
+        assert features.tolist() == [WORLD.features[info["state"]].tolist()]
+        obs, *_, info = env.step(SPEC.native(act))
+
+
+def test_drawings_show_what_cells_pay_and_where_the_agent_is() -> None:
+    env = SPEC.make()
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    for act in SPEC.random_actions(20, rng):
+        _, reward, *_, info = env.step(SPEC.native(act))
+        scene = SPEC.draw(env)
+        where = scene["agent"].points[:-1].mean(axis=0)
+        y, x = divmod(info["state"], 12)
+        np.testing.assert_allclose(where, [x, y], atol=1e-12)
+    del scene["agent"]
+    assert len(scene) == 144
+    for state, reward in enumerate(WORLD.reward):
+        y, x = divmod(state, 12)
+        red, green, _ = scene[f"cell_{x}_{y}"].colour
+        assert np.sign(green - red) == reward
+        np.testing.assert_allclose(scene[f"cell_{x}_{y}"].points[:-1].mean(axis=0), [x, y], atol=1e-12)
 
 
 def test_env_passes_gymnasiums_checks() -> None:
-    for continuous in (True, False):
-        world = objectworld(5, 4, 2, 0.3, np.random.default_rng(0), continuous)
+    for world in (objectworld(5, 4, 2, 0.3, np.random.default_rng(0)), grid(5, 0.3)):
         check_env(GridWorld(world), skip_render_check=True)
 
 
@@ -170,13 +222,14 @@ def play(env: GridWorld, seed: int, steps: int) -> list[tuple[int, float]]:
         assert (terminated, truncated) == (False, False)
         assert info["state"] == env.state
         assert reward == env.tabular.reward[before]
-        assert np.array_equal(obs, env.tabular.features[env.state].astype(np.float32))
+        assert obs.dtype == np.float32
+        assert np.array_equal(obs, env.tabular.obs[env.state])
         seen.append((env.state, reward))
     return seen
 
 
 def test_episodes_follow_from_the_seed() -> None:
-    world = objectworld(5, 6, 2, 0.3, np.random.default_rng(0), continuous=True)
+    world = objectworld(5, 6, 2, 0.3, np.random.default_rng(0))
     assert play(GridWorld(world), 1, 200) == play(GridWorld(world), 1, 200)
     assert play(GridWorld(world), 1, 200) != play(GridWorld(world), 2, 200)
 

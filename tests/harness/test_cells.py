@@ -97,6 +97,26 @@ def test_a_control_has_pi_r_alone(tmp_path: Path) -> None:
     assert {y for _, y in result.curves["pi_R"]} == {0.0}
 
 
+def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None:
+    reference, method, control, constant = (
+        run(Cell("gridworld", name, 0), tmp_path)
+        for name in ("reference", "maxmargin", "control_true", "control_plus1")
+    )
+    assert reference.warnings == []
+    expert, random = reference.rows
+    assert expert.return_mean > max(0, random.return_mean, constant.rows[0].return_mean)
+    assert (expert.env_steps, expert.rl_steps, expert.rl_solves) == (0, 0, 1)
+    star, retrained = method.rows
+    assert (star.policy, retrained.policy) == ("pi_star", "pi_R")
+    for row in (star, retrained, *control.rows):
+        assert (row.status, row.length_mean) == ("ok", 50)
+        assert (row.env_steps, row.rl_steps) == (0, 0)
+        assert row.rl_solves == 1 or row is star
+    assert reference.endings["expert"] == {"time limit": 5}
+    assert [p for p in cache.iterdir() if "gridworld" in p.name] == []
+    assert "gridworld__maxmargin__seed0__pi_star.rrd" in recordings(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("method", "policies"),
     [("reference", ("expert", "random")), ("bc", ("pi_star", "pi_R")), *((c, ("pi_R",)) for c in CONTROLS)],
@@ -123,7 +143,7 @@ def test_an_expert_is_trained_once(stored: Path, monkeypatch: pytest.MonkeyPatch
         pytest.fail("trained again")
 
     one = expert_for("cartpole", "smoke")
-    monkeypatch.setattr(experts, "Learner", never)
+    monkeypatch.setattr(experts, "solver_for", never)
     other = expert_for("cartpole", "smoke")
     obs = np.eye(4)
     np.testing.assert_array_equal(one.policy(obs), other.policy(obs))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import EnvSpec
+from envs import SPECS, EnvSpec
 from harness.simulator import Simulator, Trajectory
 from methods.base import Array
 
@@ -63,6 +63,27 @@ def test_shapes_and_types(fragile: EnvSpec) -> None:
         assert episode.obs.shape == (length + 1, 1)
         assert episode.act.shape == (length, 1)
         assert episode.obs.dtype == episode.act.dtype == episode.rewards.dtype == np.float64
+
+
+@pytest.mark.parametrize("spec", SPECS.values(), ids=list(SPECS))
+def test_what_is_recorded_is_what_was_done(spec: EnvSpec) -> None:
+    rng, asked = np.random.default_rng(0), []
+
+    def policy(obs: Array) -> Array:
+        asked.append(rng.uniform(-1, 1, (len(obs), spec.act_size)))
+        return asked[-1]
+
+    (episode,) = Simulator(spec).run(policy, [3])
+    assert episode.act.shape == (len(episode.rewards), spec.act_size)
+    if spec.discrete:
+        assert set(episode.act.ravel()) == {0.0, 1.0}
+        assert (episode.act.sum(axis=1) == 1).all()
+        assert episode.act.argmax(axis=1).tolist() == [int(a.argmax()) for a in asked]
+    else:
+        np.testing.assert_array_equal(episode.act, np.concatenate(asked))
+    env = spec.make()
+    seen = [env.reset(seed=3)[0], *(env.step(spec.native(act))[0] for act in episode.act)]
+    np.testing.assert_array_equal(episode.obs, np.stack(seen))
 
 
 def test_every_reset_and_step_is_watched(fragile: EnvSpec) -> None:

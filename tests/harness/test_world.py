@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import EnvSpec
+from envs import SPECS, EnvSpec
+from envs.spec import Model
 from harness.controls import Constant, control_reward
 from harness.evaluation import evaluate
 from harness.results import CONTROLS
@@ -26,6 +27,10 @@ def on_target(obs: Array) -> Array:
 
 def off_target(obs: Array) -> Array:
     return -np.sign(obs)
+
+
+def uniform(count: int, generator: np.random.Generator) -> Array:
+    return generator.uniform(-1, 1, (count, 2))
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -76,10 +81,37 @@ def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
 def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
     public = {name: value for name, value in vars(TaskWorld(steady, "absorbing")).items() if name[0] != "_"}
     assert set(public) == {
-        *("obs_size", "act_size", "horizon", "gamma", "phi"),
+        *("obs_size", "act_size", "horizon", "gamma", "phi", "model"),
         *("env_steps", "rl_steps", "rl_solves"),
     }
+    assert public.pop("model") is None
     assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")
+
+
+def test_random_actions_are_the_environments(steady: EnvSpec) -> None:
+    for spec in (steady, SPECS["gridworld"]):
+        found = TaskWorld(spec, "absorbing").random_actions(9, rng())
+        np.testing.assert_array_equal(found, spec.random_actions(9, rng()))
+
+
+def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
+    world = TaskWorld(SPECS["gridworld"], "absorbing")
+    assert type(world.model) is Model
+    assert set(vars(world.model)) == {"P", "start", "obs"}
+    policy: Any = world.solve(ZERO, rng(), 1)
+    assert set(vars(policy)) == {"model", "act"}
+    assert type(policy.model) is Model
+
+
+def test_in_a_known_model_a_solve_takes_no_steps() -> None:
+    world = TaskWorld(SPECS["gridworld"], "absorbing")
+    policy = world.solve(ZERO, rng(), 1000)
+    world.solve(ZERO, rng(), 1000, warm=True)
+    assert (world.env_steps, world.rl_steps, world.rl_solves) == (0, 0, 2)
+    episodes = world.rollout(policy, 3, rng())
+    assert world.env_steps == 3 * 50
+    assert episodes.terminated == (False,) * 3
+    np.testing.assert_array_equal(episodes.act[0], policy(episodes.obs[0][:-1]))
 
 
 def test_what_a_method_sees_of_a_trajectory_is_a_copy() -> None:
@@ -107,7 +139,7 @@ def control(name: str, demos: Episodes | None = None, seed: int = 0) -> Any:
         assert demos is not None, "only the untrained control needs demonstrations"
         return demos
 
-    return control_reward(name, draw, rng(seed))
+    return control_reward(name, draw, uniform, rng(seed))
 
 
 def test_constant_controls() -> None:
@@ -148,7 +180,18 @@ def test_the_untrained_control_of_demonstrations_that_terminate() -> None:
     reward = control("control_untrained", demos)
     obs, act = demos.pairs()
     assert reward.absorbing == pytest.approx(reward(obs, act, obs).mean())
-    assert reward.absorbing == default_absorbing(reward, demos, rng())
+    assert reward.absorbing == default_absorbing(reward, demos, uniform, rng())
+
+
+def test_the_untrained_control_of_choices_averages_over_choices() -> None:
+    spec, generator = SPECS["gridworld"], rng(5)
+    obs = tuple(generator.normal(size=(51, spec.obs_size)) for _ in range(40))
+    demos = Episodes(obs, tuple(np.tile(np.eye(5)[2], (50, 1)) for _ in obs), (False,) * 40)
+    reward: Any = control_reward("control_untrained", lambda: demos, spec.random_actions, rng())
+    at = demos.pairs()[0]
+    each = np.stack([reward(at, np.tile(choice, (2000, 1)), at) for choice in np.eye(5)])
+    assert abs(each.mean() - reward.absorbing) < 4 * each.std(axis=0).mean() / np.sqrt(2000)
+    assert abs(each[2].mean() - reward.absorbing) > 8 * each.std(axis=0).mean() / np.sqrt(2000)
 
 
 def test_the_untrained_control_differs_by_seed() -> None:

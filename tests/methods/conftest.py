@@ -1,4 +1,5 @@
-"""A world without dynamics that answers at once: for what methods compute themselves."""
+"""Worlds that answer at once, one without dynamics and one whose model is known: for what methods compute
+themselves."""
 
 from __future__ import annotations
 
@@ -7,7 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from envs.spec import Tabular
 from methods.base import Array, Episodes, Policy, Reward
+from methods.tabular import greedy, value_iteration
 
 
 class FakeWorld:
@@ -16,11 +19,14 @@ class FakeWorld:
     Every episode lasts `lifetime` steps, and terminates if that is less than the horizon.
     """
 
-    obs_size, act_size, horizon, gamma = 3, 2, 10, 0.9
+    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
 
     def __init__(self, lifetime: int = 10) -> None:
         self.lifetime = lifetime
         self.solves: list[tuple[Reward, int, bool]] = []
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return rng.uniform(-1, 1, (count, 2))
 
     def phi(self, obs: Array, act: Array) -> Array:
         return np.concatenate([act, np.ones((len(act), 1))], axis=1)
@@ -39,9 +45,56 @@ class FakeWorld:
 
 
 class NoEnvironment:
-    """The sizes of a world, and nothing in it that could be touched."""
+    """The sizes of a world and its actions, and nothing in it that could be touched."""
 
-    obs_size, act_size, horizon, gamma = 3, 2, 10, 0.9
+    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return rng.uniform(-1, 1, (count, 2))
+
+
+class FiniteWorld:
+    """A `Tabular` solved exactly by rewards of states and actions, and sampled."""
+
+    def __init__(self, tabular: Tabular, horizon: int = 10, gamma: float = 0.9) -> None:
+        self.tabular, self.model, self.horizon, self.gamma = tabular, tabular.model, horizon, gamma
+        self.obs_size, self.act_size = tabular.obs.shape[1], tabular.P.shape[1]
+        self.found: list[Array] = []
+        """What was solved, as (S, A)."""
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return np.eye(self.act_size)[rng.integers(self.act_size, size=count)]
+
+    def phi(self, obs: Array, act: Array) -> Array:
+        return self.tabular.features[self.model.states(obs)]
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        obs, act = [], []
+        for _ in range(episodes):
+            states = [rng.choice(len(self.model.start), p=self.model.start)]
+            choices = []
+            for _ in range(self.horizon):
+                choices.append(policy(self.model.obs[states[-1:]])[0])
+                after = self.model.P[states[-1], choices[-1].argmax()]
+                states.append(rng.choice(len(after), p=after))
+            obs.append(self.model.obs[states])
+            act.append(np.stack(choices))
+        return Episodes(tuple(obs), tuple(act), (False,) * episodes)
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        obs = np.repeat(self.model.obs, self.act_size, axis=0)
+        r = reward(obs, np.tile(np.eye(self.act_size), (len(self.model.obs), 1)), obs)
+        self.found.append(greedy(value_iteration(self.model.P, r.reshape(-1, self.act_size), self.gamma)[1]))
+        return self.policy(self.found[-1])
+
+    def policy(self, choices: Array) -> Policy:
+        """From (S, A)."""
+        return lambda obs: choices[self.model.states(obs)]
+
+    def optimal(self) -> Policy:
+        """Under the true reward."""
+        model = self.tabular
+        return self.policy(greedy(value_iteration(model.P, model.reward, self.gamma)[1]))
 
 
 @pytest.fixture
@@ -58,6 +111,12 @@ def mortal_world() -> FakeWorld:
 @pytest.fixture
 def no_environment() -> NoEnvironment:
     return NoEnvironment()
+
+
+@pytest.fixture
+def finite_world() -> type[FiniteWorld]:
+    """Makes a world whose model is known."""
+    return FiniteWorld
 
 
 @pytest.fixture

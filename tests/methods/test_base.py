@@ -48,6 +48,14 @@ def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) 
         Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
 
 
+def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-1, 1, (count, 2))
+
+
+def right(count: int, rng: np.random.Generator) -> np.ndarray:
+    return np.tile([0.0, 1.0], (count, 1))
+
+
 class Quadratic:
     absorbing = 0.0
 
@@ -57,10 +65,15 @@ class Quadratic:
 
 def test_absorption_pays_the_mean_over_uniform_actions() -> None:
     demos = episodes([20_000])
-    assert default_absorbing(Quadratic(), demos, np.random.default_rng(1)) == pytest.approx(-2 / 3, abs=0.02)
+    rng = np.random.default_rng(1)
+    assert default_absorbing(Quadratic(), demos, uniform, rng) == pytest.approx(-2 / 3, abs=0.02)
+
+
+def test_what_is_uniform_is_for_the_environment_to_say() -> None:
+    assert default_absorbing(Quadratic(), episodes([50]), right, np.random.default_rng(1)) == -1
 
 
 def test_absorption_pays_what_the_demonstrations_got_where_they_terminate_themselves() -> None:
     demos = episodes([50, 7], terminated=True)
     expected = -(demos.pairs()[1] ** 2).sum(1).mean()
-    assert default_absorbing(Quadratic(), demos, np.random.default_rng(1)) == pytest.approx(expected)
+    assert default_absorbing(Quadratic(), demos, uniform, np.random.default_rng(1)) == pytest.approx(expected)

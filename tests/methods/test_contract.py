@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from envs.gridworld import objectworld
 from methods.base import Array, Episodes, Learned, Method, Reward
 from methods.bc import BehaviourCloning
 from methods.maxent import MaxEnt
@@ -16,6 +17,7 @@ METHODS: dict[str, Method] = {
     "shaped": Shaped(steps=40),
     "bc": BehaviourCloning(steps=40),
     "maxmargin": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0),
+    "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),
     "maxent": MaxEnt(iterations=2, rollouts=3, reward_steps=20),
 }
 OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
@@ -32,12 +34,12 @@ def demos(request: pytest.FixtureRequest, demonstrate: Callable[..., Episodes]) 
     return demonstrate(lambda obs: np.clip(obs[:, :2], -0.9, 0.9), count=4, lifetime=request.param)
 
 
-def check(learned: Learned) -> None:
-    act = learned.policy(OBS)
-    assert act.shape == (40, 2)
+def check(learned: Learned, obs: Array = OBS, some: Array = ACT) -> None:
+    act = learned.policy(obs)
+    assert act.shape == some.shape
     assert np.abs(act).max() <= 1
-    np.testing.assert_array_equal(learned.policy(OBS), act)
-    np.testing.assert_allclose(learned.policy(OBS[3:4]), act[3:4])
+    np.testing.assert_array_equal(learned.policy(obs), act)
+    np.testing.assert_allclose(learned.policy(obs[3:4]), act[3:4])
     for curve in learned.curves.values():
         assert len(curve) > 0
         assert np.isfinite(curve).all()
@@ -47,17 +49,32 @@ def check(learned: Learned) -> None:
     assert isinstance(reward, Reward)
     assert isinstance(reward.absorbing, float)
     assert np.isfinite(reward.absorbing)
-    values = reward(OBS, ACT, OBS)
-    assert values.shape == (40,)
+    values = reward(obs, some, obs)
+    assert values.shape == (len(obs),)
     assert np.isfinite(values).all()
-    np.testing.assert_array_equal(reward(OBS, ACT, OBS), values)
-    np.testing.assert_allclose(reward(OBS[3:4], ACT[3:4], OBS[3:4]), values[3:4])
+    np.testing.assert_array_equal(reward(obs, some, obs), values)
+    np.testing.assert_allclose(reward(obs[3:4], some[3:4], obs[3:4]), values[3:4])
 
 
 def test_it_returns_a_deterministic_policy_and_a_finite_reward(
     method: Method, demos: Episodes, world: Any
 ) -> None:
     check(method.fit(demos, world, np.random.default_rng(0)))
+
+
+def test_so_it_does_where_the_model_is_known(method: Method, finite_world: Any) -> None:
+    def fit(seed: int) -> Learned:
+        world = finite_world(objectworld(4, 3, 2, 0.3, np.random.default_rng(0)))
+        demos = world.rollout(world.optimal(), 4, np.random.default_rng(1))
+        return method.fit(demos, world, np.random.default_rng(seed))
+
+    rng = np.random.default_rng(2)
+    obs, act = rng.normal(size=(40, 6)), np.eye(5)[rng.integers(5, size=40)]
+    one, same = fit(0), fit(0)
+    check(one, obs, act)
+    np.testing.assert_array_equal(one.policy(obs), same.policy(obs))
+    if one.reward is not None and same.reward is not None:
+        np.testing.assert_array_equal(one.reward(obs, act, obs), same.reward(obs, act, obs))
 
 
 def test_the_generator_decides_everything(method: Method, demos: Episodes, world: Any) -> None:

@@ -163,6 +163,26 @@ def test_visitations_sum_to_the_horizon_and_give_the_return(
 
 
 @settings(deadline=None)
+@given(problems(), st.integers(1, 8), st.booleans())
+def test_visitations_with_arrivals_are_those_of_each_arrival_from_its_time_on(
+    problem: tuple, horizon: int, timed: bool
+) -> None:
+    P, _, _, rng = problem
+    policy = random_policy(P, rng, horizon) if timed else random_policy(P, rng)
+    policies = np.broadcast_to(policy, (horizon, *P.shape[:2]))
+    arrivals = rng.normal(size=(horizon, len(P)))
+    given, expected = arrivals.copy(), np.zeros_like(arrivals)
+    for t, arrival in enumerate(arrivals):
+        expected[t:] += state_visitations(P, policies[t:], arrival, horizon - t)
+    np.testing.assert_allclose(state_visitations(P, policy, given, horizon), expected, atol=1e-9)
+    assert np.array_equal(given, arrivals)
+    given[1:] = 0
+    np.testing.assert_allclose(
+        state_visitations(P, policy, given, horizon), state_visitations(P, policy, given[0], horizon)
+    )
+
+
+@settings(deadline=None)
 @given(problems())
 def test_discounted_visitations_sum_to_the_horizon_and_give_the_value(problem: tuple) -> None:
     P, _, gamma, rng = problem
@@ -221,7 +241,7 @@ def test_large_rewards_end_where_rounding_does() -> None:
 
 
 def test_an_objectworld_is_solved() -> None:
-    world = objectworld(16, 20, 2, 0.375, np.random.default_rng(0), continuous=True)
+    world = objectworld(16, 20, 2, 0.375, np.random.default_rng(0))
     v, q = value_iteration(world.P, world.reward, 0.9, 1e-6)
     np.testing.assert_allclose(policy_value(world.P, world.reward, greedy(q), 0.9), v, atol=1e-5)
 
