@@ -1,15 +1,26 @@
-"""The margin problem is the distance to a convex hull; apprenticeship by it finds a constant expert."""
+"""The margin problem is the distance to a convex hull, which projections come near to; apprenticeship by
+either finds a constant expert, and a mixture as good as an optimal one."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import nnls
 
+from envs.gridworld import grid, objectworld
+from envs.spec import Tabular
 from methods.base import Array, Episodes
-from methods.maxmargin import LinearReward, MaxMargin, feature_expectations, max_margin
+from methods.maxmargin import (
+    LinearReward,
+    MaxMargin,
+    exact_feature_expectations,
+    feature_expectations,
+    max_margin,
+    projection,
+)
 
 POINTS = st.tuples(*[st.integers(-5, 5)] * 3).map(lambda p: np.array(p, float))
 
@@ -51,6 +62,62 @@ def test_the_margin_is_the_distance_to_the_segment_of_two(expert: Array, a: Arra
     assert t == pytest.approx(np.linalg.norm(expert - a - share * along), abs=1e-4)
     assert np.linalg.norm(w) <= 1 + 1e-6
     assert min((expert - mu) @ w for mu in (a, b)) == pytest.approx(t, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("found", "point"),
+    [
+        ([[2, 0]], [2, 0]),
+        ([[2, 0], [0, 2]], [1, 1]),
+        ([[2, 0], [0, 2], [-1, 0]], [-0.2, 0.4]),
+        ([[2, 0], [3, 1]], [2, 0]),
+        ([[2, 0], [1, 0]], [1, 0]),
+        ([[2, 0], [2, 0], [2, 2]], [2, 0]),
+        ([[2, 1], [-4, -2]], [0, 0]),
+        ([[0, 0], [1, 1]], [0, 0]),
+    ],
+    ids=[
+        "one",
+        "two",
+        "three",
+        "not away",
+        "not beyond",
+        "twice the same",
+        "reached",
+        "there from the start",
+    ],
+)
+def test_projections_by_hand(found: list[list[float]], point: list[float]) -> None:
+    expert = np.array([5.0, -3.0])
+    w, t = projection(expert, [expert + mu for mu in found])
+    margin = np.linalg.norm(point)
+    assert t == pytest.approx(margin, abs=1e-12)
+    np.testing.assert_allclose(w, -np.array(point) / (margin or 1), atol=1e-12)
+
+
+@given(POINTS, POINTS)
+@settings(deadline=None, max_examples=30)
+def test_of_one_policy_both_methods_say_the_same(expert: Array, mu: Array) -> None:
+    assume((expert != mu).any())
+    w, t = projection(expert, [mu])
+    its_w, its_t = max_margin(expert, [mu])
+    np.testing.assert_allclose(w, its_w, atol=1e-4)
+    assert t == pytest.approx(its_t, abs=1e-4)
+
+
+@given(POINTS, st.lists(POINTS, min_size=1, max_size=6))
+@settings(deadline=None, max_examples=30)
+def test_a_projection_lies_in_the_hull_and_comes_nearer_with_each_policy(
+    expert: Array, found: list[Array]
+) -> None:
+    margins = []
+    for count in range(1, len(found) + 1):
+        w, t = projection(expert, found[:count])
+        assert t >= max_margin(expert, found[:count])[1] - 1e-4
+        assert np.linalg.norm(w) == pytest.approx(1 if t > 0 else 0)
+        margins.append(t)
+    assert margins[0] == pytest.approx(np.linalg.norm(expert - found[0]))
+    assert (np.diff(margins) <= 1e-12).all()
 
 
 def constant(*action: float) -> Callable[[Array], Array]:
@@ -153,3 +220,96 @@ def test_what_absorption_pays_is_learned(
         alive = reward(np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3)))[0]
         assert np.sign(reward.absorbing) == sign
         assert np.sign(alive) == -sign
+
+
+MakeWorld = Callable[..., Any]
+
+
+def from_every_state(world: Any) -> Episodes:
+    """The optimal policy's demonstrations in a world without chance, one from each state."""
+    after, policy = world.model.P.argmax(axis=2), world.optimal()
+    obs, act = [], []
+    for state in range(len(after)):
+        path = [state]
+        for _ in range(world.horizon):
+            path.append(after[path[-1], policy(world.model.obs[path[-1:]])[0].argmax()])
+        obs.append(world.model.obs[path])
+        act.append(policy(obs[-1][:-1]))
+    return Episodes(tuple(obs), tuple(act), (False,) * len(obs))
+
+
+def test_exact_feature_expectations_are_those_of_every_episode(finite_world: MakeWorld) -> None:
+    world = finite_world(grid(3, 0.0))
+    exact = exact_feature_expectations(world.optimal(), world, world.model)
+    np.testing.assert_allclose(exact, feature_expectations(from_every_state(world), world), atol=1e-12)
+    assert exact[-1] == 0
+    assert exact.sum() == pytest.approx(1)
+
+
+def test_exact_feature_expectations_are_the_limit_of_rollouts(finite_world: MakeWorld) -> None:
+    world = finite_world(objectworld(5, 4, 2, 0.3, np.random.default_rng(0)))
+    rollouts = world.rollout(world.optimal(), 1000, np.random.default_rng(0))
+    # One episode's features differ by at most 1.
+    np.testing.assert_allclose(
+        exact_feature_expectations(world.optimal(), world, world.model),
+        feature_expectations(rollouts, world),
+        atol=4 * 0.5 / np.sqrt(1000),
+    )
+
+
+def distance_to_mixtures(expert: Array, found: list[Array]) -> float:
+    """From the nearest of their convex combinations."""
+    sum_to_1 = np.full(len(found), 1e3)
+    shares, _ = nnls(np.vstack([np.array(found).T, sum_to_1]), np.append(expert, 1e3))
+    return float(np.linalg.norm(expert - shares / shares.sum() @ np.array(found)))
+
+
+def tasks() -> dict[str, tuple[Tabular, int | None, float]]:
+    """A world, how many demonstrations there are (None: one from each state), epsilon.
+
+    Where there is chance, no mixture has just the demonstrations' mu_E, but one, the expert's, has it to
+    within what N episodes err. Without that room in epsilon it might never stop.
+    """
+    return {
+        "without chance": (grid(4, 0.0), None, 1e-3),
+        "slippery": (grid(4, 0.3), 500, 0.02),
+        "objects": (objectworld(6, 5, 2, 0.3, np.random.default_rng(0)), 500, 0.05),
+    }
+
+
+@pytest.mark.parametrize("by_projection", [False, True], ids=["margin problem", "projection"])
+@pytest.mark.parametrize("name", list(tasks()))
+def test_it_stops_where_a_mixture_of_what_it_found_is_as_good_as_the_expert(
+    finite_world: MakeWorld, monkeypatch: pytest.MonkeyPatch, name: str, by_projection: bool
+) -> None:
+    tabular, count, epsilon = tasks()[name]
+    world, rng = finite_world(tabular, horizon=50), np.random.default_rng(0)
+    demos = world.rollout(world.optimal(), count, rng) if count else from_every_state(world)
+    expert = feature_expectations(demos, world)
+    error = np.linalg.norm(expert - exact_feature_expectations(world.optimal(), world, world.model))
+    assert error < epsilon
+
+    def draw(size: int, rng: np.random.Generator, uniform: Any = world.random_actions) -> Array:
+        world.found.append(uniform(size, rng))
+        return world.found[-1]
+
+    monkeypatch.setattr(world, "random_actions", draw)
+    monkeypatch.setattr(world, "rollout", lambda *_: pytest.fail("it needs no rollouts"))
+    learned = MaxMargin(iterations=100, epsilon=epsilon, projection=by_projection).fit(demos, world, rng)
+    margins, distances = np.array(learned.curves["margin"]), learned.curves["distance"]
+    assert (np.diff(margins) <= 1e-6).all()
+    assert margins[-1] <= epsilon < margins[-2]
+
+    found = [exact_feature_expectations(world.policy(its), world, world.model) for its in world.found]
+    assert len(found) == len(margins) > 2
+    separate = projection if by_projection else max_margin
+    its_margins = [separate(expert, found[: i + 1])[1] for i in range(len(found))]
+    np.testing.assert_allclose(margins, its_margins, atol=1e-6)
+    assert distance_to_mixtures(expert, found) <= epsilon + 1e-6
+    # For a while, none of these did.
+    assert distance_to_mixtures(expert, found[:2]) > epsilon
+    # The one returned is the nearest by itself.
+    alone = [float(np.linalg.norm(expert - mu)) for mu in found[1:]]
+    np.testing.assert_allclose(distances, alone, atol=1e-12)
+    act = learned.policy(world.model.obs)
+    np.testing.assert_array_equal(act, world.found[1 + int(np.argmin(alone))])
