@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from harness.registry import BUDGETS, ENVS, METHODS, BadInput, choose
+from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
 from harness.results import PROTOCOLS, CellResult
 
 MOST = 1000
@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="irl-bench", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(dest="command", required=True)
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
-    add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join(METHODS))
+    add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
     add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join(ENVS))
     add.add_argument("--seeds", type=_count, metavar="K", help="how many, from 0 (default 1; 5 for full)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
@@ -93,15 +93,18 @@ def _count(text: str) -> int:
 
 
 def _list() -> int:
-    for title, entries in (("methods", {n: e.summary for n, e in METHODS.items()}), ("envs", ENVS)):
+    methods, variants = ({n: e.summary for n, e in table.items()} for table in (METHODS, VARIANTS))
+    sections = {"methods": methods, "variants of methods, not part of 'all'": variants, "envs": ENVS}
+    width = max(len(name) for section in sections.values() for name in section)
+    for title, section in sections.items():
         print(f"{title}:")
-        for name, summary in entries.items():
-            print(f"  {name:10} {summary}")
+        for name, summary in section.items():
+            print(f"  {name:{width}} {summary}")
     return 0
 
 
 def _run(args: argparse.Namespace) -> int:
-    methods = choose("method", args.methods, METHODS)
+    methods = choose("method", args.methods, METHODS, VARIANTS)
     envs = choose("env", args.envs, ENVS)
     # Imported here, for `--help` and `list` to answer at once.
     from harness.progress import say

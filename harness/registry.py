@@ -32,6 +32,15 @@ METHODS = {
     "maxent": Entry("methods.maxent:MaxEnt", "maximum-entropy deep IRL (Wulfmeier et al. 2015)"),
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
 }
+VARIANTS = {
+    "maxent_linear": Entry(
+        "methods.maxent_linear:MaxEntLinear", "maximum-entropy IRL with a linear reward (Ziebart et al. 2008)"
+    ),
+    "maxmargin_projection": Entry(
+        "methods.maxmargin:MaxMargin", "maxmargin by the paper's projection method instead"
+    ),
+}
+"""Methods that run when they are named, but are not part of 'all'."""
 ENVS = {
     "cartpole": "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
     "pendulum": "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
@@ -41,26 +50,29 @@ ENVS = {
 }
 
 
-def choose(kind: str, text: str, known: Collection[str]) -> tuple[str, ...]:
-    """The names in a comma-separated `text`, 'all' being every one, without repeats, in `known`'s order.
+def choose(kind: str, text: str, known: Collection[str], variants: Collection[str] = ()) -> tuple[str, ...]:
+    """The names in a comma-separated `text`, 'all' being every known one but no variant, without repeats, in
+    the order of `known` and then `variants`.
 
     Raises BadInput, with the closest match, for an unknown name; and for an empty list.
     """
     names = [name.strip() for name in text.split(",") if name.strip()]
+    choices = (*known, *variants)
     if not names:
-        raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(known)}")
+        raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     for name in names:
-        if name != "all" and name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+        if name != "all" and name not in choices:
+            near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(choices)}"
             raise BadInput(f"no {kind} named {name!r}; {hint}")
-    return tuple(name for name in known if "all" in names or name in names)
+    return tuple(name for name in choices if name in names or ("all" in names and name in known))
 
 
 def load_method(name: str) -> type[Method]:
     """The method's dataclass, imported now. Raises BadInput for an unknown name."""
-    if name not in METHODS:
-        choose("method", name, METHODS)
+    entries = METHODS | VARIANTS
+    if name not in entries:
+        choose("method", name, METHODS, VARIANTS)
         raise BadInput(f"{name!r} is not one method")
-    module, _, attribute = METHODS[name].target.partition(":")
+    module, _, attribute = entries[name].target.partition(":")
     return cast("type[Method]", getattr(importlib.import_module(module), attribute))

@@ -31,7 +31,12 @@ from harness.results import CONTROLS, REFERENCE, Cell, CellResult
 from harness.store import LOG, decode, encode
 
 ENV_COST = {"cartpole": 1.0, "pendulum": 1.5, "highway": 4.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
-METHOD_COST = {REFERENCE: 0.3, "bc": 0.3, "maxmargin": 1.5, "maxent": 1.5, **dict.fromkeys(CONTROLS, 1.0)}
+METHOD_COST = {
+    REFERENCE: 0.3,
+    "bc": 0.3,
+    **dict.fromkeys(("maxmargin", "maxmargin_projection", "maxent", "maxent_linear"), 1.5),
+    **dict.fromkeys(CONTROLS, 1.0),
+}
 EXPERT_COST = 2.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
 

@@ -16,7 +16,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from harness.files import write_atomic
-from harness.registry import ENVS, METHODS, BadInput
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult
 
 LOG = "run.log"
@@ -161,7 +161,7 @@ def _merged(path: Path, request: Request) -> Request:
         if there != asked:
             raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
     return Request(
-        methods=_union(METHODS, old.methods, request.methods),
+        methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=max(old.seeds, request.seeds),
         budget=old.budget,

@@ -110,7 +110,8 @@ def demonstrated(demos: Episodes, model: Model) -> Array:
 
 
 def log_likelihood(model: Model, r: Array, mu_demo: Array) -> tuple[float, Array]:
-    """Mean log-likelihood of a demonstrated step under the reward r (S,), and its gradient mu_D - E[mu] (S,).
+    """Mean log-likelihood of a demonstrated step under the reward r (S,) or (S, A), and its gradient
+    mu_D - E[mu], of the shape of r.
 
     E[mu] is what the policy would visit from where the demonstrations start and, where chance then leads
     them elsewhere than the model expects, from there: their luck is not the reward's doing.
@@ -122,18 +123,25 @@ def log_likelihood(model: Model, r: Array, mu_demo: Array) -> tuple[float, Array
     expected = state_visitations(model.P, policies, arrivals, horizon)  # 5
     seen = mu_demo > 0
     likelihood = float(mu_demo[seen] @ np.log(policies[seen]))  # 6
-    return likelihood / horizon, (mu_demo.sum(axis=2) - expected).sum(axis=0) / horizon  # 7
+    gradient = (mu_demo - expected[:, :, None] * policies).sum(axis=0)  # 7
+    return likelihood / horizon, (gradient if r.ndim == 2 else gradient.sum(axis=1)) / horizon
 
 
 def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array) -> Array:
     """(N, O + A + 1): every visited (observation, action, absorbing indicator), observations standardised;
     an episode that terminated visits the absorbing state, all zeros and 1, up to the horizon."""
     obs, act = episodes.pairs()
-    alive = np.concatenate([(obs - mean) / std, act, np.zeros((len(obs), 1))], axis=1)
-    steps = int(sum((horizon - episodes.lengths)[np.array(episodes.terminated)]))
-    absorbed = np.zeros((steps, alive.shape[1]))
-    absorbed[:, -1] = 1
-    return np.concatenate([alive, absorbed])
+    return with_absorbing_steps(np.concatenate([(obs - mean) / std, act], axis=1), episodes, horizon)
+
+
+def with_absorbing_steps(steps: Array, episodes: Episodes, horizon: int) -> Array:
+    """(N, K + 1): what describes each of the episodes' steps, (M, K), and an absorbing indicator; episodes
+    that terminated add their steps from there to the horizon, all zeros and 1."""
+    left = int(sum((horizon - episodes.lengths)[np.array(episodes.terminated)]))
+    visits = np.zeros((len(steps) + left, steps.shape[1] + 1))
+    visits[: len(steps), :-1] = steps
+    visits[len(steps) :, -1] = 1
+    return visits
 
 
 def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:

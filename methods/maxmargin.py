@@ -24,7 +24,7 @@ import cvxpy as cp
 import numpy as np
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, LinearReward, Policy, World
 from methods.tabular import state_visitations
 
 
@@ -129,18 +129,3 @@ def exact_feature_expectations(policy: Policy, world: World, model: Model) -> Ar
     choices = np.eye(world.act_size)[act.argmax(axis=1)]
     visits = discounts(world) @ state_visitations(model.P, choices, model.start, world.horizon)
     return np.append(visits @ world.phi(model.obs, choices), 0.0)
-
-
-@dataclass(frozen=True)
-class LinearReward:
-    """w^T phi(s, a), the last weight being what the absorbing state pays."""
-
-    world: World
-    w: Array
-
-    @property
-    def absorbing(self) -> float:
-        return float(self.w[-1])
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.world.phi(obs, act) @ self.w[:-1]

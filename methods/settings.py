@@ -14,6 +14,7 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin", "gridworld", "*"): {"iterations": 30},
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
     ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},
+    ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
 

@@ -1,6 +1,8 @@
 """The command line: what it promises, what it refuses, and that nothing finished is ever lost."""
 
 import dataclasses
+import functools
+import itertools
 import json
 import os
 import pty
@@ -16,6 +18,7 @@ import pytest
 
 from harness import cli, registry, store
 from harness.results import CONTROLS
+from methods.settings import settings_for
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -72,7 +75,8 @@ def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command:
     assert done.stdout.splitlines()[-1] == "set()"
     # Processor time, since the machine may be busy with other things.
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
-    assert all(name in done.stdout for name in registry.METHODS) or command == ["--help"]
+    names = [*registry.METHODS, *registry.VARIANTS]
+    assert all(name in done.stdout for name in names) or command == ["--help"]
 
 
 def test_the_registry_tells_the_truth() -> None:
@@ -80,10 +84,34 @@ def test_the_registry_tells_the_truth() -> None:
 
     assert {name: spec.summary for name, spec in envs.SPECS.items()} == registry.ENVS
     assert envs.BUDGETS == registry.BUDGETS
-    for name in registry.METHODS:
-        assert dataclasses.is_dataclass(registry.load_method(name))
+    for name in (*registry.METHODS, *registry.VARIANTS):
+        method = registry.load_method(name)
+        assert dataclasses.is_dataclass(method)
+        for env, budget in itertools.product(registry.ENVS, registry.BUDGETS):
+            method(**settings_for(name, env, budget))
     with pytest.raises(registry.BadInput, match="did you mean 'maxmargin'"):
         registry.load_method("maxmagin")
+
+
+def test_variants_run_when_named_and_not_in_all() -> None:
+    choose = functools.partial(registry.choose, "method", known=registry.METHODS, variants=registry.VARIANTS)
+    assert choose("all") == tuple(registry.METHODS)
+    assert choose("maxent_linear, bc") == ("bc", "maxent_linear")
+    assert choose("maxmargin_projection,all") == (*registry.METHODS, "maxmargin_projection")
+    assert not registry.METHODS.keys() & registry.VARIANTS.keys()
+    assert registry.load_method("maxmargin_projection") is registry.load_method("maxmargin")
+    settings = settings_for("maxmargin_projection", "cartpole", "quick")
+    assert registry.load_method("maxmargin_projection")(**settings).projection
+    with pytest.raises(registry.BadInput, match="did you mean 'maxent_linear'"):
+        choose("maxent_liner")
+
+
+def test_list_tells_variants_from_methods(main: Main) -> None:
+    code, out, _ = main("list")
+    assert code == 0
+    methods, variants = out.partition("envs:")[0].split("variants of methods, not part of 'all':\n")
+    for names, text in ((registry.METHODS, methods.partition("\n")[2]), (registry.VARIANTS, variants)):
+        assert [line.split()[0] for line in text.splitlines()] == list(names)
 
 
 @pytest.mark.parametrize(
@@ -135,10 +163,10 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     assert err == "WARNING: cartpole: low bar\n"
     assert len(computed(run)) == PER_SEED + 1
     before = scores(run)
-    code, out, _ = main(*SMOKE, "--methods", "shaped,bc", "--seeds", "2")
+    code, out, _ = main(*SMOKE, "--methods", "shaped,bc,maxent_linear", "--seeds", "2")
     assert code == 0
-    assert "9 cells to run, 7 kept" in out
-    assert len(computed(run)) == len(set(computed(run))) == 2 * (PER_SEED + 2)
+    assert "11 cells to run, 7 kept" in out
+    assert len(computed(run)) == len(set(computed(run))) == 2 * (PER_SEED + 3)
     assert before.items() <= scores(run).items()
     code, _, err = main("run", "--budget", "quick")
     assert (code, err) == (

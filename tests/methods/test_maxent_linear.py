@@ -1,0 +1,201 @@
+"""Linear maximum-entropy IRL climbs to the top of the likelihood, whoever climbs; its continuous path solves
+for what gradient steps would approach."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs.gridworld import objectworld
+from envs.spec import Model
+from methods.base import Array, Episodes, LinearReward, Policy, Reward
+from methods.maxent import MaxEnt, demonstrated, log_likelihood
+from methods.maxent_linear import MaxEntLinear, moments
+from methods.tabular import finite_soft_value_iteration, value_iteration
+
+HORIZON = 12
+TABULAR = objectworld(6, 5, 2, 0.2, np.random.default_rng(3))
+MODEL = TABULAR.model
+WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
+
+
+class KnownWorld:
+    """An objectworld whose features are its observations, solved exactly and greedily."""
+
+    obs_size, act_size, horizon, gamma = 6, 5, HORIZON, 0.9
+    model: Model | None = MODEL
+
+    def phi(self, obs: Array, act: Array) -> Array:
+        return obs
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        r = reward(MODEL.obs, np.zeros((len(MODEL.obs), 5)), MODEL.obs)
+        best = value_iteration(MODEL.P, r, self.gamma)[1].argmax(axis=1)
+        return lambda obs: np.eye(5)[best[MODEL.states(obs)]]
+
+
+def soft_demonstrations(count: int) -> Episodes:
+    """Of the policy that is optimal in return plus entropy under w^T obs."""
+    rng = np.random.default_rng(0)
+    _, policies = finite_soft_value_iteration(MODEL.P, MODEL.obs @ WEIGHTS, HORIZON)
+    obs, act = np.empty((count, HORIZON + 1, 6)), np.zeros((count, HORIZON, 5))
+    for i in range(count):
+        state = rng.choice(len(MODEL.start), p=MODEL.start)
+        obs[i, 0] = MODEL.obs[state]
+        for t in range(HORIZON):
+            action = rng.choice(5, p=policies[t, state])
+            act[i, t, action] = 1
+            state = rng.choice(len(MODEL.start), p=MODEL.P[state, action])
+            obs[i, t + 1] = MODEL.obs[state]
+    return Episodes(tuple(obs), tuple(act), (False,) * count)
+
+
+@pytest.fixture(scope="module")
+def demos() -> Episodes:
+    return soft_demonstrations(1000)
+
+
+def on_states(reward: Reward) -> Array:
+    return reward(MODEL.obs, np.zeros((len(MODEL.obs), 5)), MODEL.obs)
+
+
+def test_a_network_without_hidden_layers_climbs_to_the_same_likelihood_and_policy(demos: Episodes) -> None:
+    world: Any = KnownWorld()
+    linear = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0))
+    deep = MaxEnt(layers=(), iterations=600, learning_rate=1e-1).fit(demos, world, np.random.default_rng(0))
+    mu_demo = demonstrated(demos, MODEL)
+    best, other = (log_likelihood(MODEL, on_states(fit.reward), mu_demo)[0] for fit in (linear, deep))
+    truth = log_likelihood(MODEL, MODEL.obs @ WEIGHTS, mu_demo)[0]
+    start = log_likelihood(MODEL, np.zeros(len(MODEL.start)), mu_demo)[0]
+    assert start < truth - 0.1 < truth <= best
+    assert best - 1e-6 < other <= best + 1e-6
+    np.testing.assert_array_equal(linear.policy(MODEL.obs), deep.policy(MODEL.obs))
+
+
+def test_it_finds_the_weights_that_demonstrated(demos: Episodes) -> None:
+    world: Any = KnownWorld()
+    reward: Any = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0)).reward
+    np.testing.assert_allclose(reward.w[:-1], WEIGHTS, atol=0.4)
+    assert reward.absorbing == 0
+    shrunk: Any = MaxEntLinear(weight_prior=1.0).fit(demos, world, np.random.default_rng(0)).reward
+    assert np.linalg.norm(shrunk.w) < 0.5 * np.linalg.norm(WEIGHTS)
+
+
+def test_the_gradient_for_rewards_of_pairs_is_that_of_the_likelihood(demos: Episodes) -> None:
+    rng = np.random.default_rng(1)
+    mu_demo = demonstrated(demos, MODEL)
+    r, direction = rng.normal(size=(2, *MODEL.P.shape[:2]))
+    up, down = (log_likelihood(MODEL, r + step * direction, mu_demo)[0] for step in (1e-4, -1e-4))
+    _, gradient = log_likelihood(MODEL, r, mu_demo)
+    assert gradient.shape == r.shape
+    assert (gradient * direction).sum() == pytest.approx((up - down) / 2e-4, rel=1e-5)
+    by_state = log_likelihood(MODEL, r[:, 0], mu_demo)
+    by_pair = log_likelihood(MODEL, np.tile(r[:, :1], (1, 5)), mu_demo)
+    assert by_pair[0] == pytest.approx(by_state[0])
+    np.testing.assert_allclose(by_pair[1].sum(axis=1), by_state[1], atol=1e-12)
+
+
+def test_features_of_actions_count_where_the_model_is_known(demos: Episodes) -> None:
+    class Tired(KnownWorld):
+        def phi(self, obs: Array, act: Array) -> Array:
+            return act[:, 4:]
+
+        def solve(self, *_: object, **__: object) -> Policy:
+            return lambda obs: np.eye(5)[np.zeros(len(obs), int)]
+
+    stays = tuple(np.tile(np.eye(5)[4], (HORIZON, 1)) for _ in demos.act)
+    world: Any = Tired()
+    for episodes, sign in ((demos, -1), (dataclasses.replace(demos, act=stays), 1)):
+        reward: Any = MaxEntLinear().fit(episodes, world, np.random.default_rng(0)).reward
+        share = np.concatenate(episodes.act)[:, 4].mean()
+        assert np.sign(share - 0.2) == np.sign(reward.w[0]) == sign
+
+
+def constant(*action: float) -> Callable[[Array], Array]:
+    return lambda obs: np.tile(action, (len(obs), 1))
+
+
+class Bandit:
+    """Observations say nothing; features are the action and its square; `solve` tries a grid of actions."""
+
+    obs_size, act_size, horizon, gamma, model = 1, 1, 10, 0.9, None
+
+    def __init__(self, lifetime: int = 10) -> None:
+        self.lifetime = lifetime
+        self.solves: list[tuple[Reward, int, bool, Policy]] = []
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return rng.uniform(-1, 1, (count, 1))
+
+    def phi(self, obs: Array, act: Array) -> Array:
+        return np.concatenate([act, act**2], axis=1)
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        obs = tuple(np.zeros((self.lifetime + 1, 1)) for _ in range(episodes))
+        return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        actions = np.linspace(-1, 1, 41)[:, None]
+        best = actions[reward(np.zeros_like(actions), actions, np.zeros_like(actions)).argmax()]
+        self.solves.append((reward, steps, warm, constant(*best)))
+        return self.solves[-1][3]
+
+
+@pytest.mark.parametrize("action", [-0.6, 0.0, 0.85])
+def test_on_average_its_policies_match_the_demonstrated_features(action: float) -> None:
+    world: Any = Bandit()
+    demos = world.rollout(constant(action), 5, np.random.default_rng(0))
+    learned = MaxEntLinear(iterations=30, rl_steps=7).fit(demos, world, np.random.default_rng(0))
+    chosen = np.concatenate([policy(np.zeros((1, 1))) for *_, policy in world.solves])
+    np.testing.assert_allclose(world.phi(chosen, chosen).mean(axis=0), [action, action**2], atol=0.1)
+    (gaps,) = learned.curves.values()
+    assert gaps[-1] < 0.1 * gaps[0]
+    assert [solve[1:3] for solve in world.solves] == [(14, False), *[(7, True)] * 29]
+    assert learned.reward is world.solves[-1][0]
+    assert learned.policy is world.solves[-1][3]
+
+
+def test_weights_minimise_the_loss_of_the_network() -> None:
+    """e - d + prior / 2 (d^2 + e^2) on average, for rewards d of demonstrations and e of rollouts."""
+    world: Any = Bandit()
+    demos = world.rollout(constant(0.4), 5, np.random.default_rng(0))
+    method = MaxEntLinear(iterations=1, rollouts=50, prior=0.7, weight_prior=1e-9)
+    w = method.fit(demos, world, np.random.default_rng(0)).reward.w
+    rng = np.random.default_rng(0)
+    rollouts = world.rollout(lambda obs: world.random_actions(len(obs), rng), 50, rng)
+
+    def loss(w: Array) -> float:
+        d, e = (world.phi(*episodes.pairs()) @ w[:-1] for episodes in (demos, rollouts))
+        return float(e.mean() - d.mean() + 0.35 * (np.square(d).mean() + np.square(e).mean()))
+
+    for nudge in np.random.default_rng(1).normal(size=(20, 3)) * 0.01:
+        assert loss(w) < loss(w + nudge)
+
+
+@pytest.mark.parametrize(("lifetime", "sign"), [(2, 1), (10, -1)])
+def test_what_absorption_pays_is_learned(lifetime: int, sign: int) -> None:
+    """Demonstrations terminate after two steps where rollouts live, and the reverse."""
+    dies, lives = Bandit(lifetime=2), Bandit()
+    demonstrated_in, world = (dies, lives) if lifetime == 2 else (lives, dies)
+    demos = demonstrated_in.rollout(constant(0.5), 5, np.random.default_rng(0))
+    reward: Any = MaxEntLinear().fit(demos, world, np.random.default_rng(0)).reward
+    assert np.sign(reward.absorbing) == sign
+
+
+def test_moments_count_absorbing_steps_up_to_the_horizon() -> None:
+    world: Any = Bandit(lifetime=4)
+    mean, second = moments(world.rollout(constant(0.5), 3, np.random.default_rng(0)), world)
+    np.testing.assert_allclose(mean, [0.4 * 0.5, 0.4 * 0.25, 0.6])
+    np.testing.assert_allclose(
+        second, [[0.4 * 0.25, 0.4 * 0.125, 0], [0.4 * 0.125, 0.4 * 0.0625, 0], [0, 0, 0.6]]
+    )
+
+
+def test_the_reward_is_linear_and_its_last_weight_is_absorption() -> None:
+    world: Any = Bandit()
+    reward = LinearReward(world, np.array([2.0, -1.0, 7.0]))
+    act = np.array([[1.0], [0.5]])
+    np.testing.assert_allclose(reward(np.zeros((2, 1)), act, np.zeros((2, 1))), [1.0, 0.75])
+    assert reward.absorbing == 7.0
