@@ -21,7 +21,6 @@ METHODS: dict[str, Method] = {
     "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),
     "maxent": MaxEnt(iterations=2, rollouts=3, reward_steps=20),
     "maxent_linear": MaxEntLinear(iterations=2, rollouts=3),
-    "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),
 }
 OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
 ACT = np.random.default_rng(8).uniform(-1, 1, (40, 2))
