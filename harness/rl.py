@@ -85,7 +85,7 @@ SETTINGS: dict[str, Settings] = {
         noise=0.15,
         gradient_steps=10,
         critics=2,
-        checkpoint_every=2500,
+        checkpoint_every=1500,
         check_episodes=10,
     ),
 }
