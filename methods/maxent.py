@@ -3,7 +3,8 @@
 mu_D - E[mu], propagated back through a reward network.
 
 Where the model is known this is the algorithm line by line; the likelihood is that of maximum causal entropy
-up to the horizon (Ziebart, Bagnell & Dey 2010), without a discount, for only then is that its gradient.
+up to the horizon (Ziebart, Bagnell & Dey 2010), with the discount that rewards are solved under: one that
+explains the demonstrations without it may be worth another journey with it.
 
 Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is warm-started RL and
 the expected visitations E[mu] come from rollouts of it. They are averaged over the iterations, and a Gaussian
@@ -62,7 +63,7 @@ class MaxEnt:
         likelihoods: list[float] = []
         for _ in range(self.iterations):  # 2
             r = network(features)[:, 0]  # 3
-            likelihood, gradient = log_likelihood(model, r.detach().double().numpy(), mu_demo)
+            likelihood, gradient = log_likelihood(model, r.detach().double().numpy(), mu_demo, world.gamma)
             optimizer.zero_grad()
             r.backward(-torch.as_tensor(gradient, dtype=torch.float32))  # 8
             optimizer.step()  # 9
@@ -109,18 +110,19 @@ def demonstrated(demos: Episodes, model: Model) -> Array:
     return mu
 
 
-def log_likelihood(model: Model, r: Array, mu_demo: Array) -> tuple[float, Array]:
+def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tuple[float, Array]:
     """Mean log-likelihood of a demonstrated step under the reward r (S,) or (S, A), and its gradient
     mu_D - E[mu], of the shape of r.
 
     E[mu] is what the policy would visit from where the demonstrations start and, where chance then leads
-    them elsewhere than the model expects, from there: their luck is not the reward's doing.
+    them elsewhere than the model expects, from there: their luck is not the reward's doing. A discount is a
+    chance 1 - gamma at each step to go on from where the demonstrations are.
     """
     horizon = len(mu_demo)
-    _, policies = finite_soft_value_iteration(model.P, r, horizon)  # 4
+    _, policies = finite_soft_value_iteration(model.P, r, horizon, gamma)  # 4
     arrivals = mu_demo.sum(axis=2)
-    arrivals[1:] -= np.tensordot(mu_demo[:-1], model.P, axes=2)
-    expected = state_visitations(model.P, policies, arrivals, horizon)  # 5
+    arrivals[1:] -= np.tensordot(mu_demo[:-1], gamma * model.P, axes=2)
+    expected = state_visitations(gamma * model.P, policies, arrivals, horizon)  # 5
     seen = mu_demo > 0
     likelihood = float(mu_demo[seen] @ np.log(policies[seen]))  # 6
     gradient = (mu_demo - expected[:, :, None] * policies).sum(axis=0)  # 7

@@ -53,7 +53,7 @@ class MaxEntLinear:
         likelihoods: list[float] = []
 
         def loss(w: Array) -> tuple[float, Array]:
-            likelihood, gradient = log_likelihood(model, phi @ w, mu_demo)
+            likelihood, gradient = log_likelihood(model, phi @ w, mu_demo, world.gamma)
             likelihoods.append(likelihood)
             value = 0.5 * self.weight_prior * float(w @ w) - likelihood
             return value, self.weight_prior * w - np.tensordot(gradient, phi, axes=2)

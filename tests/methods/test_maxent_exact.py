@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from envs.gridworld import grid, objectworld
+from envs.gridworld import SPEC, WORLD, grid, objectworld
 from envs.spec import Tabular
 from methods.base import Array, Episodes, Policy
 from methods.maxent import MaxEnt, demonstrated, log_likelihood
@@ -18,6 +18,7 @@ from methods.tabular import finite_soft_value_iteration, policy_value, state_vis
 MakeWorld = Callable[..., Any]
 HORIZON = 6
 SLIPS = pytest.mark.parametrize("slip", [0.0, 0.3])
+GAMMAS = pytest.mark.parametrize("gamma", [1.0, 0.8])
 
 
 def wander(world: Any, count: int, seed: int = 0) -> Episodes:
@@ -26,12 +27,12 @@ def wander(world: Any, count: int, seed: int = 0) -> Episodes:
     return world.rollout(lambda obs: world.random_actions(len(obs), rng), count, rng)
 
 
-def naive_likelihood(tabular: Tabular, r: Array, demos: Episodes) -> float:
+def naive_likelihood(tabular: Tabular, r: Array, demos: Episodes, gamma: float) -> float:
     """The sum of log pi_t(a|s) over all steps, pi_t in proportion to exp Q_t, with t steps gone."""
     v = np.zeros(len(r))
     log_policies = []
     for _ in range(HORIZON):
-        q = np.array([[r[s] + row @ v for row in rows] for s, rows in enumerate(tabular.P)])
+        q = np.array([[r[s] + gamma * row @ v for row in rows] for s, rows in enumerate(tabular.P)])
         v = logsumexp(q, axis=1)
         log_policies.insert(0, q - v[:, None])
     total = 0.0
@@ -42,10 +43,10 @@ def naive_likelihood(tabular: Tabular, r: Array, demos: Episodes) -> float:
     return total
 
 
-def soft_visits(tabular: Tabular, r: Array, horizon: int = HORIZON) -> Array:
+def soft_visits(tabular: Tabular, r: Array, gamma: float) -> Array:
     """(T, S, A): the state-action visitations of the soft policy."""
-    _, policies = finite_soft_value_iteration(tabular.P, r, horizon)
-    return state_visitations(tabular.P, policies, tabular.start, horizon)[:, :, None] * policies
+    _, policies = finite_soft_value_iteration(tabular.P, r, HORIZON, gamma)
+    return state_visitations(tabular.P, policies, tabular.start, HORIZON)[:, :, None] * policies
 
 
 def test_demonstrated_visits_by_hand() -> None:
@@ -71,30 +72,33 @@ def test_demonstrations_of_unequal_length_are_refused(finite_world: MakeWorld) -
 
 
 @SLIPS
+@GAMMAS
 @pytest.mark.parametrize("scale", [0.3, 3.0])
 def test_the_gradient_is_that_of_the_demonstrations_likelihood(
-    finite_world: MakeWorld, slip: float, scale: float
+    finite_world: MakeWorld, slip: float, gamma: float, scale: float
 ) -> None:
     tabular = grid(3, slip)
     demos = wander(finite_world(tabular, HORIZON), 5)
     r = scale * np.random.default_rng(1).normal(size=9)
     steps, size = 5 * HORIZON, 1e-5
-    likelihood, gradient = log_likelihood(tabular, r, demonstrated(demos, tabular))
-    assert likelihood == pytest.approx(naive_likelihood(tabular, r, demos) / steps, abs=1e-12)
+    likelihood, gradient = log_likelihood(tabular, r, demonstrated(demos, tabular), gamma)
+    assert likelihood == pytest.approx(naive_likelihood(tabular, r, demos, gamma) / steps, abs=1e-12)
     differences = [
-        naive_likelihood(tabular, r + size * e, demos) - naive_likelihood(tabular, r - size * e, demos)
-        for e in np.eye(9)
+        naive_likelihood(tabular, r + change, demos, gamma)
+        - naive_likelihood(tabular, r - change, demos, gamma)
+        for change in size * np.eye(9)
     ]
     assert np.abs(gradient).max() > 0.01
     np.testing.assert_allclose(gradient, np.array(differences) / (2 * size * steps), atol=1e-8)
 
 
 @SLIPS
-def test_expected_visits_sum_to_the_horizon(finite_world: MakeWorld, slip: float) -> None:
+@GAMMAS
+def test_expected_visits_sum_to_the_horizon(finite_world: MakeWorld, slip: float, gamma: float) -> None:
     tabular = grid(4, slip)
     mu = demonstrated(wander(finite_world(tabular, HORIZON), 3), tabular)
     np.testing.assert_allclose(mu.sum(axis=(1, 2)), 1)
-    _, gradient = log_likelihood(tabular, np.random.default_rng(1).normal(size=16), mu)
+    _, gradient = log_likelihood(tabular, np.random.default_rng(1).normal(size=16), mu, gamma)
     expected = mu.sum(axis=(0, 2)) - HORIZON * gradient
     assert expected.sum() == pytest.approx(HORIZON)
     assert np.abs(gradient).max() > 0.01
@@ -108,25 +112,26 @@ def test_without_chance_expected_visits_start_where_demonstrations_do(finite_wor
     np.add.at(starts, tabular.states(np.stack([obs[0] for obs in demos.obs])), 0.25)
     _, policies = finite_soft_value_iteration(tabular.P, r, HORIZON)
     expected = state_visitations(tabular.P, policies, starts, HORIZON).sum(axis=0)
-    _, gradient = log_likelihood(tabular, r, mu)
+    _, gradient = log_likelihood(tabular, r, mu, gamma=1.0)
     np.testing.assert_allclose(gradient, (mu.sum(axis=(0, 2)) - expected) / HORIZON, atol=1e-12)
 
 
 @SLIPS
-def test_the_gradient_vanishes_where_the_soft_policy_demonstrates(slip: float) -> None:
+@GAMMAS
+def test_the_gradient_vanishes_where_the_soft_policy_demonstrates(slip: float, gamma: float) -> None:
     tabular, rng = grid(3, slip), np.random.default_rng(0)
     r = rng.normal(size=9)
-    mu = soft_visits(tabular, r)
-    best, gradient = log_likelihood(tabular, r, mu)
+    mu = soft_visits(tabular, r, gamma)
+    best, gradient = log_likelihood(tabular, r, mu, gamma)
     np.testing.assert_allclose(gradient, 0, atol=1e-12)
-    assert log_likelihood(tabular, r + 7.0, mu)[0] == pytest.approx(best)
+    assert log_likelihood(tabular, r + 7.0, mu, gamma)[0] == pytest.approx(best)
     for _ in range(20):
-        assert log_likelihood(tabular, r + 0.3 * rng.normal(size=9), mu)[0] < best
+        assert log_likelihood(tabular, r + 0.3 * rng.normal(size=9), mu, gamma)[0] < best
 
 
-def soft_demonstrations(tabular: Tabular, count: int, horizon: int) -> Episodes:
+def soft_demonstrations(tabular: Tabular, count: int, gamma: float) -> Episodes:
     rng = np.random.default_rng(0)
-    _, policies = finite_soft_value_iteration(tabular.P, tabular.reward, horizon)
+    _, policies = finite_soft_value_iteration(tabular.P, tabular.reward, HORIZON, gamma)
     obs, acts = [], []
     for _ in range(count):
         states, choices = [rng.choice(len(tabular.start), p=tabular.start)], []
@@ -141,19 +146,19 @@ def soft_demonstrations(tabular: Tabular, count: int, horizon: int) -> Episodes:
 
 def test_a_fit_ascends_to_where_the_gradient_vanishes(finite_world: MakeWorld) -> None:
     tabular = grid(3, 0.3)
-    demos = soft_demonstrations(tabular, 500, HORIZON)
-    learned = MaxEnt(iterations=600, learning_rate=1e-2).fit(
-        demos, finite_world(tabular, HORIZON), np.random.default_rng(0)
-    )
+    world = finite_world(tabular, HORIZON)
+    demos = soft_demonstrations(tabular, 500, world.gamma)
+    learned = MaxEnt(iterations=600, learning_rate=1e-2).fit(demos, world, np.random.default_rng(0))
     (curve,) = learned.curves.values()
     assert len(curve) == 600
     mu = demonstrated(demos, tabular)
     r = learned.reward(tabular.obs, np.zeros((9, 5)), tabular.obs)
-    likelihood, gradient = log_likelihood(tabular, r, mu)
-    assert np.abs(gradient).max() < 2e-3 < np.abs(log_likelihood(tabular, np.zeros(9), mu)[1]).max()
+    likelihood, gradient = log_likelihood(tabular, r, mu, world.gamma)
+    at_first = log_likelihood(tabular, np.zeros(9), mu, world.gamma)[1]
+    assert np.abs(gradient).max() < 2e-3 < np.abs(at_first).max()
     assert likelihood == pytest.approx(curve[-1], abs=1e-4)
     # The likeliest reward is likelier than the true one, and near it up to a constant.
-    assert log_likelihood(tabular, tabular.reward, mu)[0] < likelihood
+    assert log_likelihood(tabular, tabular.reward, mu, world.gamma)[0] < likelihood
     np.testing.assert_allclose(r - r.mean(), tabular.reward - tabular.reward.mean(), atol=0.25)
 
 
@@ -188,3 +193,11 @@ def test_an_objectworld_is_recovered_the_better_the_more_is_demonstrated(finite_
     assert uniform > 0.5
     assert max(differences[128]) <= 0.05
     assert np.mean(differences[128]) < 0.5 * np.mean(differences[4])
+
+
+def test_what_the_reward_says_holds_at_the_discount_of_the_solve(finite_world: MakeWorld) -> None:
+    """A likelihood without the discount explains long journeys to the best cells by too little."""
+    world, rng = finite_world(WORLD, SPEC.horizon, SPEC.gamma), np.random.default_rng(0)
+    demos = world.rollout(world.optimal(), 100, rng)
+    learned = MaxEnt(iterations=100, learning_rate=1e-2).fit(demos, world, rng)
+    assert value_difference(WORLD, learned.policy, SPEC.gamma) <= 0.05

@@ -15,7 +15,7 @@ from methods.maxent import MaxEnt, demonstrated, log_likelihood
 from methods.maxent_linear import MaxEntLinear, moments
 from methods.tabular import finite_soft_value_iteration, value_iteration
 
-HORIZON = 12
+HORIZON, GAMMA = 12, 0.9
 TABULAR = objectworld(6, 5, 2, 0.2, np.random.default_rng(3))
 MODEL = TABULAR.model
 WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
@@ -24,7 +24,7 @@ WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
 class KnownWorld:
     """An objectworld whose features are its observations, solved exactly and greedily."""
 
-    obs_size, act_size, horizon, gamma = 6, 5, HORIZON, 0.9
+    obs_size, act_size, horizon, gamma = 6, 5, HORIZON, GAMMA
     model: Model | None = MODEL
 
     def phi(self, obs: Array, act: Array) -> Array:
@@ -39,7 +39,7 @@ class KnownWorld:
 def soft_demonstrations(count: int) -> Episodes:
     """Of the policy that is optimal in return plus entropy under w^T obs."""
     rng = np.random.default_rng(0)
-    _, policies = finite_soft_value_iteration(MODEL.P, MODEL.obs @ WEIGHTS, HORIZON)
+    _, policies = finite_soft_value_iteration(MODEL.P, MODEL.obs @ WEIGHTS, HORIZON, GAMMA)
     obs, act = np.empty((count, HORIZON + 1, 6)), np.zeros((count, HORIZON, 5))
     for i in range(count):
         state = rng.choice(len(MODEL.start), p=MODEL.start)
@@ -66,9 +66,9 @@ def test_a_network_without_hidden_layers_climbs_to_the_same_likelihood_and_polic
     linear = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0))
     deep = MaxEnt(layers=(), iterations=600, learning_rate=1e-1).fit(demos, world, np.random.default_rng(0))
     mu_demo = demonstrated(demos, MODEL)
-    best, other = (log_likelihood(MODEL, on_states(fit.reward), mu_demo)[0] for fit in (linear, deep))
-    truth = log_likelihood(MODEL, MODEL.obs @ WEIGHTS, mu_demo)[0]
-    start = log_likelihood(MODEL, np.zeros(len(MODEL.start)), mu_demo)[0]
+    best, other = (log_likelihood(MODEL, on_states(fit.reward), mu_demo, GAMMA)[0] for fit in (linear, deep))
+    truth = log_likelihood(MODEL, MODEL.obs @ WEIGHTS, mu_demo, GAMMA)[0]
+    start = log_likelihood(MODEL, np.zeros(len(MODEL.start)), mu_demo, GAMMA)[0]
     assert start < truth - 0.1 < truth <= best
     assert best - 1e-6 < other <= best + 1e-6
     np.testing.assert_array_equal(linear.policy(MODEL.obs), deep.policy(MODEL.obs))
@@ -87,12 +87,12 @@ def test_the_gradient_for_rewards_of_pairs_is_that_of_the_likelihood(demos: Epis
     rng = np.random.default_rng(1)
     mu_demo = demonstrated(demos, MODEL)
     r, direction = rng.normal(size=(2, *MODEL.P.shape[:2]))
-    up, down = (log_likelihood(MODEL, r + step * direction, mu_demo)[0] for step in (1e-4, -1e-4))
-    _, gradient = log_likelihood(MODEL, r, mu_demo)
+    up, down = (log_likelihood(MODEL, r + step * direction, mu_demo, GAMMA)[0] for step in (1e-4, -1e-4))
+    _, gradient = log_likelihood(MODEL, r, mu_demo, GAMMA)
     assert gradient.shape == r.shape
     assert (gradient * direction).sum() == pytest.approx((up - down) / 2e-4, rel=1e-5)
-    by_state = log_likelihood(MODEL, r[:, 0], mu_demo)
-    by_pair = log_likelihood(MODEL, np.tile(r[:, :1], (1, 5)), mu_demo)
+    by_state = log_likelihood(MODEL, r[:, 0], mu_demo, GAMMA)
+    by_pair = log_likelihood(MODEL, np.tile(r[:, :1], (1, 5)), mu_demo, GAMMA)
     assert by_pair[0] == pytest.approx(by_state[0])
     np.testing.assert_allclose(by_pair[1].sum(axis=1), by_state[1], atol=1e-12)
 
