@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
-    ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
-    ("bc", "*", "smoke"): {"steps": 300},
-    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxmargin_projection", "*", "*"): {"projection": True},
-    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxmargin_projection", "gridworld", "*"): {"iterations": 30},
     ("maxmargin", "gridworld", "*"): {"iterations": 30},
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
+    ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
+    ("bc", "*", "smoke"): {"steps": 300},
+    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
+    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},
     ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
 }
