@@ -71,7 +71,7 @@ def same(one: Network, other: Network) -> bool:
 
 @both_libraries
 def test_it_learns_the_task(steady: EnvSpec) -> None:
-    learned = solve(steady, Seek())
+    learned = solve(steady, Seek(), seed=1)
     assert np.abs(learned.policy(OBS) - OBS).mean() < 0.15
     returns = [value for _, value in learned.curve]
     assert max(returns) > 8.5 > 7 > returns[0]
