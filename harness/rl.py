@@ -48,6 +48,8 @@ TRAIN_EVERY = 10
 STEP_UNIT = 2 * TRAIN_EVERY
 REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
+FIRST_ACTIONS = 0.01
+"""Size of an untrained actor's last weights, of what SBX draws."""
 BUFFER = 100_000
 """Transitions that a learner can hold, over all its solves."""
 
@@ -177,7 +179,15 @@ class Learner:
             common["learning_rate"] = lambda _: self._learning_rate
             return DDPG(**common, policy_kwargs={**network, "optimizer_kwargs": {"fused": True}})
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
-        return sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
+        model = sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
+        # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.
+        actor = model.policy.actor_state
+        last = f"Dense_{len(s.net)}"
+        params = {**actor.params["params"]}
+        params[last] = {**params[last], "kernel": FIRST_ACTIONS * params[last]["kernel"]}
+        start = {"params": params}
+        model.policy.actor_state = actor.replace(params=start, target_params=start)
+        return model
 
     @property
     def _learning_rate(self) -> float:
