@@ -72,8 +72,6 @@ class Settings:
     actions."""
     gradient_steps: int = 5
     """Gradient steps after every `TRAIN_EVERY` environment steps."""
-    critics: int = 1
-    """Of DDPG. With 2, targets take the smaller value (clipped double Q, Fujimoto et al. 2018)."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
     check_episodes: int = 20
@@ -86,9 +84,7 @@ SETTINGS: dict[str, Settings] = {
         tau=0.005,
         noise=0.15,
         gradient_steps=10,
-        critics=2,
-        checkpoint_every=1500,
-        check_episodes=10,
+        checkpoint_every=2000,
     ),
 }
 """By environment; the defaults elsewhere."""
@@ -173,7 +169,6 @@ class Learner:
                 policy_kwargs=network,
             )
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
-        network["n_critics"] = s.critics
         if s.library == "sb3":
             # Of SB3's own progress a warm start would begin in the middle.
             common["learning_rate"] = lambda _: self._learning_rate

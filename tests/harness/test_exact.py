@@ -58,7 +58,7 @@ def best_value() -> float:
     return float(WORLD.start @ value_iteration(WORLD.P, WORLD.reward, GAMMA)[0])
 
 
-@pytest.mark.parametrize("paid", [0.0, 1.0, -3.0, 1e-6, 1e6])
+@pytest.mark.parametrize("paid", [0.0, -3.0, 1e6])
 def test_a_constant_reward_teaches_nothing(paid: float) -> None:
     choices = np.stack([solve(Constant(paid, absorbing=paid), seed)(WORLD.obs) for seed in range(20)])
     np.testing.assert_array_equal(choices[3], solve(Constant(paid, absorbing=paid), 3)(WORLD.obs))

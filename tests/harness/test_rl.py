@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -50,15 +49,6 @@ def solve(
     spec: EnvSpec, reward: Any, protocol: str = "absorbing", steps: int = STEPS, seed: int = 0
 ) -> Solution:
     return Learner(spec, protocol, np.random.default_rng(seed)).solve(reward, steps)
-
-
-@pytest.fixture(autouse=True)
-def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Whose DDPG learns. What is ours is tested with Stable-Baselines3, whose first step takes no seconds of
-    compiling; tests of the library itself ask for both."""
-    chosen: str = getattr(request, "param", "sb3")
-    monkeypatch.setattr(rl, "Settings", functools.partial(Settings, library=chosen))
-    return chosen
 
 
 both_libraries = pytest.mark.parametrize("library", ["sbx", "sb3"], indirect=True)
