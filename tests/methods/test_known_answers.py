@@ -1,0 +1,133 @@
+"""Problems whose solution is known in closed form: linear-quadratic regulators, and reward shaping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from scipy.stats import spearmanr
+
+from envs.gridworld import positions, transitions
+from methods.base import Array, Episodes, Learned, Policy
+from methods.bc import BehaviourCloning
+from methods.shaped import Shaped
+from methods.tabular import advantage, greedy, policy_value, value_iteration
+
+
+class Regulator:
+    """x' = A x + B u, which costs x^T Q x + u^T R u; without noise, discount or end. Starts are uniform."""
+
+    obs_size, act_size, horizon, gamma, model = 3, 2, 5, 0.99, None
+    A = np.array([[1.0, 0.2, 0.0], [0.0, 1.0, 0.2], [0.1, 0.0, 0.9]])
+    B = np.array([[0.1, 0.0], [0.5, 0.1], [0.2, 0.4]])
+
+    def __init__(self, Q: Array, R: Array) -> None:
+        self.Q, self.R = Q, R
+        self.P = solve_discrete_are(self.A, self.B, Q, R)
+        self.M = R + self.B.T @ self.P @ self.B
+        self.K = np.linalg.solve(self.M, self.B.T @ self.P @ self.A)
+
+    def expert(self, x: Array) -> Array:
+        return -x @ self.K.T
+
+    def step(self, x: Array, u: Array) -> Array:
+        return x @ self.A.T + u @ self.B.T
+
+    def advantage(self, x: Array, u: Array) -> Array:
+        return -quadratic(u - self.expert(x), self.M)
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return rng.uniform(-1, 1, (count, 2))
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        obs, act = [rng.uniform(-0.3, 0.3, (episodes, 3))], []
+        for _ in range(self.horizon):
+            act.append(policy(obs[-1]))
+            obs.append(self.step(obs[-1], act[-1]))
+        return Episodes(tuple(np.stack(obs, axis=1)), tuple(np.stack(act, axis=1)), (False,) * episodes)
+
+    def demonstrations(self, seed: int) -> Episodes:
+        return self.rollout(self.expert, 400, np.random.default_rng(seed))
+
+
+def quadratic(x: Array, matrix: Array) -> Array:
+    value: Array = np.einsum("bi,ij,bj->b", x, matrix, x)
+    return value
+
+
+REGULATOR = Regulator(np.eye(3), np.diag([4.0, 0.3]))
+WORLD: Any = REGULATOR
+HELD_OUT = REGULATOR.demonstrations(seed=1).pairs()[0]
+UNIFORM = np.random.default_rng(2).uniform(-1, 1, (len(HELD_OUT), 2))
+
+
+def correlation(learned: Learned, regulator: Regulator = REGULATOR) -> float:
+    """Spearman's, of R* and the true advantage at held-out demonstrated states and uniform actions."""
+    obs = regulator.demonstrations(seed=1).pairs()[0]
+    assert learned.reward is not None
+    found = learned.reward(obs, UNIFORM, obs)
+    return float(spearmanr(found, regulator.advantage(obs, UNIFORM)).statistic)
+
+
+def test_the_regulators_advantage_is_what_an_action_costs_more_than_the_best() -> None:
+    x, u = HELD_OUT, UNIFORM
+    after = REGULATOR.step(x, u)
+    cost = quadratic(x, REGULATOR.Q) + quadratic(u, REGULATOR.R)
+    P = REGULATOR.P
+    np.testing.assert_allclose(REGULATOR.advantage(x, u), quadratic(x, P) - cost - quadratic(after, P))
+    assert np.abs(REGULATOR.demonstrations(seed=0).pairs()[1]).max() < 1
+
+
+def test_cloning_recovers_the_regulators_feedback() -> None:
+    demos = REGULATOR.demonstrations(seed=0)
+    learned = BehaviourCloning(steps=1000).fit(demos, WORLD, np.random.default_rng(0))
+    error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
+    assert error.mean() < 3e-3
+    assert error.max() < 0.05
+
+
+@pytest.fixture(scope="module")
+def shaped() -> Learned:
+    method = Shaped(steps=600, iterations=150)
+    return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
+
+
+def test_shaped_recovers_the_regulators_feedback_and_pays_it_0(shaped: Learned) -> None:
+    best = REGULATOR.expert(HELD_OUT)
+    error = np.abs(shaped.policy(HELD_OUT) - best)
+    assert error.mean() < 2e-3
+    assert error.max() < 0.05
+    assert shaped.reward is not None
+    paid = shaped.reward(HELD_OUT, best, HELD_OUT)
+    assert -5e-3 < paid.min() <= paid.max() <= 0
+    assert (shaped.reward(HELD_OUT, UNIFORM, HELD_OUT) < paid).all()
+
+
+def test_shaped_tells_nothing_of_an_advantages_shape(shaped: Learned) -> None:
+    """Eq. 4.4 leaves L at 0, and R* at the squared distance from f."""
+    squared = -quadratic(UNIFORM - REGULATOR.expert(HELD_OUT), np.eye(2))
+    isotropic = spearmanr(squared, REGULATOR.advantage(HELD_OUT, UNIFORM)).statistic
+    assert correlation(shaped) == pytest.approx(isotropic, abs=0.01)
+    assert isotropic < 0.8 < np.linalg.cond(REGULATOR.M) / 10
+
+
+def test_figure_4_1_a_greedy_policy_is_optimal_under_the_shaped_reward() -> None:
+    """The grid of Ng, Harada & Russell 1999: 10 by 10 cells, each step costs 1 until the upper right corner,
+    and one in five goes in a random direction. (Here with a discount, which they do without.)"""
+    size, gamma = 10, 0.99
+    sure = transitions(size, 0.0)[:, :4]
+    P = 0.8 * sure + 0.2 * sure.mean(axis=1, keepdims=True)
+    P[-1] = np.eye(size**2)[-1]
+    r = np.append(np.full(size**2 - 1, -1.0), 0.0)
+    v, _ = value_iteration(P, r, gamma)
+    shaped = advantage(P, r, v, gamma)
+    np.testing.assert_allclose(policy_value(P, r, greedy(shaped), gamma), v, atol=1e-6)
+    unshaped = greedy(np.tile(r[:, None], 4))
+    assert (policy_value(P, r, unshaped, gamma) < v - 10).mean() > 0.5
+    # The best actions pay 0 and all others less; those that come no nearer are never among the best.
+    away = 2 * (size - 1) - positions(size).sum(axis=1)
+    no_nearer = (sure @ away)[:-1] >= away[:-1, None]
+    np.testing.assert_allclose(shaped.max(axis=1), 0, atol=1e-8)
+    assert (shaped[:-1][no_nearer] < -0.1).all()
