@@ -71,5 +71,7 @@ def install() -> None:
 if __name__ == "__main__":
     from harness.cli import main
 
+    # What a worker of pytest starts inherits that it ignores Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     install()
     sys.exit(main())
