@@ -33,6 +33,9 @@ METHODS = {
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
 }
 VARIANTS = {
+    "shaped_ml": Entry(
+        "methods.shaped_ml:ShapedML", "shaped, with L fitted by likelihood and an inverse LQR in the world"
+    ),
     "maxent_linear": Entry(
         "methods.maxent_linear:MaxEntLinear", "maximum-entropy IRL with a linear reward (Ziebart et al. 2008)"
     ),

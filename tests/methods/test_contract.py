@@ -13,9 +13,11 @@ from methods.maxent import MaxEnt
 from methods.maxent_linear import MaxEntLinear
 from methods.maxmargin import MaxMargin
 from methods.shaped import Shaped
+from methods.shaped_ml import ShapedML
 
 METHODS: dict[str, Method] = {
     "shaped": Shaped(steps=40),
+    "shaped_ml": ShapedML(steps=40, iterations=10),
     "bc": BehaviourCloning(steps=40),
     "maxmargin": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0),
     "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),

@@ -12,7 +12,8 @@ from scipy.stats import spearmanr
 from envs.gridworld import positions, transitions
 from methods.base import Array, Episodes, Learned, Policy
 from methods.bc import BehaviourCloning
-from methods.shaped import Shaped
+from methods.shaped import Shaped, ShapedReward
+from methods.shaped_ml import ShapedML, inverse_lqr
 from methods.tabular import advantage, greedy, policy_value, value_iteration
 
 
@@ -71,6 +72,14 @@ def correlation(learned: Learned, regulator: Regulator = REGULATOR) -> float:
     return float(spearmanr(found, regulator.advantage(obs, UNIFORM)).statistic)
 
 
+def matrices(learned: Learned) -> Array:
+    """M(s) of the held-out states, (B, 2, 2)."""
+    assert isinstance(learned.reward, ShapedReward)
+    chol = learned.reward.chol(HELD_OUT).reshape(-1, 2, 2)
+    value: Array = chol @ chol.transpose(0, 2, 1) + np.eye(2)
+    return value
+
+
 def test_the_regulators_advantage_is_what_an_action_costs_more_than_the_best() -> None:
     x, u = HELD_OUT, UNIFORM
     after = REGULATOR.step(x, u)
@@ -111,6 +120,47 @@ def test_shaped_tells_nothing_of_an_advantages_shape(shaped: Learned) -> None:
     isotropic = spearmanr(squared, REGULATOR.advantage(HELD_OUT, UNIFORM)).statistic
     assert correlation(shaped) == pytest.approx(isotropic, abs=0.01)
     assert isotropic < 0.8 < np.linalg.cond(REGULATOR.M) / 10
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_inverse_regulator_finds_the_hessian_of_a_cost_of_squares(seed: int) -> None:
+    """From the feedback and the dynamics alone, up to scale: six equations for five costs."""
+    rng = np.random.default_rng(seed)
+    cost = np.exp(1.5 * rng.normal(size=5))
+    truth = Regulator(np.diag(cost[:3]), np.diag(cost[3:]))
+    x = rng.normal(size=(50, 3))
+    found = inverse_lqr(truth.A, truth.B, truth.K, x, gamma=1.0, prior=1e-10)
+    np.testing.assert_allclose(found / np.trace(found), truth.M / np.trace(truth.M), atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def shaped_ml() -> Learned:
+    method = ShapedML(steps=600, iterations=150)
+    return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
+
+
+def test_likelihood_finds_the_advantage_of_demonstrations_without_noise(
+    shaped: Learned, shaped_ml: Learned
+) -> None:
+    assert correlation(shaped_ml) > 0.98 > 0.9 > correlation(shaped)
+    # f is that of `shaped`, and M is C^-1, whose smallest eigenvalue is 1 / softness^2.
+    np.testing.assert_array_equal(shaped_ml.policy(HELD_OUT), shaped.policy(HELD_OUT))
+    np.testing.assert_allclose(np.linalg.eigvalsh(matrices(shaped_ml))[:, 0], 100, rtol=0.05)
+
+
+def test_noise_in_demonstrations_tells_the_advantage_of_any_quadratic_cost() -> None:
+    """Which no inverse regulator with a cost of squares could know: here two actions at once are dear."""
+    rotation = np.array([[0.8, -0.6], [0.6, 0.8]])
+    regulator = Regulator(np.eye(3), rotation @ np.diag([4.0, 0.3]) @ rotation.T)
+    rng = np.random.default_rng(0)
+    soft = 0.2 * np.linalg.cholesky(np.linalg.inv(regulator.M))
+
+    def noisy(x: Array) -> Array:
+        return np.clip(regulator.expert(x) + rng.normal(size=(len(x), 2)) @ soft.T, -1, 1)
+
+    demos, world = regulator.rollout(noisy, 400, rng), regulator
+    learned = ShapedML(steps=600, iterations=50).fit(demos, world, np.random.default_rng(0))
+    assert correlation(learned, regulator) > 0.95
 
 
 def test_figure_4_1_a_greedy_policy_is_optimal_under_the_shaped_reward() -> None:

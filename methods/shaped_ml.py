@@ -1,0 +1,131 @@
+"""The shaped-reward model of eq. 4.3 with L fitted by maximum likelihood; the thesis's objective, eq. 4.4, is
+indifferent to L wherever f meets the demonstrations.
+
+Under maximum entropy an expert whose advantage is eq. 4.3 acts around f(s) with Gaussian noise of a
+covariance in proportion to M(s)^-1, M(s) = L(s) L(s)^T + I. Its actions' negative log-likelihood, with a
+covariance C added to theirs, is up to constants
+
+(a - f(s))^T M(s) (a - f(s)) + tr(M(s) C) - log det M(s)
+
+and least where M(s) is the inverse of C plus the covariance that the actions show. So noise in demonstrations
+tells M, and C does where there is little or none; it bounds M as well. C^-1 is in proportion to the Hessian
+of the action value in an inverse linear-quadratic problem (Kalman 1964), solved by the residuals of its
+optimality condition (Keshavarz, Wang & Boyd 2011): what an action costs of itself, and by where it leads.
+
+What can be known: of demonstrations without noise, states and actions alone leave M open. With linear
+dynamics, and a true cost that is a weighted sum of squares of single observations and actions about any
+target, C^-1 is right. Other costs may share dynamics and optimal policy and differ in M; then it is a guess.
+
+Deviates from the thesis: the objective of L, and rollouts, which the dynamics are fitted to. f is fitted as
+in `methods.shaped`, for the likelihood would trade the accuracy of one action against that of another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy import linalg, optimize
+
+from methods.base import Array, Episodes, Learned, World, default_absorbing
+from methods.network import Network, converge, descend, mlp, standardiser
+from methods.shaped import Shaped, ShapedReward, shaped_reward
+
+CONDITION = 100
+"""About the largest condition number of C."""
+STABLE = 0.999
+"""The largest eigenvalue that a discounted closed loop may have."""
+
+
+@dataclass(frozen=True)
+class ShapedML(Shaped):
+    """Its hyper-parameters, besides those of `Shaped`; as many steps and iterations go to L as to f."""
+
+    rollouts: int = 10
+    """Episodes of f with noise, which the dynamics are fitted to."""
+    exploration: float = 0.3
+    """Standard deviation of that noise."""
+    softness: float = 0.1
+    """Standard deviation of C, below 1, in the direction in which actions matter least."""
+    prior: float = 1e-3
+    """Inverse variance of the Gaussian prior on the weights of costs, whose mean is 1."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Fit f as `Shaped` does, then L by maximum likelihood."""
+        learned = super().fit(demos, world, rng)
+        assert isinstance(learned.reward, ShapedReward)
+        f, size = learned.reward.f, world.act_size
+        precision = self._precision(demos, world, f, rng)
+        C = torch.as_tensor(np.linalg.inv(precision), dtype=torch.float32)
+        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+        chol = mlp(world.obs_size, *self.l_layers, size**2, generator=generator)
+        start = np.linalg.cholesky(precision - np.eye(size))
+        *_, bias = chol.parameters()
+        bias.data = torch.as_tensor(start.flatten(), dtype=torch.float32)
+
+        def loss(s: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
+            L = chol(s).view(-1, size, size)
+            M = L @ L.mT + torch.eye(size)
+            quadratic: torch.Tensor = (M * C).sum((1, 2)) - shaped_reward(d, torch.zeros_like(d), L)
+            return (quadratic - torch.logdet(M)).mean()
+
+        obs, act = demos.pairs()
+        data = ((obs - f.mean) / f.std, act - f(obs))
+        curve = descend(loss, [chol], data, self.learning_rate, self.steps, self.batch, rng)
+        curve.append(converge(loss, [chol], data, self.iterations))
+        reward = ShapedReward(f, Network.from_torch(chol, f.mean, f.std))
+        absorbing = default_absorbing(reward, demos, world.random_actions, rng)
+        curves = {**learned.curves, "negative log-likelihood": curve}
+        return Learned(f, replace(reward, absorbing=absorbing), curves)
+
+    def _precision(self, demos: Episodes, world: World, f: Network, rng: np.random.Generator) -> Array:
+        """C^-1 (A, A); its smallest eigenvalue is that of `softness`."""
+
+        def noisy(obs: Array) -> Array:
+            return np.clip(f(obs) + self.exploration * rng.normal(size=(len(obs), world.act_size)), -1, 1)
+
+        obs, act = demos.pairs()
+        centre, spread = standardiser(act)
+        x, u = (obs - f.mean) / f.std, (act - centre) / spread
+        seen = (demos, world.rollout(noisy, self.rollouts, rng))
+        before = np.concatenate([(o[:-1] - f.mean) / f.std for e in seen for o in e.obs])
+        after = np.concatenate([(o[1:] - f.mean) / f.std for e in seen for o in e.obs])
+        acts = np.concatenate([(a - centre) / spread for e in seen for a in e.act])
+        dynamics = linear_fit(np.concatenate([before, acts], axis=1), after)
+        A, B = np.split(dynamics, [world.obs_size], axis=1)
+        hessian = inverse_lqr(A, B, -linear_fit(x, u), x, world.gamma, self.prior)
+        hessian /= np.outer(spread, spread)
+        hessian += np.eye(len(hessian)) * np.trace(hessian) / CONDITION
+        smallest: float = np.linalg.eigvalsh(hessian)[0]
+        return hessian / (smallest * self.softness**2)
+
+
+def linear_fit(x: Array, y: Array) -> Array:
+    """(K, I): the slopes of y (N, K) on x (N, I) by least squares."""
+    slopes: Array = np.linalg.lstsq(x - x.mean(axis=0), y - y.mean(axis=0))[0].T
+    return slopes
+
+
+def inverse_lqr(A: Array, B: Array, K: Array, x: Array, gamma: float, prior: float) -> Array:
+    """(U, U): the Hessian of the action value, up to sign and scale, in which the feedback u = -K x is best
+    for dynamics A x + B u, A (X, X), B (X, U), and a cost x^T diag(q) x + u^T diag(r) u, q and r at least 0.
+
+    The action value's gradient at u = -K x is linear in q and r, and 0 for the true ones. Those found
+    minimise its mean square over the states x (N, X), plus `prior` times their squared distance from 1. A
+    closed loop that is not stable is shrunk until it is.
+    """
+    states, actions = B.shape
+    closed = np.sqrt(gamma) * (A - B @ K)
+    closed *= min(1.0, STABLE / max(np.abs(np.linalg.eigvals(closed)).max(), STABLE))
+    root = np.linalg.qr(x).R.T / np.sqrt(len(x))
+    hessians, gradients = [], []
+    for cost in np.eye(states + actions):
+        Q, R = np.diag(cost[:states]), np.diag(cost[states:])
+        P = linalg.solve_discrete_lyapunov(closed.T, Q + K.T @ R @ K)
+        hessians.append(R + gamma * B.T @ P @ B)
+        gradients.append(((R @ K - np.sqrt(gamma) * B.T @ P @ closed) @ root).ravel())
+    ridge = np.sqrt(prior) * np.eye(states + actions)
+    equations = np.concatenate([np.stack(gradients, axis=1), ridge])
+    weights = optimize.nnls(equations, np.append(np.zeros(len(gradients[0])), ridge.sum(axis=0)))[0]
+    return np.asarray(np.tensordot(weights, np.stack(hessians), axes=1))
