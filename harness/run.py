@@ -5,19 +5,15 @@ A cell that raises, dies or yields NaN becomes `failed` rows with the reason; th
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import importlib
 import math
 import multiprocessing
-import multiprocessing.forkserver
 import os
 import signal
 import sys
-import tempfile
-import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +22,7 @@ from typing import Protocol, cast
 from pebble import ProcessExpired
 from pebble.concurrent import process as in_a_process
 
+from harness.processes import NAME, end_with_parent, fresh_processes
 from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult
 from harness.store import LOG, decode, encode
@@ -39,8 +36,6 @@ METHOD_COST = {
 }
 EXPERT_COST = 2.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
-
-_PROCESS_NAME = "irl-bench cell"
 
 
 class Work(Protocol):
@@ -101,7 +96,7 @@ class Grid:
         tasks += [Task(cell.env, cell) for cell in cells]
         tasks.sort(key=lambda task: (task.cell is not None, -task.cost))
         with (
-            _processes(self.preload) as context,
+            fresh_processes(self.preload) as context,
             progress_for({task.name: task.cost for task in tasks}, self.workers) as progress,
         ):
             self._run(tasks, context, progress)
@@ -110,7 +105,7 @@ class Grid:
         self, waiting: list[Task], context: multiprocessing.context.BaseContext, progress: Progress
     ) -> None:
         # pebble's stubs call this argument mp_context, its code context.
-        launch = in_a_process(name=_PROCESS_NAME, context=context)(attempt)  # type: ignore[call-overload]
+        launch = in_a_process(name=NAME, context=context)(attempt)  # type: ignore[call-overload]
         running: dict[Future[Outcome], Task] = {}
         trained: set[str] = set()
         while waiting or running:
@@ -144,7 +139,7 @@ class Grid:
 
 def attempt(work: str, task: Task, budget: str, protocol: str, directory: Path) -> Outcome:
     """Does one task, in its own process; whatever it prints goes to the run's log."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     try:
         with (directory / LOG).open("a") as log:
             os.dup2(log.fileno(), 1)
@@ -191,49 +186,3 @@ def _outcome(future: Future[Outcome]) -> Outcome:
             hint = " (out of memory?)" if -code == signal.SIGKILL else ""
             return Outcome(error=f"its process was killed by {name}{hint}")
         return Outcome(error=f"its process ended without a result, exit code {code}")
-
-
-@contextlib.contextmanager
-def _processes(preload: tuple[str, ...]) -> Iterator[multiprocessing.context.BaseContext]:
-    """How processes are started, each fresh, one thread each, deaf to Ctrl-C; on leaving, none is left."""
-    # Cells run side by side: threads inside them would only fight for the same cores, and
-    # the order in which strings are hashed must not differ between runs.
-    for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"):
-        os.environ[f"{name}_NUM_THREADS"] = "1"
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
-    os.environ["PYTHONHASHSEED"] = "0"
-    with tempfile.TemporaryDirectory(prefix="irl-bench-") as compiled:
-        # What JAX compiles in one process, seconds of work, all others of this run may use.
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-        with _fresh_processes(preload) as context:
-            yield context
-
-
-@contextlib.contextmanager
-def _fresh_processes(preload: tuple[str, ...]) -> Iterator[multiprocessing.context.BaseContext]:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        # Elsewhere, forking after the preloaded libraries were imported is not safe.
-        context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
-        if sys.platform == "linux":
-            context.set_forkserver_preload(list(preload))
-            multiprocessing.forkserver.ensure_running()
-    finally:
-        signal.signal(signal.SIGINT, before)
-    try:
-        yield context
-    finally:
-        left = [p for p in multiprocessing.active_children() if p.name == _PROCESS_NAME]
-        for child in left:
-            child.kill()
-        for child in left:
-            child.join(1)
-
-
-def _end_with_parent() -> None:
-    """Without this, a process whose run was killed would go on for minutes."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

@@ -1,0 +1,91 @@
+"""Processes for cells: each fresh, one thread each, deaf to Ctrl-C, gone when the run is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from multiprocessing import connection, context, forkserver, popen_forkserver
+from typing import Any
+
+NAME = "irl-bench cell"
+
+
+@contextlib.contextmanager
+def fresh_processes(preload: tuple[str, ...]) -> Iterator[context.BaseContext]:
+    """How to start processes; on leaving, none is left. preload: modules to import once for all of them."""
+    # Cells run side by side: threads inside them would only fight for the same cores, and
+    # the order in which strings are hashed must not differ between runs.
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"):
+        os.environ[f"{name}_NUM_THREADS"] = "1"
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
+    os.environ["PYTHONHASHSEED"] = "0"
+    with tempfile.TemporaryDirectory(prefix="irl-bench-") as compiled:
+        # What JAX compiles in one process, seconds of work, all others of this run may use.
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            starter = _starter(preload)
+        finally:
+            signal.signal(signal.SIGINT, before)
+        try:
+            yield starter
+        finally:
+            left = [p for p in multiprocessing.active_children() if p.name == NAME]
+            for child in left:
+                child.kill()
+            for child in left:
+                child.join(1)
+
+
+def end_with_parent() -> None:
+    """Called in such a process: without it, one whose run was killed would go on for minutes."""
+
+    def watch() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _starter(preload: tuple[str, ...]) -> context.BaseContext:
+    # Elsewhere, forking after the preloaded libraries were imported is not safe.
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn")
+    starter = _Context()
+    starter.set_forkserver_preload(list(preload))
+    forkserver.ensure_running()
+    return starter
+
+
+class _Popen(popen_forkserver.Popen):
+    """The exit code comes through a pipe, once; of two threads that ask, and every start of a process asks
+    for all others, the second would find the pipe empty and say 255."""
+
+    def __init__(self, process: Any) -> None:
+        self._asking = threading.Lock()
+        super().__init__(process)
+
+    def poll(self, flag: int = os.WNOHANG) -> int | None:
+        if flag != os.WNOHANG:
+            connection.wait([self.sentinel])
+        with self._asking:
+            return super().poll(os.WNOHANG)
+
+
+class _Process(context.ForkServerProcess):
+    @staticmethod
+    def _Popen(process: Any) -> _Popen:
+        return _Popen(process)
+
+
+class _Context(context.ForkServerContext):
+    Process = _Process
