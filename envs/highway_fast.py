@@ -12,6 +12,7 @@ the last bit differently.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,7 @@ def _speed_up(road: Any) -> None:
         lane.x0, lane.y0 = lane.start.tolist()
     road.network.__class__ = _AlignedNetwork
     road.network.lanes = lanes
+    road.network.lane_of = dict(lanes)
     road.__class__ = _FastRoad
     road.scene = None
     for vehicle in road.vehicles:
@@ -64,8 +66,11 @@ def _speed_up(road: Any) -> None:
 def speed_up_vehicle(vehicle: Any) -> None:
     """Give one vehicle on a fast road its faster class, if there is one."""
     fast = {Vehicle: _FastVehicle, MDPVehicle: _FastMDP, IDMVehicle: _FastIDM}
-    if type(vehicle.road) is _FastRoad:
-        vehicle.__class__ = fast.get(type(vehicle), type(vehicle))
+    if type(vehicle.road) is _FastRoad and type(vehicle) in fast:
+        vehicle.__class__ = fast[type(vehicle)]
+        # What highway-env drew are numpy's scalars, several times slower than floats.
+        for name in {"heading", "speed", "target_speed", "timer", "DELTA"} & vars(vehicle).keys():
+            setattr(vehicle, name, float(getattr(vehicle, name)))
 
 
 class _AlignedLane(StraightLane):  # type: ignore[misc]
@@ -83,6 +88,7 @@ class _AlignedNetwork(RoadNetwork):  # type: ignore[misc]
     """Aligned lanes only, listed once."""
 
     lanes: list[tuple[tuple[str, str, int], _AlignedLane]]
+    lane_of: dict[tuple[str, str, int], _AlignedLane]
 
     def get_closest_lane_index(
         self, position: NDArray[np.float64], heading: float | None = None
@@ -90,48 +96,56 @@ class _AlignedNetwork(RoadNetwork):  # type: ignore[misc]
         if heading is None:
             return super().get_closest_lane_index(position)  # type: ignore[no-any-return]
         x, y = position.tolist()
+        turn = abs(wrap_to_pi(heading))
         best, least = None, math.inf
         for key, lane in self.lanes:
-            along = x - lane.x0
             # Added in highway-env's order: a sum rounded otherwise could pick another lane.
-            distance = abs(y - lane.y0) + max(along - lane.length, 0) + max(0 - along, 0)
-            distance += abs(wrap_to_pi(heading - lane.heading))
+            distance = abs(y - lane.y0)
+            if not 0 <= x - lane.x0 <= lane.length:
+                distance += max(x - lane.x0 - lane.length, 0) + max(lane.x0 - x, 0)
+            distance += turn
             if distance < least:
                 best, least = key, distance
         return best if best is not None else super().get_closest_lane_index(position, heading)
 
 
 class _Scene:
-    """What does not change while the vehicles of a road decide: who is where, and how fast.
-
-    Lanes and velocities are looked up when first asked for.
-    """
+    """What does not change while the vehicles of a road decide: who is where, and how fast."""
 
     def __init__(self, vehicles: list[Any]) -> None:
-        self.vehicles = [(vehicle, *vehicle.position.tolist()) for vehicle in vehicles]
-        self.velocities: dict[Any, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
-        self.lanes: dict[_AlignedLane, list[tuple[float, Any]]] = {}
+        self.vehicles = vehicles
+        self.positions = [vehicle.position.tolist() for vehicle in vehicles]
+        for place, vehicle in enumerate(vehicles):
+            vehicle.place = place
+        headings = np.array([vehicle.heading for vehicle in vehicles])
+        self.straight = (headings == 0).tolist()
+        self.directions = np.stack([np.cos(headings), np.sin(headings)], axis=1)
+        self.velocities = np.array([[vehicle.speed] for vehicle in vehicles]) * self.directions
+        self.forward = self.velocities[:, 0].tolist()
+        self.lanes: dict[_AlignedLane, tuple[list[float], list[Any]]] = {}
 
-    def on_lane(self, lane: _AlignedLane) -> list[tuple[float, Any]]:
-        """(distance along the lane [m], vehicle) of everyone within 1 m of it, in the road's order."""
+    def on_lane(self, lane: _AlignedLane) -> tuple[list[float], list[Any]]:
+        """Distances along the lane [m] of everyone within 1 m of it, ascending, and who they are."""
         found = self.lanes.get(lane)
         if found is None:
             reach = lane.width / 2 + 1
             first, last = -lane.VEHICLE_LENGTH, lane.length + lane.VEHICLE_LENGTH
-            found = self.lanes[lane] = [
-                (x - lane.x0, vehicle)
-                for vehicle, x, y in self.vehicles
+            there = [
+                (x - lane.x0, place)
+                for place, (x, y) in enumerate(self.positions)
                 if abs(y - lane.y0) <= reach and first <= x - lane.x0 < last
             ]
+            there.sort()
+            found = [along for along, _ in there], [self.vehicles[place] for _, place in there]
+            self.lanes[lane] = found
         return found
 
-    def motion(self, vehicle: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(2,) velocity [m/s] and (2,) unit direction."""
-        found = self.velocities.get(vehicle)
-        if found is None:
-            direction = vehicle.direction
-            found = self.velocities[vehicle] = (vehicle.speed * direction, direction)
-        return found
+    def closing_speed(self, vehicle: Any, front: Any) -> float:
+        """By how much `vehicle` is faster than the one in front [m/s], in its own direction."""
+        i, j = vehicle.place, front.place
+        if self.straight[i]:
+            return self.forward[i] - self.forward[j]  # type: ignore[no-any-return]
+        return float(np.dot(self.velocities[i] - self.velocities[j], self.directions[i]))
 
 
 class _FastRoad(Road):  # type: ignore[misc]
@@ -141,7 +155,7 @@ class _FastRoad(Road):  # type: ignore[misc]
     """Set while the vehicles decide, for positions change in `step`."""
 
     def act(self) -> None:
-        self.scene = _Scene(self.vehicles)
+        self.scene = None if self.objects else _Scene(self.vehicles)
         try:
             super().act()
         finally:
@@ -155,31 +169,35 @@ class _FastRoad(Road):  # type: ignore[misc]
             vehicle.step(dt)
         checking = [i for i, vehicle in enumerate(self.vehicles) if vehicle.check_collisions]
         everyone = range(len(self.vehicles))
+        along = [vehicle.position.item(0) for vehicle in self.vehicles]
         for i, vehicle in enumerate(self.vehicles):
             for j in everyone[i + 1 :] if vehicle.check_collisions else [j for j in checking if j > i]:
                 other = self.vehicles[j]
                 near = (vehicle.diagonal + other.diagonal) / 2 + vehicle.speed * dt
                 # The margin covers the rounding of highway-env's own distance, which is at least this one.
-                if not abs(other.position.item(0) - vehicle.position.item(0)) > near + 1e-6:
+                if not abs(along[j] - along[i]) > near + 1e-6:
                     vehicle.handle_collisions(other, dt)
 
     def neighbour_vehicles(
         self, vehicle: Any, lane_index: tuple[str, str, int] | None = None
     ) -> tuple[Any, Any]:
         lane_index = lane_index or vehicle.lane_index
-        if self.scene is None or self.objects or self.neighbour_vehicles_connected_lanes or not lane_index:
+        if self.scene is None or self.neighbour_vehicles_connected_lanes or not lane_index:
             return super().neighbour_vehicles(vehicle, lane_index)  # type: ignore[no-any-return]
-        lane = self.network.get_lane(lane_index)
-        here = vehicle.position.item(0) - lane.x0
-        ahead, behind = math.inf, -math.inf
-        front = rear = None
-        for along, other in self.scene.on_lane(lane):
-            if other is vehicle:
+        lane = self.network.lane_of[lane_index]
+        here = self.scene.positions[vehicle.place][0] - lane.x0
+        distances, vehicles = self.scene.on_lane(lane)
+        # Of several at the same place highway-env takes the last in front and the first behind.
+        split = bisect_left(distances, here)
+        front, nearest, rear = None, math.inf, None
+        for i in range(split, len(distances)):
+            if vehicles[i] is vehicle:
                 continue
-            if here <= along <= ahead:
-                ahead, front = along, other
-            elif behind < along < here:
-                behind, rear = along, other
+            if distances[i] > nearest:
+                break
+            front, nearest = vehicles[i], distances[i]
+        if split:
+            rear = vehicles[bisect_left(distances, distances[split - 1])]
         return front, rear
 
 
@@ -187,19 +205,26 @@ class _FastStep(Vehicle):  # type: ignore[misc]
     """The bicycle model of `Vehicle` in scalars."""
 
     impact: NDArray[np.float64] | None
+    speed: float
+    place: int
+    """In the road's scene."""
 
     def step(self, dt: float) -> None:
         self.clip_actions()
-        slip = np.arctan(1 / 2 * np.tan(self.action["steering"]))
-        course = self.heading + slip
-        self.position[0] += float(self.speed * np.cos(course)) * dt
-        self.position[1] += float(self.speed * np.sin(course)) * dt
+        steering, speed = self.action["steering"], self.speed
+        if steering == 0 == self.heading:
+            slip, cos, sin = 0.0, 1.0, 0.0
+        else:
+            slip = float(np.arctan(1 / 2 * np.tan(steering)))
+            cos, sin = float(np.cos(self.heading + slip)), float(np.sin(self.heading + slip))
+        self.position[0] += speed * cos * dt
+        self.position[1] += speed * sin * dt
         if self.impact is not None:
             self.position += self.impact
             self.crashed = True
             self.impact = None
-        self.heading += self.speed * np.sin(slip) / (self.LENGTH / 2) * dt
-        self.speed += self.action["acceleration"] * dt
+        self.heading += speed * (float(np.sin(slip)) if slip else slip) / (self.LENGTH / 2) * dt
+        self.speed = speed + self.action["acceleration"] * dt
         self.on_state_update()
 
 
@@ -217,8 +242,13 @@ class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
     def act(self, action: Any = None) -> None:
         if self.crashed:
             return
-        self.follow_road()
-        if self.enable_lane_change:
+        network = self.road.network
+        lane = network.lane_of[self.target_lane_index]
+        if self.position.item(0) - lane.x0 > lane.length - lane.VEHICLE_LENGTH / 2:
+            self.follow_road()
+        # When neither holds, highway-env's method does nothing.
+        due = self.lane_index != self.target_lane_index or self.timer > self.LANE_CHANGE_DELAY
+        if self.enable_lane_change and due:
             self.change_lane_policy()
         steering = self.steering_control(self.target_lane_index)
         front, _ = self.road.neighbour_vehicles(self, self.lane_index)
@@ -230,39 +260,37 @@ class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
         self.action = {"steering": steering, "acceleration": acceleration}
 
     def steering_control(self, target_lane_index: tuple[str, str, int]) -> float:
-        lane = self.road.network.get_lane(target_lane_index)
-        _, lateral = lane.local_coordinates(self.position)
+        lane = self.road.network.lane_of[target_lane_index]
+        lateral = self.position.item(1) - lane.y0
+        if lateral == 0 == self.heading:
+            return 0.0
         speed = not_zero(self.speed)
         aim = float(np.arcsin(_clip(-self.KP_LATERAL * lateral / speed, -1, 1)))
-        aim = lane.heading + _clip(aim, -np.pi / 4, np.pi / 4)
-        turn = self.KP_HEADING * wrap_to_pi(aim - self.heading)
-        slip = np.arcsin(_clip(self.LENGTH / 2 / speed * turn, -1, 1))
+        turn = self.KP_HEADING * wrap_to_pi(_clip(aim, -np.pi / 4, np.pi / 4) - self.heading)
+        slip = float(np.arcsin(_clip(self.LENGTH / 2 / speed * turn, -1, 1)))
         return _clip(float(np.arctan(2 * np.tan(slip))), -self.MAX_STEERING_ANGLE, self.MAX_STEERING_ANGLE)
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
-        if not isinstance(ego_vehicle, Vehicle):
+        if ego_vehicle is None:
             return 0.0
+        scene, lane, speed = self.road.scene, ego_vehicle.lane, ego_vehicle.speed
+        if scene is None:
+            return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         target = getattr(ego_vehicle, "target_speed", 0)
-        if ego_vehicle.lane and ego_vehicle.lane.speed_limit is not None:
-            target = _clip(target, 0, ego_vehicle.lane.speed_limit)
-        ratio = max(ego_vehicle.speed, 0) / abs(not_zero(target))
+        if lane.speed_limit is not None:
+            target = _clip(target, 0, lane.speed_limit)
+        ratio = max(speed, 0) / abs(not_zero(target))
         acceleration = self.COMFORT_ACC_MAX * (1 - float(np.power(ratio, self.DELTA)))
-        if front_vehicle:
-            distance = ego_vehicle.lane_distance_to(front_vehicle)
-            ratio = self.desired_gap(ego_vehicle, front_vehicle) / not_zero(distance)
-            acceleration -= self.COMFORT_ACC_MAX * float(np.power(ratio, 2))
+        if front_vehicle is not None:
+            positions = scene.positions
+            here = positions[ego_vehicle.place][0] - lane.x0
+            there = positions[front_vehicle.place][0] - lane.x0
+            closing = scene.closing_speed(ego_vehicle, front_vehicle)
+            braking = math.sqrt(-self.COMFORT_ACC_MAX * self.COMFORT_ACC_MIN)  # exact, as every square root
+            gap = self.DISTANCE_WANTED + speed * self.TIME_WANTED + speed * closing / (2 * braking)
+            ratio = gap / not_zero(there - here)
+            acceleration -= self.COMFORT_ACC_MAX * (ratio * ratio)  # as numpy squares
         return float(acceleration)
-
-    def desired_gap(self, ego_vehicle: Any, front_vehicle: Any = None, projected: bool = True) -> float:
-        scene = self.road.scene
-        if scene is None or not projected:
-            return super().desired_gap(ego_vehicle, front_vehicle, projected)  # type: ignore[no-any-return]
-        velocity, direction = scene.motion(ego_vehicle)
-        closing = float(np.dot(velocity - scene.motion(front_vehicle)[0], direction))
-        braking = math.sqrt(-self.COMFORT_ACC_MAX * self.COMFORT_ACC_MIN)  # exact, as every square root
-        speed = ego_vehicle.speed
-        gap = self.DISTANCE_WANTED + speed * self.TIME_WANTED + speed * closing / (2 * braking)
-        return float(gap)
 
 
 def _clip(value: float, low: float, high: float) -> float:
