@@ -114,6 +114,7 @@ class _Work:
         solution = solver.solve(reward, self.spec.rl_steps[self.budget])
         seconds = time.perf_counter() - started
         self.result.curves["pi_R"] = solution.curve
+        self.result.curves["pi_R_true"] = solution.true_curve
         self.score(
             "pi_R", solution.policy, reward, seconds, solution.env_steps, solution.rl_steps, rl_solves=1
         )

@@ -23,7 +23,7 @@ _POLICIES = {
     "pi_R": (r"$\pi_R$ (RL on R*)", "#d55e00", "D"),
 }
 """Label, colour (told apart by the colour-blind too) and marker."""
-_RL_CURVES = ("pi_R", "expert")
+_LEARNED, _TRUE = "#0072b2", "#d55e00"
 _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -52,18 +52,18 @@ def draw(
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
-        rl, training = _curves([entry.method for entry in entries], results)
+        rl, truth, training = _curves([entry.method for entry in entries], results)
         pictures = [_scores(env, entries, rows)]
         if rl:
-            alt = f"Return under the learned reward against environment steps in {env}, a panel for each of: "
+            alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
             pictures.append(
                 _panels(
                     f"{env}_rl.png",
                     f"{env}: RL on R* (each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
-                    "environment steps",
-                    "return under R*",
+                    "environment steps (blue, left: return under R*; orange, right: true return)",
                     rl,
+                    truth,
                 )
             )
         if training:
@@ -74,8 +74,8 @@ def draw(
                     f"{env}: training of the methods",
                     alt + ", ".join(training) + ".",
                     "iteration",
-                    "",
                     training,
+                    {},
                 )
             )
     return pictures
@@ -135,11 +135,13 @@ Curves = dict[str, list[list[tuple[float, float]]]]
 """Lines by the title of their panel, one a seed."""
 
 
-def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves]:
-    """RL's curves and the methods' own, in the order of `methods`."""
+def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves]:
+    """RL's curves under the reward learned from, their true returns, and the methods' own curves, in the
+    order of `methods`."""
     ranked = [result for result in results if result.cell.method in methods]
     ranked.sort(key=lambda result: (methods.index(result.cell.method), result.cell.seed))
     rl: Curves = {}
+    truth: Curves = {}
     training: Curves = {}
     for result in ranked:
         method = result.cell.method
@@ -147,35 +149,49 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
             finite = [(x, y) for x, y in points if math.isfinite(y)]
             if not finite:
                 continue
-            if name in _RL_CURVES:
-                title = f"{method} (true reward)" if name == "expert" else method
-                rl.setdefault(title, []).append(finite)
+            if name == "expert":
+                truth.setdefault("expert", []).append(finite)
+                rl.setdefault("expert", [])
+            elif name == "pi_R":
+                rl.setdefault(method, []).append(finite)
+            elif name == "pi_R_true":
+                truth.setdefault(method, []).append(finite)
             else:
                 training.setdefault(f"{method}: {name}", []).append(finite)
-    return rl, training
+    return rl, truth, training
 
 
-def _panels(file: str, title: str, alt: str, xlabel: str, ylabel: str, curves: Curves) -> Picture:
-    """A panel for each title: a thin line a seed, a thick one for their mean where all have a point."""
+def _panels(file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves) -> Picture:
+    """A panel for each title of `curves`; those of `second` have an axis of their own, on the right."""
     columns = min(4, len(curves))
     lines = math.ceil(len(curves) / columns)
     figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
     for place, (name, seeds) in enumerate(curves.items()):
         axes: Axes = figure.add_subplot(lines, columns, place + 1)
-        for points in seeds:
-            axes.plot(*zip(*points, strict=True), color="#0072b2", linewidth=0.8, alpha=0.5)
-        frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
-        means = frame.groupby("x")["y"].agg(["mean", "count"])
-        means = means[means["count"] == len(seeds)]
-        if len(seeds) > 1:
-            axes.plot(means.index, means["mean"], color="#0072b2", linewidth=2)
+        plot_seeds(axes, seeds, _LEARNED)
         axes.set_title(name, parse_math=False)
-        axes.locator_params(nbins=4)
-        axes.ticklabel_format(axis="y", scilimits=(-3, 4))
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if not seeds:
+            axes.set_yticks([])
+        if name in second:
+            twin = axes.twinx()
+            twin.spines["right"].set_visible(True)
+            plot_seeds(twin, second[name], _TRUE)
     figure.supxlabel(xlabel, fontsize=9)
-    figure.supylabel(ylabel, fontsize=9)
     return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
+
+
+def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
+    """A thin line a seed, a thick one for their mean where all have a point."""
+    for points in seeds:
+        axes.plot(*zip(*points, strict=True), color=colour, linewidth=0.8, alpha=0.5)
+    frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
+    means = frame.groupby("x")["y"].agg(["mean", "count"])
+    means = means[means["count"] == len(seeds)]
+    if len(seeds) > 1:
+        axes.plot(means.index, means["mean"], color=colour, linewidth=2)
+    axes.locator_params(nbins=4)
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
 def _picture(file: str, title: str, alt: str, figure: Figure) -> Picture:

@@ -84,7 +84,8 @@ class CellResult:
     rows: list[Row]
     curves: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     """Training curves by name, as (x, y) points. 'pi_R' and 'expert' are RL learning curves:
-    x environment steps, y mean return under the reward that was learned from, at each checkpoint."""
+    x environment steps, y mean return under the reward that was learned from, at each checkpoint; 'pi_R_true'
+    is the true return of the same episodes."""
     endings: dict[str, dict[str, int]] = field(default_factory=dict)
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: list[str] = field(default_factory=list)

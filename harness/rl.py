@@ -93,11 +93,12 @@ SETTINGS: dict[str, Settings] = {
 @dataclass(frozen=True)
 class Solution:
     """What a solve found. curve: (environment steps of this solve, mean return under the learner's
-    reward) at each checkpoint. env_steps: steps taken, those of checkpoint episodes included; rl_steps:
-    those that were learned from."""
+    reward) at each checkpoint; true_curve: the same episodes' true return, which nothing is decided by.
+    env_steps: steps taken, those of checkpoint episodes included; rl_steps: those that were learned from."""
 
     policy: Policy
     curve: list[tuple[float, float]]
+    true_curve: list[tuple[float, float]]
     env_steps: int
     rl_steps: int
 
@@ -140,7 +141,7 @@ class Learner:
         buffer.rewards[: self._env.steps, 0] = self._env.normalise()
         keeper = _Keeper(self, training_seeds(self._rng, self.settings.check_episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
-        return Solution(keeper.best, keeper.curve, steps + keeper.check_steps, steps)
+        return Solution(keeper.best, keeper.curve, keeper.true_curve, steps + keeper.check_steps, steps)
 
     def _build(self, warm_up: int, seed: int) -> sbx.DDPG | DDPG | DQN:
         s, size = self.settings, self._spec.act_size
@@ -209,13 +210,15 @@ class Learner:
             net = Network.from_torch(self._model.q_net.q_net, zeros, scale)
         return replace(net, weights=(net.weights[0][:size], *net.weights[1:]))
 
-    def check(self, policy: Policy, seeds: list[int]) -> tuple[float, int]:
-        """Mean undiscounted return under the reward that the agent learns from, and the steps it took."""
+    def check(self, policy: Policy, seeds: list[int]) -> tuple[float, float, int]:
+        """Mean undiscounted return under the reward that the agent learns from, the true one, and the steps
+        it took."""
         episodes = self._checks.run(policy, seeds)
         total = sum(
             float(self._env.raw_rewards(e.obs[:-1], e.act, e.obs[1:], e.rewards).sum()) for e in episodes
         )
-        return total / len(seeds), sum(len(e.act) for e in episodes)
+        truth = sum(float(e.rewards.sum()) for e in episodes)
+        return total / len(seeds), truth / len(seeds), sum(len(e.act) for e in episodes)
 
 
 class _Keeper(BaseCallback):
@@ -225,6 +228,7 @@ class _Keeper(BaseCallback):
         super().__init__()
         self.learner, self.seeds, self.done_steps, self.steps = learner, seeds, start, steps
         self.curve: list[tuple[float, float]] = []
+        self.true_curve: list[tuple[float, float]] = []
         self.check_steps = 0
         self.best: Network
         self.best_return = -np.inf
@@ -239,9 +243,10 @@ class _Keeper(BaseCallback):
 
     def _check(self) -> None:
         policy = self.learner.actor()
-        score, steps = self.learner.check(policy, self.seeds)
+        score, truth, steps = self.learner.check(policy, self.seeds)
         self.check_steps += steps
         self.curve.append((float(self.done_steps), score))
+        self.true_curve.append((float(self.done_steps), truth))
         if score > self.best_return:
             self.best, self.best_return = policy, score
 

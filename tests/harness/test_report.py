@@ -58,6 +58,8 @@ def make_results(envs: tuple[str, ...] = ENVS, seeds: int = 3) -> list[CellResul
             rise = np.cumsum(rng.normal(3, 4, len(steps)))
             name = "expert" if method == "reference" else "pi_R"
             curves[name] = [(float(x), float(y)) for x, y in zip(steps, rise, strict=True)]
+            if name == "pi_R":
+                curves["pi_R_true"] = [(x, 500 - y) for x, y in curves[name]]
         if method in ("shaped", "bc"):
             curves["loss"] = [(float(i), math.exp(-i / 30) + 0.02 * rng.random()) for i in range(100)]
         endings = {str(row.policy): {"time limit": 70, "pole fell": 30} for row in rows if row.status == "ok"}
