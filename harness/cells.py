@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +28,24 @@ def train_expert(env: str, budget: str) -> None:
     expert_for(env, budget)
 
 
-def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
-    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises."""
-    work = _Work(cell, budget, protocol, directory)
+@dataclass(frozen=True)
+class Variation:
+    """A method on another number of demonstrations, with other hyper-parameters, than its budget's."""
+
+    method: str
+    demonstrations: int
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def run_cell(
+    cell: Cell, budget: str, protocol: str, directory: Path, variation: Variation | None = None
+) -> CellResult:
+    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises.
+
+    variation: what to run where the cell's method is no method's name, but a name for this.
+    """
+    variation = variation or Variation(cell.method, SPECS[cell.env].demo_episodes[budget])
+    work = _Work(cell, budget, protocol, directory, variation)
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
@@ -52,7 +69,8 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
 
 
 class _Work:
-    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path) -> None:
+    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path, variation: Variation) -> None:
+        self.variation = variation
         self.cell, self.budget, self.protocol, self.directory = cell, budget, protocol, directory
         self.spec: EnvSpec = SPECS[cell.env]
         self.expert: Expert = expert_for(cell.env, budget)
@@ -63,7 +81,7 @@ class _Work:
 
     def demos(self) -> Episodes:
         """The demonstrations of this environment and seed, the same for every method."""
-        seeds = demonstration_seeds(self.cell.seed, self.spec.demo_episodes[self.budget])
+        seeds = demonstration_seeds(self.cell.seed, self.variation.demonstrations)
         return without_rewards(Simulator(self.spec).run(self.expert.policy, seeds))
 
     def reference(self) -> None:
@@ -83,8 +101,9 @@ class _Work:
             )
 
     def method(self) -> None:
-        settings = settings_for(self.cell.method, self.cell.env, self.budget)
-        method = load_method(self.cell.method)(**settings)
+        name = self.variation.method
+        settings = settings_for(name, self.cell.env, self.budget) | self.variation.settings
+        method = load_method(name)(**settings)
         demos, world = self.demos(), TaskWorld(self.spec, self.protocol)
         started = time.perf_counter()
         learned = method.fit(demos, world, self.rng("fit"))

@@ -11,10 +11,13 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
-from harness.results import PROTOCOLS, CellResult
+from harness.results import PROTOCOLS, Cell, CellResult
+
+if TYPE_CHECKING:
+    from harness.store import Request, RunDirectory
 
 MOST = 1000
 """Largest count that --seeds and --workers take."""
@@ -62,6 +65,8 @@ def _dispatch(argv: list[str]) -> int:
         return _list()
     if args.command == "report":
         return _report(args.directory)
+    if args.command == "reproduce":
+        return _reproduce(args)
     return _run(args)
 
 
@@ -75,6 +80,11 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
+    add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    add = commands.add_parser("reproduce", help="the thesis's evaluation, and what it left open")
+    add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
+    add.add_argument("--budget", default="quick", choices=BUDGETS)
+    add.add_argument("--out", default=Path("results/reference/thesis"), type=Path, metavar="DIR")
     add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
@@ -107,28 +117,54 @@ def _run(args: argparse.Namespace) -> int:
     methods = choose("method", args.methods, METHODS, VARIANTS)
     envs = choose("env", args.envs, ENVS)
     # Imported here, for `--help` and `list` to answer at once.
-    from harness.progress import say
-    from harness.run import Grid
-    from harness.store import LOG, Request, open_for_run
+    from harness.store import Request, open_for_run
 
     seeds = args.seeds or (5 if args.budget == "full" else 1)
     request = Request(methods, envs, seeds, args.budget, args.protocol)
     _let_signals_interrupt()
     with open_for_run(args.out, request) as run:
-        known, corrupt = run.load()
-        for path, reason in corrupt.items():
-            print(f"corrupt, computed again if asked for: {path}: {reason}", file=sys.stderr)
-        cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
-        kept = len(request.cells) - len(cells)
-        say(f"{len(cells)} cells to run, {kept} kept from before, {args.budget} budget, in {args.out}")
-        workers = args.workers or _cores()
-        Grid(args.budget, args.protocol, args.out.absolute(), workers, run.save).run(cells)
-        results, _ = run.load()
+        results = _compute(run, request, args.workers)
         _write_report(args.out, list(results.values()))
         failed = _tell_troubles([results[cell] for cell in request.cells])
-        if failed:
-            print(f"tracebacks are in {args.out / LOG}; the same command tries again", file=sys.stderr)
     return int(failed)
+
+
+def _reproduce(args: argparse.Namespace) -> int:
+    from harness.reproduce import ENVS, write_study
+    from harness.store import Request, open_for_run
+    from harness.study import ARMS
+
+    _let_signals_interrupt()
+    found = {}
+    for protocol in PROTOCOLS:
+        request = Request(tuple(ARMS), ENVS, args.seeds, args.budget, protocol)
+        with open_for_run(args.out / protocol, request) as run:
+            found[protocol] = list(_compute(run, request, args.workers, "harness.study").values())
+    write_study(args.out, found)
+    print((args.out / "study.md").read_text(encoding="utf-8"))
+    return int(_tell_troubles([result for results in found.values() for result in results]))
+
+
+def _compute(
+    run: RunDirectory, request: Request, workers: int | None, work: str = "harness.cells"
+) -> dict[Cell, CellResult]:
+    """Computes what the request asks for and the directory lacks; returns all that is there then."""
+    from harness.progress import say
+    from harness.run import Grid
+    from harness.store import LOG
+
+    known, corrupt = run.load()
+    for path, reason in corrupt.items():
+        print(f"corrupt, computed again if asked for: {path}: {reason}", file=sys.stderr)
+    cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
+    kept = len(request.cells) - len(cells)
+    say(f"{len(cells)} cells to run, {kept} kept from before, {request.budget} budget, in {run.path}")
+    grid = Grid(request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save, work)
+    grid.run(cells)
+    results, _ = run.load()
+    if any(_has_failed(results[cell]) for cell in request.cells):
+        print(f"tracebacks are in {run.path / LOG}; the same command tries again", file=sys.stderr)
+    return results
 
 
 def _report(directory: Path) -> int:

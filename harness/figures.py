@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,14 +45,21 @@ class Picture:
     height: int
 
 
+@contextmanager
+def styled() -> Iterator[None]:
+    """Within it, figures look alike, whatever the user's own settings."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
+
+
 def draw(
     env: str, entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult]
 ) -> list[Picture]:
     """The figures of one env, from its part of the leaderboard, its scored rows and its results: scores,
     learning curves of RL, training curves of methods; those that have nothing to show are left out."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(_STYLE)
+    with styled():
         rl, truth, training = _curves([entry.method for entry in entries], results)
         pictures = [_scores(env, entries, rows)]
         if rl:
@@ -195,8 +203,13 @@ def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colou
 
 
 def _picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
+    width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
+    return Picture(file, title, alt, png(figure), round(width), round(height))
+
+
+def png(figure: Figure) -> bytes:
+    """The figure's PNG, of equal bytes for equal figures."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
-    width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
-    return Picture(file, title, alt, buffer.getvalue(), round(width), round(height))
+    return buffer.getvalue()

@@ -39,6 +39,8 @@ class Shaped:
     """Gradient steps."""
     iterations: int = 300
     """Of L-BFGS after them."""
+    weight_decay: float = 0.0
+    """Of the sum of all squared weights of f and L, what is added to the loss."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Maximise eq. 4.3 over the demonstrated pairs. Touches no environment."""
@@ -47,11 +49,13 @@ class Shaped:
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
         chol = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
+        parameters = [*f.parameters(), *chol.parameters()]
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             action = torch.tanh(f(s))
             reward = shaped_reward(a, action, chol(s))
-            return -reward.mean() + (a - action).square().sum(1).mean()
+            size = sum(p.square().sum() for p in parameters) if self.weight_decay else 0.0
+            return -reward.mean() + (a - action).square().sum(1).mean() + self.weight_decay * size
 
         data = ((obs - mean) / std, act)
         curve = descend(loss, [f, chol], data, self.learning_rate, self.steps, self.batch, rng)

@@ -1,0 +1,156 @@
+"""The thesis's evaluation (sections 5.1 to 5.3) once more, and the study that its open question asks for:
+why does RL on R* fail where pi* succeeds? What is written:
+
+DIR/native, DIR/absorbing       a run's directory for each protocol
+DIR/scores.csv                  their scores
+DIR/study.csv, .md              the same over seeds, with 95 % intervals
+DIR/<env>_figure_5_3.png        the thesis's figure
+DIR/<env>_study.png             scores against the number of trajectories
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from harness.figures import plot_seeds, png, styled
+from harness.files import write_atomic
+from harness.leaderboard import Entry, leaderboard, scored_rows
+from harness.results import COLUMNS, LOWER_CONTROLS, PROTOCOLS, REFERENCE, CellResult
+from harness.study import DECAYS, THESIS, TRAJECTORIES, arm
+
+ENVS = ("cartpole", "pendulum")
+BLUE, GREEN, ORANGE, RED = "#0072b2", "#009e73", "#e69f00", "#d55e00"
+
+
+def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
+    """Writes tables and figures into `directory` from the results of each protocol's run."""
+    rows = [row for results in runs.values() for row in scored_rows(results)]
+    frame = pd.DataFrame([dataclasses.asdict(row) for row in rows], columns=list(COLUMNS))
+    write_atomic(directory / "scores.csv", frame.to_csv(index=False, lineterminator="\n"))
+    entries = [entry for results in runs.values() for entry in leaderboard(scored_rows(results))]
+    table = pd.DataFrame([_line(entry) for entry in entries if entry.method != REFERENCE])
+    write_atomic(directory / "study.csv", table.to_csv(index=False, lineterminator="\n"))
+    write_atomic(directory / "study.md", _markdown(table))
+    for env in dict.fromkeys(entry.env for entry in entries):
+        mine = [entry for entry in entries if entry.env == env]
+        results = {p: [r for r in found if r.cell.env == env] for p, found in runs.items()}
+        with styled():
+            write_atomic(directory / f"{env}_figure_5_3.png", png(_figure_5_3(env, results)))
+            write_atomic(directory / f"{env}_study.png", png(_study(env, mine)))
+
+
+def _line(entry: Entry) -> dict[str, str | int | float]:
+    names = {arm(n, d): (n, d) for n in TRAJECTORIES for d in DECAYS}
+    trajectories, decay = names.get(entry.method, ("", ""))
+    return {
+        "env": entry.env,
+        "protocol": entry.protocol,
+        "reward": "R*" if entry.method in names else entry.method,
+        "trajectories": trajectories,
+        "weight decay": decay,
+        "policy": entry.policy,
+        "seeds": entry.seeds_ok,
+        "score": entry.score_mean,
+        "low": entry.score_low,
+        "high": entry.score_high,
+        "return": entry.return_mean,
+        "discounted return": entry.discounted_mean,
+    }
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    def text(value: object) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    lines = [list(table.columns), ["---"] * len(table.columns)]
+    lines += [[text(value) for value in line] for line in table.itertuples(index=False)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
+def _figure_5_3(env: str, runs: dict[str, list[CellResult]]) -> Figure:
+    """Learning curves on the true reward and on R*, the latter under both rewards, and the level of pi*."""
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    for place, protocol in enumerate(PROTOCOLS):
+        curves: dict[tuple[str, str], list[list[tuple[float, float]]]] = {}
+        stars = []
+        for result in runs[protocol]:
+            for name, points in result.curves.items():
+                curves.setdefault((result.cell.method, name), []).append(points)
+            if result.cell.method == THESIS:
+                stars += [row.return_mean for row in result.rows if row.policy == "pi_star"]
+        axes: Axes = figure.add_subplot(1, 2, place + 1)
+        under = axes.twinx()
+        under.spines["right"].set_visible(True)
+        plot_seeds(axes, curves.get(("control_true", "pi_R_true"), []), BLUE)
+        plot_seeds(under, curves.get((THESIS, "pi_R"), []), ORANGE)
+        plot_seeds(axes, curves.get((THESIS, "pi_R_true"), []), RED)
+        for level in stars:
+            axes.axhline(level, color=GREEN, linestyle=":", linewidth=1.5)
+        axes.set_title(f"{env}, {protocol}")
+        axes.set_xlabel("environment steps")
+        axes.set_ylabel("true return")
+        under.set_ylabel("return under R*", color=ORANGE)
+    lines = {
+        "DDPG on the true reward": (BLUE, "-"),
+        "$\\pi^*$": (GREEN, ":"),
+        "DDPG on R*, under R*": (ORANGE, "-"),
+        "the same, true return": (RED, "-"),
+    }
+    handles = [axes.plot([], [], color=c, linestyle=s, label=name)[0] for name, (c, s) in lines.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def _study(env: str, entries: Sequence[Entry]) -> Figure:
+    """Scores of pi* and pi_R against trajectories, and the controls as lines."""
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    found = {(e.protocol, e.method, e.policy): e for e in entries}
+    first: Axes | None = None
+    for place, protocol in enumerate(PROTOCOLS):
+        axes: Axes = figure.add_subplot(1, 2, place + 1, sharey=first)
+        first = first or axes
+        for policy, colour, label in (("pi_star", BLUE, r"$\pi^*$"), ("pi_R", RED, r"$\pi_R$")):
+            for shift, decay in enumerate(DECAYS):
+                points = [
+                    (n * (0.94 + 0.06 * shift + 0.03 * (policy == "pi_R")), entry)
+                    for n in TRAJECTORIES
+                    if (entry := found.get((protocol, arm(n, decay), policy)))
+                    and math.isfinite(entry.score_mean)
+                ]
+                style: dict[str, Any] = {"linestyle": "--" if decay else "-", "marker": "s" if decay else "o"}
+                axes.errorbar(
+                    [x for x, _ in points],
+                    [e.score_mean for _, e in points],
+                    [
+                        [e.score_mean - e.score_low for _, e in points],
+                        [e.score_high - e.score_mean for _, e in points],
+                    ],
+                    color=colour,
+                    label=f"{label}, weight decay {decay:g}",
+                    markersize=4,
+                    linewidth=1.2,
+                    **style,
+                )
+        for control in ("control_true", "control_survival", *LOWER_CONTROLS):
+            if entry := found.get((protocol, control, "pi_R")):
+                axes.axhline(entry.score_mean, color="#999999", linewidth=0.8, linestyle=":")
+                axes.text(
+                    1.01, entry.score_mean, control[8:], transform=axes.get_yaxis_transform(), fontsize=7
+                )
+        axes.set_xscale("log")
+        axes.set_xticks(TRAJECTORIES, [str(n) for n in TRAJECTORIES])
+        axes.minorticks_off()
+        axes.set_title(f"{env}, {protocol}")
+        axes.set_xlabel("trajectories")
+    assert first is not None
+    first.set_ylabel("normalized score, 95 % intervals")
+    figure.legend(*first.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
+    return figure
