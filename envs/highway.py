@@ -48,8 +48,8 @@ CONFIG = {
         "speed_range": [10.0, 25.0],  # stopping is no option
     },
     "lanes_count": LANES,
-    "vehicles_count": 15,
-    "vehicles_density": 1.2,
+    "vehicles_count": 12,
+    "vehicles_density": 1.0,
     "simulation_frequency": 5,
     "policy_frequency": 1 / TIME_STEP,
     # highway-env sums up time in floats; Gymnasium's time limit counts steps.
@@ -59,7 +59,7 @@ CONFIG = {
     "high_speed_reward": 1.0,
     "reward_speed_range": [10.0, 25.0],
     "right_lane_reward": 0.0,
-    "collision_reward": -15.0,
+    "collision_reward": -25.0,
 }
 
 
@@ -72,7 +72,7 @@ class Highway(FastHighwayEnv):
     5 m/s). Zeros for a lane that is not there.
 
     Action (2,) in [-1, 1]: acceleration and steering. Terminates on a crash or off the road.
-    Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 15 on crashing, 0 off the road.
+    Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 25 on crashing, 0 off the road.
     """
 
     def __init__(self, config: dict[str, Any] | None = None) -> None:

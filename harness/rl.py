@@ -66,6 +66,8 @@ class Settings:
     """Reached linearly at the end of each solve."""
     tau: float = 0.02
     batch: int = 128
+    critics: int = 1
+    """Of several, the smallest value counts (Fujimoto et al. 2018, TD3)."""
     n_steps: int = 3
     noise: float = 0.3
     """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
@@ -82,6 +84,7 @@ SETTINGS: dict[str, Settings] = {
     "highway": Settings(
         final_learning_rate=5e-5,
         tau=0.005,
+        critics=2,
         noise=0.15,
         gradient_steps=10,
         checkpoint_every=2000,
@@ -169,6 +172,7 @@ class Learner:
                 exploration_final_eps=s.noise,
                 policy_kwargs=network,
             )
+        network["n_critics"] = s.critics
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
         if s.library == "sb3":
             # Of SB3's own progress a warm start would begin in the middle.

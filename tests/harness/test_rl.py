@@ -185,10 +185,11 @@ def test_only_a_better_checkpoint_replaces_what_is_kept(
     kept: int,
 ) -> None:
     monkeypatch.setitem(SETTINGS, steady.name, rl.Settings(checkpoint_every=100))
-    scores = iter(returns)
-    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), 0))
+    scores, truth = iter(returns), (-value for value in returns)
+    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), next(truth), 0))
     solution = solve(steady, Seek(), steps=800)
     assert [value for _, value in solution.curve] == returns
+    assert [value for _, value in solution.true_curve] == [-value for value in returns]
     assert same(solution.policy, actors[kept])
 
 
