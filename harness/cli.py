@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
 from harness.results import PROTOCOLS, Cell, CellResult
@@ -139,16 +139,17 @@ def _reproduce(args: argparse.Namespace) -> int:
     for protocol in PROTOCOLS:
         request = Request(tuple(ARMS), ENVS, args.seeds, args.budget, protocol)
         with open_for_run(args.out / protocol, request) as run:
-            found[protocol] = list(_compute(run, request, args.workers, "harness.study").values())
+            found[protocol] = list(_compute(run, request, args.workers, work="harness.study").values())
     write_study(args.out, found)
     print((args.out / "study.md").read_text(encoding="utf-8"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
 
 
 def _compute(
-    run: RunDirectory, request: Request, workers: int | None, work: str = "harness.cells"
+    run: RunDirectory, request: Request, workers: int | None, **options: Any
 ) -> dict[Cell, CellResult]:
-    """Computes what the request asks for and the directory lacks; returns all that is there then."""
+    """Computes what the request asks for and the directory lacks; returns all that is there then. options: of
+    the grid."""
     from harness.progress import say
     from harness.run import Grid
     from harness.store import LOG
@@ -159,7 +160,9 @@ def _compute(
     cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
     kept = len(request.cells) - len(cells)
     say(f"{len(cells)} cells to run, {kept} kept from before, {request.budget} budget, in {run.path}")
-    grid = Grid(request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save, work)
+    grid = Grid(
+        request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save, **options
+    )
     grid.run(cells)
     results, _ = run.load()
     if any(_has_failed(results[cell]) for cell in request.cells):

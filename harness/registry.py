@@ -26,6 +26,9 @@ class Entry(NamedTuple):
 
 METHODS = {
     "shaped": Entry("methods.shaped:Shaped", "the thesis's shaped-reward model, learned from expert pairs"),
+    "shaped_ml": Entry(
+        "methods.shaped_ml:ShapedML", "shaped, with L fitted by likelihood and an inverse LQR in the world"
+    ),
     "maxmargin": Entry(
         "methods.maxmargin:MaxMargin", "max-margin apprenticeship learning (Abbeel & Ng 2004)"
     ),
@@ -33,9 +36,6 @@ METHODS = {
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
 }
 VARIANTS = {
-    "shaped_ml": Entry(
-        "methods.shaped_ml:ShapedML", "shaped, with L fitted by likelihood and an inverse LQR in the world"
-    ),
     "maxent_linear": Entry(
         "methods.maxent_linear:MaxEntLinear", "maximum-entropy IRL with a linear reward (Ziebart et al. 2008)"
     ),

@@ -11,7 +11,7 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
-    ("bc", "*", "smoke"): {"steps": 300},
+    ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
     ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},

@@ -93,7 +93,7 @@ def test_cloning_recovers_the_regulators_feedback() -> None:
     demos = REGULATOR.demonstrations(seed=0)
     learned = BehaviourCloning(steps=1000).fit(demos, WORLD, np.random.default_rng(0))
     error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
-    assert error.mean() < 3e-3
+    assert error.mean() < 1e-3
     assert error.max() < 0.05
 
 
