@@ -1,63 +1,105 @@
-"""The thesis's evaluation, through the command line at the smallest budget."""
+"""The thesis's evaluation: what it computes, and the tables and figures that it makes of it."""
 
-from collections.abc import Iterator
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pandas as pd
 import pytest
 
+from harness import cells
 from harness.cli import main
 from harness.experts import CACHE_VARIABLE
-from harness.results import CONTROLS, PROTOCOLS
-from harness.study import ARMS, DECAYS, TRAJECTORIES, arm
+from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Row
+from harness.study import ARMS, DECAYS, TRAJECTORIES, arm, run_cell
+from methods.shaped import Shaped
 
 
-def test_every_arm_is_named_once() -> None:
-    assert len(ARMS) == len(TRAJECTORIES) * len(DECAYS)
-    assert ARMS[arm(5, 1e-3)].demonstrations == 5
-    assert ARMS[arm(5, 1e-3)].settings == {"weight_decay": 1e-3}
+class InstantGrid:
+    """Scores every cell at once: 500 the expert, 0 the random policy, an arm by its trajectories."""
+
+    computed: ClassVar[list[Cell]] = []
+
+    def __init__(self, budget: str, protocol: str, directory: Path, workers: int, save: Any, work: str):
+        assert work == "harness.study"
+        self.protocol, self.save = protocol, save
+
+    def run(self, cells: Sequence[Cell]) -> None:
+        for cell in cells:
+            InstantGrid.computed.append(cell)
+            self.save(self.result(cell))
+
+    def result(self, cell: Cell) -> CellResult:
+        def row(policy: Any, value: float) -> Row:
+            return Row(
+                *(cell.env, cell.method, cell.seed, policy, self.protocol),
+                return_mean=value + cell.seed * (cell.method != REFERENCE),
+            )
+
+        level = ARMS[cell.method].demonstrations if cell.method in ARMS else 400
+        rows = [row("pi_star", 2.0 * level), row("pi_R", level)]
+        if cell.method == REFERENCE:
+            rows = [row("expert", 500), row("random", 0)]
+        curve = [(float(x), x * 1.5) for x in range(0, 1000, 100)]
+        return CellResult(cell, rows, {"pi_R": curve, "pi_R_true": [(x, -y) for x, y in curve]})
 
 
-@pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Of cart-pole, one seed and two arms; what else is asked for within the module is no more than that."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
-        patch.setattr("harness.reproduce.ENVS", ("cartpole",))
-        patch.setattr("harness.study.ARMS", {name: ARMS[name] for name in (arm(1, 0.0), arm(100, 0.0))})
-        directory = tmp_path_factory.mktemp("study")
-        assert reproduce(directory) == 0
-        yield directory
+@pytest.fixture
+def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
+    monkeypatch.setattr("harness.run.Grid", InstantGrid)
+    monkeypatch.setattr("harness.cli._let_signals_interrupt", lambda: None)
+    InstantGrid.computed.clear()
+    return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])
 
 
-def reproduce(directory: Path) -> int:
-    return main(["reproduce", "--seeds", "1", "--budget", "smoke", "--out", str(directory)])
-
-
-def test_tables_hold_every_arm_and_control_under_both_protocols(study: Path) -> None:
-    scores, table = pd.read_csv(study / "scores.csv"), pd.read_csv(study / "study.csv")
+def test_every_arm_and_control_is_in_the_table_under_both_protocols(
+    reproduce: Callable[[], int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reproduce() == 0
+    methods = {REFERENCE, *CONTROLS, *ARMS}
+    assert len(InstantGrid.computed) == len(methods) * 2 * 3 * 2  # envs, seeds, protocols
+    scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
-    assert set(scores["method"]) == {"reference", *CONTROLS, arm(1, 0.0), arm(100, 0.0)}
-    assert (scores["status"] == "ok").all()
+    assert set(scores["method"]) == methods
     learned = table[table["reward"] == "R*"]
-    assert len(learned) == 2 * 2 * 2  # protocols, trajectories, policies
-    assert set(learned["trajectories"]) == {1, 100}
-    assert len(table) == len(learned) + 2 * len(CONTROLS)
+    assert len(learned) == len(ARMS) * 2 * 2 * 2  # policies, envs, protocols
+    assert set(learned["trajectories"]) == set(TRAJECTORIES)
+    assert set(learned["weight decay"]) == set(DECAYS)
     for _, line in learned.iterrows():
-        rows = scores[
-            (scores["protocol"] == line["protocol"])
-            & (scores["method"] == arm(int(line["trajectories"]), 0.0))
-            & (scores["policy"] == line["policy"])
+        times = 2 if line["policy"] == "pi_star" else 1
+        assert line["score"] == pytest.approx((times * line["trajectories"] + 1) / 500)
+        assert line["low"] < line["score"] < line["high"]
+    assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
+    assert "| cartpole | native | R* | 100 | 0" in capsys.readouterr().out
+
+    pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
+    assert len(pictures) == 4
+    computed = len(InstantGrid.computed)
+    assert reproduce() == 0
+    assert len(InstantGrid.computed) == computed
+    assert pictures == {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
+
+
+def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    fitted: list[tuple[Shaped, int]] = []
+    fit = Shaped.fit
+
+    def spy(self: Shaped, demos: Any, *rest: Any) -> Any:
+        fitted.append((self, len(demos.act)))
+        return fit(self, demos, *rest)
+
+    monkeypatch.setattr(Shaped, "fit", spy)
+    for name in (arm(1, DECAYS[1]), "shaped"):
+        result = run_cell(Cell("cartpole", name, 1), "smoke", "native", tmp_path)
+        assert [(row.method, row.policy, row.status) for row in result.rows] == [
+            (name, "pi_star", "ok"),
+            (name, "pi_R", "ok"),
         ]
-        assert line["return"] == pytest.approx(rows["return_mean"].mean())
-    assert len((study / "study.md").read_text().splitlines()) == 2 + len(table)
-
-
-def test_figures(study: Path) -> None:
-    for name in ("cartpole_figure_5_3.png", "cartpole_study.png"):
-        assert (study / name).read_bytes().startswith(b"\x89PNG")
-
-
-def test_resumed_it_computes_nothing_again(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert reproduce(study) == 0
-    assert capsys.readouterr().out.count("0 cells to run") == 2
+    (thin, one), (usual, several) = fitted
+    assert (one, thin.weight_decay, thin.steps) == (1, DECAYS[1], usual.steps)
+    assert (several, usual.weight_decay) == (cells.SPECS["cartpole"].demo_episodes["smoke"], 0)
