@@ -88,6 +88,7 @@ SETTINGS: dict[str, Settings] = {
         noise=0.15,
         gradient_steps=10,
         checkpoint_every=2000,
+        check_episodes=40,
     ),
 }
 """By environment; the defaults elsewhere."""

@@ -27,14 +27,15 @@ from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult
 from harness.store import LOG, decode, encode
 
-ENV_COST = {"cartpole": 1.0, "pendulum": 1.5, "highway": 4.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
+ENV_COST = {"cartpole": 1.0, "pendulum": 1.3, "highway": 5.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
 METHOD_COST = {
-    REFERENCE: 0.3,
-    "bc": 0.3,
-    **dict.fromkeys(("maxmargin", "maxmargin_projection", "maxent", "maxent_linear"), 1.5),
+    REFERENCE: 0.2,
+    "bc": 0.8,
+    **dict.fromkeys(("shaped", "shaped_ml"), 2.0),
+    **dict.fromkeys(("maxmargin", "maxmargin_projection", "maxent", "maxent_linear"), 2.2),
     **dict.fromkeys(CONTROLS, 1.0),
 }
-EXPERT_COST = 2.0
+EXPERT_COST = 1.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
 
 
