@@ -4,7 +4,7 @@ without pickle and sent between processes."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -50,6 +50,14 @@ class Network:
         weights = tuple(np.array(layer["kernel"], np.float64) for layer in dense)
         biases = tuple(np.array(layer["bias"], np.float64) for layer in dense)
         return cls(mean, std, weights, biases, tanh)
+
+    def scaled(self, factors: Array) -> Network:
+        """The network whose outputs, before any tanh, are `factors` (K,) times as large."""
+        weights, biases = (
+            (*self.weights[:-1], self.weights[-1] * factors),
+            (*self.biases[:-1], self.biases[-1] * factors),
+        )
+        return replace(self, weights=weights, biases=biases)
 
     def arrays(self) -> dict[str, Array]:
         """Its numbers by name, for storage; `from_arrays` is the inverse."""

@@ -9,9 +9,10 @@ demonstrated actions by a loss of its own; R's distance to 0, its upper bound, i
 Deviates from the paper: f passes through tanh, for actions are bounded and R must not reward leaving
 their range where there were no demonstrations; the auxiliary loss is squared, for the median that the
 absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
-standardised; Adam with a decaying learning rate and then L-BFGS instead of RMSprop, for the last percent
-of the error decides where a cloned balancer drifts to; figure 4.4 multiplies the batch into one matrix,
-eq. 4.3 does not.
+standardised, and what is fitted is in units of the demonstrated actions' standard deviation, a hundredth of
+their range where an expert balances well; Adam with a decaying learning rate and then L-BFGS instead of
+RMSprop, for the last percent of the error decides where a cloned balancer drifts to; figure 4.4 multiplies
+the batch into one matrix, eq. 4.3 does not.
 """
 
 from __future__ import annotations
@@ -46,21 +47,24 @@ class Shaped:
         """Maximise eq. 4.3 over the demonstrated pairs. Touches no environment."""
         obs, act = demos.pairs()
         mean, std = standardiser(obs)
+        spread = standardiser(act)[1]
+        unit = torch.as_tensor(spread, dtype=torch.float32)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
         chol = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
         parameters = [*f.parameters(), *chol.parameters()]
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-            action = torch.tanh(f(s))
+            action = torch.tanh(unit * f(s))
             reward = shaped_reward(a, action, chol(s))
             size = sum(p.square().sum() for p in parameters) if self.weight_decay else 0.0
-            return -reward.mean() + (a - action).square().sum(1).mean() + self.weight_decay * size
+            error = ((a - action) / unit).square().sum(1).mean()
+            return error - reward.mean() / unit.square().mean() + self.weight_decay * size
 
         data = ((obs - mean) / std, act)
         curve = descend(loss, [f, chol], data, self.learning_rate, self.steps, self.batch, rng)
         curve.append(converge(loss, [f, chol], data, self.iterations))
-        policy = Network.from_torch(f, mean, std, tanh=True)
+        policy = Network.from_torch(f, mean, std, tanh=True).scaled(spread)
         reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)
         return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,14 @@ def test_cloning_recovers_the_regulators_feedback() -> None:
     error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
     assert error.mean() < 1e-3
     assert error.max() < 0.05
+
+
+@pytest.mark.parametrize("method", [BehaviourCloning(steps=1000), Shaped(steps=1000)])
+def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning | Shaped) -> None:
+    demos = REGULATOR.demonstrations(seed=0)
+    small = replace(demos, act=tuple(0.01 * act for act in demos.act))
+    learned = method.fit(small, WORLD, np.random.default_rng(0))
+    assert np.abs(learned.policy(HELD_OUT) - 0.01 * REGULATOR.expert(HELD_OUT)).mean() < 2e-5
 
 
 @pytest.fixture(scope="module")
