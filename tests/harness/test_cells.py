@@ -54,7 +54,7 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert (skipped.policy, skipped.status, skipped.reason) == ("pi_R", "skipped", "learns no reward")
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
-    assert [x for x, _ in result.curves["loss"]] == list(range(1, 101))
+    assert [x for x, _ in result.curves["loss"]] == list(range(1, 102))
     assert recordings(tmp_path) == ["cartpole__bc__seed0__pi_star.rrd"]
 
     again = run(BC, tmp_path / "again")
