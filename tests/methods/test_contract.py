@@ -16,9 +16,9 @@ from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML
 
 METHODS: dict[str, Method] = {
-    "shaped": Shaped(steps=40),
+    "shaped": Shaped(steps=40, iterations=10),
     "shaped_ml": ShapedML(steps=40, iterations=10),
-    "bc": BehaviourCloning(steps=40),
+    "bc": BehaviourCloning(steps=40, iterations=10),
     "maxmargin": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0),
     "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),
     "maxent": MaxEnt(iterations=2, rollouts=3, reward_steps=20),
