@@ -47,16 +47,17 @@ class FastHighwayEnv(HighwayEnvFast):  # type: ignore[misc]
 
 def _speed_up(road: Any) -> None:
     """Give the road, its lanes and its vehicles their faster classes, where the assumptions hold."""
-    lanes = [(key, lane) for key, lane in road.network.lanes_dict().items()]
-    straight = all(type(lane) is StraightLane and lane.direction.tolist() == [1, 0] for _, lane in lanes)
+    lanes = road.network.lanes_dict()
+    straight = all(
+        type(lane) is StraightLane and lane.direction.tolist() == [1, 0] for lane in lanes.values()
+    )
     if not straight or road.objects or type(road) is not Road or type(road.network) is not RoadNetwork:
         return
-    for _, lane in lanes:
+    for lane in lanes.values():
         lane.__class__ = _AlignedLane
         lane.x0, lane.y0 = lane.start.tolist()
     road.network.__class__ = _AlignedNetwork
-    road.network.lanes = lanes
-    road.network.lane_of = dict(lanes)
+    road.network.lane_of = lanes
     road.__class__ = _FastRoad
     road.scene = None
     for vehicle in road.vehicles:
@@ -87,7 +88,6 @@ class _AlignedLane(StraightLane):  # type: ignore[misc]
 class _AlignedNetwork(RoadNetwork):  # type: ignore[misc]
     """Aligned lanes only, listed once."""
 
-    lanes: list[tuple[tuple[str, str, int], _AlignedLane]]
     lane_of: dict[tuple[str, str, int], _AlignedLane]
 
     def get_closest_lane_index(
@@ -98,7 +98,7 @@ class _AlignedNetwork(RoadNetwork):  # type: ignore[misc]
         x, y = position.tolist()
         turn = abs(wrap_to_pi(heading))
         best, least = None, math.inf
-        for key, lane in self.lanes:
+        for key, lane in self.lane_of.items():
             # Added in highway-env's order: a sum rounded otherwise could pick another lane.
             distance = abs(y - lane.y0)
             if not 0 <= x - lane.x0 <= lane.length:
@@ -242,8 +242,7 @@ class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
     def act(self, action: Any = None) -> None:
         if self.crashed:
             return
-        network = self.road.network
-        lane = network.lane_of[self.target_lane_index]
+        lane = self.road.network.lane_of[self.target_lane_index]
         if self.position.item(0) - lane.x0 > lane.length - lane.VEHICLE_LENGTH / 2:
             self.follow_road()
         # When neither holds, highway-env's method does nothing.
