@@ -57,7 +57,7 @@ class Shaped:
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             action = torch.tanh(unit * f(s))
             reward = shaped_reward(a, action, chol(s))
-            size = sum(p.square().sum() for p in parameters) if self.weight_decay else 0.0
+            size = sum(p.square().sum() for p in parameters)
             error = ((a - action) / unit).square().sum(1).mean()
             return error - reward.mean() / unit.square().mean() + self.weight_decay * size
 
