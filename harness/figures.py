@@ -19,12 +19,13 @@ from matplotlib.ticker import EngFormatter
 from harness.leaderboard import Entry
 from harness.results import CONTROLS, REFERENCE, CellResult, Row
 
+BLUE, ORANGE = "#0072b2", "#d55e00"
+"""Told apart by the colour-blind too."""
 _POLICIES = {
-    "pi_star": (r"$\pi^*$ (the apprentice)", "#0072b2", "o"),
-    "pi_R": (r"$\pi_R$ (RL on R*)", "#d55e00", "D"),
+    "pi_star": (r"$\pi^*$ (the apprentice)", BLUE, "o"),
+    "pi_R": (r"$\pi_R$ (RL on R*)", ORANGE, "D"),
 }
-"""Label, colour (told apart by the colour-blind too) and marker."""
-_LEARNED, _TRUE = "#0072b2", "#d55e00"
+"""Label, colour and marker."""
 _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -69,7 +70,7 @@ def draw(
                     f"{env}_rl.png",
                     f"{env}: RL on R* (each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
-                    "environment steps (blue, left: return under R*; orange, right: true return)",
+                    "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,
                     truth,
                 )
@@ -157,11 +158,8 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
             finite = [(x, y) for x, y in points if math.isfinite(y)]
             if not finite:
                 continue
-            if name == "expert":
-                truth.setdefault("expert", []).append(finite)
-                rl.setdefault("expert", [])
-            elif name == "pi_R":
-                rl.setdefault(method, []).append(finite)
+            if name in ("pi_R", "expert"):
+                rl.setdefault("expert" if name == "expert" else method, []).append(finite)
             elif name == "pi_R_true":
                 truth.setdefault(method, []).append(finite)
             else:
@@ -176,14 +174,12 @@ def _panels(file: str, title: str, alt: str, xlabel: str, curves: Curves, second
     figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
     for place, (name, seeds) in enumerate(curves.items()):
         axes: Axes = figure.add_subplot(lines, columns, place + 1)
-        plot_seeds(axes, seeds, _LEARNED)
+        plot_seeds(axes, seeds, BLUE)
         axes.set_title(name, parse_math=False)
-        if not seeds:
-            axes.set_yticks([])
         if name in second:
             twin = axes.twinx()
             twin.spines["right"].set_visible(True)
-            plot_seeds(twin, second[name], _TRUE)
+            plot_seeds(twin, second[name], ORANGE)
     figure.supxlabel(xlabel, fontsize=9)
     return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
 

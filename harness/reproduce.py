@@ -20,14 +20,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.figures import plot_seeds, png, styled
+from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.files import write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
 from harness.results import COLUMNS, LOWER_CONTROLS, PROTOCOLS, REFERENCE, CellResult
-from harness.study import DECAYS, THESIS, TRAJECTORIES, arm
+from harness.study import DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS = ("cartpole", "pendulum")
-BLUE, GREEN, ORANGE, RED = "#0072b2", "#009e73", "#e69f00", "#d55e00"
+GREEN, YELLOW = "#009e73", "#e69f00"
 
 
 def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
@@ -48,7 +48,7 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
 
 
 def _line(entry: Entry) -> dict[str, str | int | float]:
-    names = {arm(n, d): (n, d) for n in TRAJECTORIES for d in DECAYS}
+    names = {name_of(n, d): (n, d) for n in TRAJECTORIES for d in DECAYS}
     trajectories, decay = names.get(entry.method, ("", ""))
     return {
         "env": entry.env,
@@ -90,19 +90,19 @@ def _figure_5_3(env: str, runs: dict[str, list[CellResult]]) -> Figure:
         under = axes.twinx()
         under.spines["right"].set_visible(True)
         plot_seeds(axes, curves.get(("control_true", "pi_R_true"), []), BLUE)
-        plot_seeds(under, curves.get((THESIS, "pi_R"), []), ORANGE)
-        plot_seeds(axes, curves.get((THESIS, "pi_R_true"), []), RED)
+        plot_seeds(under, curves.get((THESIS, "pi_R"), []), YELLOW)
+        plot_seeds(axes, curves.get((THESIS, "pi_R_true"), []), ORANGE)
         for level in stars:
             axes.axhline(level, color=GREEN, linestyle=":", linewidth=1.5)
         axes.set_title(f"{env}, {protocol}")
         axes.set_xlabel("environment steps")
         axes.set_ylabel("true return")
-        under.set_ylabel("return under R*", color=ORANGE)
+        under.set_ylabel("return under R*", color=YELLOW)
     lines = {
         "DDPG on the true reward": (BLUE, "-"),
         "$\\pi^*$": (GREEN, ":"),
-        "DDPG on R*, under R*": (ORANGE, "-"),
-        "the same, true return": (RED, "-"),
+        "DDPG on R*, under R*": (YELLOW, "-"),
+        "the same, true return": (ORANGE, "-"),
     }
     handles = [axes.plot([], [], color=c, linestyle=s, label=name)[0] for name, (c, s) in lines.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
@@ -117,12 +117,12 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
     for place, protocol in enumerate(PROTOCOLS):
         axes: Axes = figure.add_subplot(1, 2, place + 1, sharey=first)
         first = first or axes
-        for policy, colour, label in (("pi_star", BLUE, r"$\pi^*$"), ("pi_R", RED, r"$\pi_R$")):
+        for policy, colour, label in (("pi_star", BLUE, r"$\pi^*$"), ("pi_R", ORANGE, r"$\pi_R$")):
             for shift, decay in enumerate(DECAYS):
                 points = [
                     (n * (0.94 + 0.06 * shift + 0.03 * (policy == "pi_R")), entry)
                     for n in TRAJECTORIES
-                    if (entry := found.get((protocol, arm(n, decay), policy)))
+                    if (entry := found.get((protocol, name_of(n, decay), policy)))
                     and math.isfinite(entry.score_mean)
                 ]
                 style: dict[str, Any] = {"linestyle": "--" if decay else "-", "marker": "s" if decay else "o"}
