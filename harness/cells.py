@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from harness.registry import load_method
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, PolicyName, Row
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
+from harness.study import ARMS, Arm
 from harness.world import TaskWorld, solver_for, without_rewards
 from methods.base import Array, Episodes, Policy, Reward
 from methods.settings import settings_for
@@ -28,24 +27,9 @@ def train_expert(env: str, budget: str) -> None:
     expert_for(env, budget)
 
 
-@dataclass(frozen=True)
-class Variation:
-    """A method on another number of demonstrations, with other hyper-parameters, than its budget's."""
-
-    method: str
-    demonstrations: int
-    settings: dict[str, Any] = field(default_factory=dict)
-
-
-def run_cell(
-    cell: Cell, budget: str, protocol: str, directory: Path, variation: Variation | None = None
-) -> CellResult:
-    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises.
-
-    variation: what to run where the cell's method is no method's name, but a name for this.
-    """
-    variation = variation or Variation(cell.method, SPECS[cell.env].demo_episodes[budget])
-    work = _Work(cell, budget, protocol, directory, variation)
+def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
+    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises."""
+    work = _Work(cell, budget, protocol, directory)
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
@@ -69,11 +53,11 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
 
 
 class _Work:
-    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path, variation: Variation) -> None:
-        self.variation = variation
+    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path) -> None:
         self.cell, self.budget, self.protocol, self.directory = cell, budget, protocol, directory
         self.spec: EnvSpec = SPECS[cell.env]
         self.expert: Expert = expert_for(cell.env, budget)
+        self.arm = ARMS.get(cell.method) or Arm(cell.method, self.spec.demo_episodes[budget], {})
         self.result = CellResult(cell, [])
 
     def rng(self, purpose: str) -> np.random.Generator:
@@ -81,7 +65,7 @@ class _Work:
 
     def demos(self) -> Episodes:
         """The demonstrations of this environment and seed, the same for every method."""
-        seeds = demonstration_seeds(self.cell.seed, self.variation.demonstrations)
+        seeds = demonstration_seeds(self.cell.seed, self.arm.demonstrations)
         return without_rewards(Simulator(self.spec).run(self.expert.policy, seeds))
 
     def reference(self) -> None:
@@ -101,9 +85,8 @@ class _Work:
             )
 
     def method(self) -> None:
-        name = self.variation.method
-        settings = settings_for(name, self.cell.env, self.budget) | self.variation.settings
-        method = load_method(name)(**settings)
+        settings = settings_for(self.arm.method, self.cell.env, self.budget) | self.arm.settings
+        method = load_method(self.arm.method)(**settings)
         demos, world = self.demos(), TaskWorld(self.spec, self.protocol)
         started = time.perf_counter()
         learned = method.fit(demos, world, self.rng("fit"))

@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
 from harness.results import PROTOCOLS, Cell, CellResult
@@ -81,7 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
     add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
-    add = commands.add_parser("reproduce", help="the thesis's evaluation, and what it left open")
+    add = commands.add_parser(
+        "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
+    )
     add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--out", default=Path("results/reference/thesis"), type=Path, metavar="DIR")
@@ -130,6 +132,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _reproduce(args: argparse.Namespace) -> int:
+    from harness.progress import say
     from harness.reproduce import ENVS, write_study
     from harness.store import Request, open_for_run
     from harness.study import ARMS
@@ -139,17 +142,14 @@ def _reproduce(args: argparse.Namespace) -> int:
     for protocol in PROTOCOLS:
         request = Request(tuple(ARMS), ENVS, args.seeds, args.budget, protocol)
         with open_for_run(args.out / protocol, request) as run:
-            found[protocol] = list(_compute(run, request, args.workers, work="harness.study").values())
+            found[protocol] = list(_compute(run, request, args.workers).values())
     write_study(args.out, found)
-    print((args.out / "study.md").read_text(encoding="utf-8"))
+    say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
 
 
-def _compute(
-    run: RunDirectory, request: Request, workers: int | None, **options: Any
-) -> dict[Cell, CellResult]:
-    """Computes what the request asks for and the directory lacks; returns all that is there then. options: of
-    the grid."""
+def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[Cell, CellResult]:
+    """Computes what the request asks for and the directory lacks; returns all that is there then."""
     from harness.progress import say
     from harness.run import Grid
     from harness.store import LOG
@@ -160,10 +160,7 @@ def _compute(
     cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
     kept = len(request.cells) - len(cells)
     say(f"{len(cells)} cells to run, {kept} kept from before, {request.budget} budget, in {run.path}")
-    grid = Grid(
-        request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save, **options
-    )
-    grid.run(cells)
+    Grid(request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save).run(cells)
     results, _ = run.load()
     if any(_has_failed(results[cell]) for cell in request.cells):
         print(f"tracebacks are in {run.path / LOG}; the same command tries again", file=sys.stderr)

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import pandas as pd
 import pytest
 
-from harness import cells
+from harness.cells import SPECS, run_cell
 from harness.cli import main
 from harness.experts import CACHE_VARIABLE
 from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Row
-from harness.study import ARMS, DECAYS, TRAJECTORIES, arm, run_cell
+from harness.study import ARMS, DECAYS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
 
@@ -22,8 +22,7 @@ class InstantGrid:
 
     computed: ClassVar[list[Cell]] = []
 
-    def __init__(self, budget: str, protocol: str, directory: Path, workers: int, save: Any, work: str):
-        assert work == "harness.study"
+    def __init__(self, budget: str, protocol: str, directory: Path, workers: int, save: Any):
         self.protocol, self.save = protocol, save
 
     def run(self, cells: Sequence[Cell]) -> None:
@@ -94,7 +93,7 @@ def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
         return fit(self, demos, *rest)
 
     monkeypatch.setattr(Shaped, "fit", spy)
-    for name in (arm(1, DECAYS[1]), "shaped"):
+    for name in (name_of(1, DECAYS[1]), "shaped"):
         result = run_cell(Cell("cartpole", name, 1), "smoke", "native", tmp_path)
         assert [(row.method, row.policy, row.status) for row in result.rows] == [
             (name, "pi_star", "ok"),
@@ -102,4 +101,4 @@ def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
         ]
     (thin, one), (usual, several) = fitted
     assert (one, thin.weight_decay, thin.steps) == (1, DECAYS[1], usual.steps)
-    assert (several, usual.weight_decay) == (cells.SPECS["cartpole"].demo_episodes["smoke"], 0)
+    assert (several, usual.weight_decay) == (SPECS["cartpole"].demo_episodes["smoke"], 0)
