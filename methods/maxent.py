@@ -8,7 +8,8 @@ explains the demonstrations without it may be worth another journey with it.
 
 Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is warm-started RL and
 the expected visitations E[mu] come from rollouts of it. They are averaged over the iterations, and a Gaussian
-prior on the reward's values (the paper's is on the weights) keeps it bounded between sparse visitations.
+prior on the reward's values (the paper's is on the weights) keeps it bounded between sparse visitations; the
+optimum then lies within 1 / prior of 0, so the network's output is bounded by that.
 The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
 absorption pays is learned like any state's reward.
 """
@@ -74,27 +75,34 @@ class MaxEnt:
 
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
-        mean, std = standardiser(demos.pairs()[0])
+        policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
+        rollouts = world.rollout(policy, self.rollouts, rng)
+        # Where an expert hardly moves, its own spread would make outliers of all states but its own.
+        visited = rollouts.pairs()[0]
+        mean, std = standardiser(np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited]))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         network = mlp(world.obs_size + world.act_size + 1, *self.layers, 1, generator=generator)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate)
         visits_demo = visitations(demos, world.horizon, mean, std)
-        policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         visits_policy: list[Array] = []
         gaps: list[float] = []
         for i in range(self.iterations):
-            rollouts = world.rollout(policy, self.rollouts, rng)
+            if i > 0:
+                rollouts = world.rollout(policy, self.rollouts, rng)
             visits_policy.append(visitations(rollouts, world.horizon, mean, std))
             for _ in range(self.reward_steps):
                 expected = visits_policy[int(rng.integers(len(visits_policy)))]
-                d, e = (network(sample(v, self.batch, rng)) for v in (visits_demo, expected))
+                d, e = (
+                    torch.tanh(network(sample(v, self.batch, rng))) / self.prior
+                    for v in (visits_demo, expected)
+                )
                 prior = 0.5 * self.prior * (d.square().mean() + e.square().mean())
                 loss = e.mean() - d.mean() + prior
                 optimizer.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
             gaps.append((d.mean() - e.mean()).item())
-            reward = NetworkReward.of(network, mean, std)
+            reward = NetworkReward.of(network, mean, std, 1 / self.prior)
             policy = world.solve(reward, rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
 
@@ -164,21 +172,24 @@ class StateReward:
 
 @dataclass(frozen=True)
 class NetworkReward:
-    """A network of (observation, action, absorbing indicator)."""
+    """`bound` times the tanh of a network of (observation, action, absorbing indicator)."""
 
     network: Network
+    bound: float
     absorbing: float
 
     @classmethod
-    def of(cls, layers: torch.nn.Module, mean: Array, std: Array) -> NetworkReward:
-        """From torch layers on standardised observations (`mean`, `std`), actions and the indicator."""
+    def of(cls, layers: torch.nn.Module, mean: Array, std: Array, bound: float) -> NetworkReward:
+        """From torch layers, before the tanh, on standardised observations (`mean`, `std`), actions and the
+        indicator."""
         linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
         rest = linear[0].in_features - len(mean)
         shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
-        network = Network.from_torch(layers, shift, scale)
+        network = Network.from_torch(layers, shift, scale, tanh=True)
         absorbed = np.append(mean, np.zeros(rest))
         absorbed[-1] = 1
-        return cls(network, float(network(absorbed[None])[0, 0]))
+        return cls(network, bound, bound * float(network(absorbed[None])[0, 0]))
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.network(np.concatenate([obs, act, np.zeros((len(obs), 1))], axis=1))[:, 0]
+        inputs = np.concatenate([obs, act, np.zeros((len(obs), 1))], axis=1)
+        return self.bound * self.network(inputs)[:, 0]

@@ -43,15 +43,16 @@ def test_minibatches_are_rows_of_the_visitations() -> None:
     assert {tuple(row) for row in rows} == {tuple(row) for row in visits}
 
 
-def test_the_reward_is_the_torch_network_on_standardised_observations() -> None:
+def test_the_reward_is_the_torch_network_on_standardised_observations_and_bounded() -> None:
     layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(0))
-    reward = NetworkReward.of(layers, MEAN, STD)
+    reward = NetworkReward.of(layers, MEAN, STD, 1.5)
     rng = np.random.default_rng(0)
     obs, act = rng.normal(size=(20, 3)), rng.uniform(-1, 1, (20, 2))
     inputs = np.concatenate([(obs - MEAN) / STD, act, np.zeros((20, 1))], axis=1)
     absorbed = np.array([[0, 0, 0, 0, 0, 1.0]])
     with torch.no_grad():
-        expected = layers.double()(torch.as_tensor(np.concatenate([inputs, absorbed])))[:, 0].numpy()
+        output = layers.double()(torch.as_tensor(np.concatenate([inputs, absorbed])))[:, 0]
+    expected = 1.5 * np.tanh(output.numpy())
     np.testing.assert_allclose(reward(obs, act, obs), expected[:-1], rtol=1e-6)
     assert reward.absorbing == pytest.approx(expected[-1], rel=1e-6)
 
@@ -99,6 +100,21 @@ def test_the_prior_bounds_the_reward(world: Any, demonstrate: Callable[..., Epis
     assert shown.max() < 0.75
     assert shown.mean() > 0.2
     assert absent.mean() == pytest.approx(-0.5, abs=0.15)
+    far = 100 * obs
+    assert np.abs(learned.reward(far, constant(0.9, 0.9)(far), far)).max() <= 0.5
+
+
+def test_an_expert_that_hardly_moves_does_not_make_cliffs_of_its_reward(
+    mortal_world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    still = demonstrate(constant(0.0, 0.0))
+    narrow = Episodes(tuple(1e-3 * obs for obs in still.obs), still.act, still.terminated)
+    reward = METHOD.fit(narrow, mortal_world, np.random.default_rng(0)).reward
+    obs = np.random.default_rng(1).uniform(-0.1, 0.1, (300, 3))
+    # A step of 0.01, a hundredth of the range, is many of the expert's own spreads.
+    act = constant(0.0, 0.0)(obs)
+    jump = np.abs(reward(obs + 0.01, act, obs) - reward(obs, act, obs))
+    assert jump.mean() < 0.1
 
 
 def test_it_warms_every_solve_but_the_first(world: Any, demonstrate: Callable[..., Episodes]) -> None:
