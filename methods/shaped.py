@@ -11,8 +11,9 @@ their range where there were no demonstrations; the auxiliary loss is squared, f
 absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
 standardised, and what is fitted is in units of the demonstrated actions' standard deviation, a hundredth of
 their range where an expert balances well; Adam with a decaying learning rate and then L-BFGS instead of
-RMSprop, for the last percent of the error decides where a cloned balancer drifts to; figure 4.4 multiplies
-the batch into one matrix, eq. 4.3 does not.
+RMSprop, for the last percent of the error decides where a cloned balancer drifts to; L starts near 0, where
+R is greatest, for what L is beyond the demonstrations nothing decides, and a large one makes life there worse
+than its end; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ import torch
 
 from methods.base import Array, Episodes, Learned, World, default_absorbing
 from methods.network import Network, converge, descend, mlp, standardiser
+
+FIRST_L = 0.01
+"""Size of the last weights of L at the start, of what torch draws."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Shaped:
     batch: int = 256
     steps: int = 5000
     """Gradient steps."""
-    iterations: int = 300
+    iterations: int = 400
     """Of L-BFGS after them."""
     weight_decay: float = 0.0
     """Of the sum of all squared weights of f and L, what is added to the loss."""
@@ -52,6 +56,9 @@ class Shaped:
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
         chol = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
+        *_, weight, bias = chol.parameters()
+        weight.data *= FIRST_L
+        bias.data *= FIRST_L
         parameters = [*f.parameters(), *chol.parameters()]
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:

@@ -104,3 +104,14 @@ def test_absorption_pays_what_uniform_actions_earn(
     uniform = reward(obs, np.random.default_rng(1).uniform(-1, 1, (len(obs), 2)), obs)
     tolerance = 4 * uniform.std() / np.sqrt(len(demos.pairs()[0]))
     assert abs(reward.absorbing - uniform.mean()) < tolerance < 0.5 * abs(uniform.mean())
+
+
+def test_the_reward_far_from_the_demonstrations_is_no_cliff(
+    demonstrate: Callable[..., Episodes], no_environment: Any
+) -> None:
+    demos = demonstrate(lambda obs: 0.5 * obs[:, :2], count=20)
+    narrow = Episodes(tuple(1e-2 * obs for obs in demos.obs), demos.act, demos.terminated)
+    reward = Shaped(steps=300, iterations=20).fit(narrow, no_environment, np.random.default_rng(0)).reward
+    assert isinstance(reward, ShapedReward)
+    # Even a hundred of the demonstrations' spreads away L is smaller than the identity beside it.
+    assert np.abs(reward.chol(100 * narrow.pairs()[0])).max() < 1
