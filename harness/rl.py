@@ -72,7 +72,7 @@ class Settings:
     noise: float = 0.3
     """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
     actions."""
-    gradient_steps: int = 5
+    gradient_steps: int = 10
     """Gradient steps after every `TRAIN_EVERY` environment steps."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
@@ -80,13 +80,12 @@ class Settings:
 
 
 SETTINGS: dict[str, Settings] = {
-    "cartpole": Settings(gradient_steps=10),
+    "pendulum": Settings(checkpoint_every=1000),
     "highway": Settings(
         final_learning_rate=5e-5,
         tau=0.005,
         critics=2,
         noise=0.15,
-        gradient_steps=10,
         checkpoint_every=2000,
         check_episodes=40,
     ),
