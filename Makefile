@@ -12,8 +12,6 @@ test: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -q -n auto
-	out=$$(mktemp -d) && trap 'rm -rf "$$out"' EXIT && \
-	$(BIN)/python -m harness run --methods all --envs all --budget smoke --out "$$out/run"
 
 # Local labels such as +cpu name a build, not a version that an index offers.
 lock: $(BIN)/python

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import pytest
@@ -14,4 +15,6 @@ def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
     chosen: str = getattr(request, "param", "sb3")
     monkeypatch.setattr(rl, "Settings", functools.partial(rl.Settings, library=chosen))
+    for env, settings in rl.SETTINGS.items():
+        monkeypatch.setitem(rl.SETTINGS, env, dataclasses.replace(settings, library=chosen))
     return chosen
