@@ -13,8 +13,8 @@ After a random warm-up the rewards are scaled to a fixed mean size, and under `a
 constant, the absorbing state's reward included. Neither changes which policy is better.
 
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
-that the agent learns from, over fresh episodes up to the horizon. The untrained agent is the first one,
-and only a strictly better one replaces what is kept: a reward that cannot tell policies apart teaches
+that the agent learns from, over fresh episodes up to the horizon; of equals the last. The untrained agent is
+the first one, and only a strictly better one replaces it: a reward that cannot tell policies apart teaches
 nothing.
 """
 
@@ -235,7 +235,7 @@ class _Keeper(BaseCallback):
         self.true_curve: list[tuple[float, float]] = []
         self.check_steps = 0
         self.best: Network
-        self.best_return = -np.inf
+        self.best_return: float
         self._check()
 
     def _on_step(self) -> bool:
@@ -251,7 +251,8 @@ class _Keeper(BaseCallback):
         self.check_steps += steps
         self.curve.append((float(self.done_steps), score))
         self.true_curve.append((float(self.done_steps), truth))
-        if score > self.best_return:
+        untrained = self.curve[0][1]
+        if len(self.curve) == 1 or (score > untrained and score >= self.best_return):
             self.best, self.best_return = policy, score
 
 

@@ -175,9 +175,9 @@ def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> 
 
 @pytest.mark.parametrize(
     ("returns", "kept"),
-    [([1, 5, 3, 5, 4], 1), ([1, 5, 5, 6, 2], 3), ([5, 5, 4, 5, 5], 0), ([5, 1, 2, 3, 4], 0)],
+    [([1, 5, 3, 5, 4], 3), ([1, 5, 5, 6, 2], 3), ([5, 5, 4, 5, 5], 0), ([5, 1, 2, 3, 4], 0)],
 )
-def test_only_a_better_checkpoint_replaces_what_is_kept(
+def test_the_last_of_the_best_is_kept_if_it_is_better_than_the_untrained(
     steady: EnvSpec,
     actors: list[Network],
     monkeypatch: pytest.MonkeyPatch,
