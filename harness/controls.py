@@ -39,7 +39,7 @@ def control_reward(
 
 
 def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:
-    """A reward network with random initial weights, within 1 of 0, on demonstration-standardised observations."""
+    """A network of random initial weights, within 1 of 0, on demonstration-standardised observations."""
     mean, std = standardiser(demos.pairs()[0])
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
     layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)
