@@ -14,17 +14,20 @@ from multiprocessing import connection, context, forkserver, popen_forkserver
 from typing import Any
 
 NAME = "irl-bench cell"
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+}
+"""Environment of processes that run side by side, whose own threads would only fight for the same cores."""
 
 
 @contextlib.contextmanager
 def fresh_processes(preload: tuple[str, ...]) -> Iterator[context.BaseContext]:
     """How to start processes; on leaving, none is left. preload: modules to import once for all of them."""
-    # Cells run side by side: threads inside them would only fight for the same cores, and
-    # the order in which strings are hashed must not differ between runs.
-    for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR"):
-        os.environ[f"{name}_NUM_THREADS"] = "1"
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
-    os.environ["PYTHONHASHSEED"] = "0"
+    os.environ.update(ONE_THREAD)
+    os.environ["PYTHONHASHSEED"] = "0"  # the order in which strings are hashed must not differ between runs
     with tempfile.TemporaryDirectory(prefix="irl-bench-") as compiled:
         # What JAX compiles in one process, seconds of work, all others of this run may use.
         os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled

@@ -46,6 +46,8 @@ WARM_UP = 1000
 TRAIN_EVERY = 10
 """Environment steps between bouts of learning."""
 STEP_UNIT = 2 * TRAIN_EVERY
+STEPS_PER_CHECK_EPISODE = 75
+"""A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
 REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 FIRST_ACTIONS = 0.01
@@ -77,6 +79,7 @@ class Settings:
     checkpoint_every: int = 500
     """Steps between checkpoints."""
     check_episodes: int = 20
+    """Episodes that a checkpoint is judged by, at most."""
 
 
 SETTINGS: dict[str, Settings] = {
@@ -142,7 +145,8 @@ class Learner:
         buffer = self._model.replay_buffer
         assert buffer is not None
         buffer.rewards[: self._env.steps, 0] = self._env.normalise()
-        keeper = _Keeper(self, training_seeds(self._rng, self.settings.check_episodes), warm_up, steps)
+        episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
+        keeper = _Keeper(self, training_seeds(self._rng, episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         return Solution(keeper.best, keeper.curve, keeper.true_curve, steps + keeper.check_steps, steps)
 

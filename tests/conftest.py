@@ -1,9 +1,10 @@
-"""A task so small that reinforcement learning takes a second, in two kinds."""
+"""How the tests run, and a task so small that reinforcement learning takes a second, in two kinds."""
 
 from __future__ import annotations
 
 import functools
 import math
+import os
 from typing import Any
 
 import gymnasium as gym
@@ -12,8 +13,21 @@ import pytest
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
+from harness.processes import ONE_THREAD
 
 HORIZON = 10
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """One thread a process, and what JAX compiles, much of the time of many tests, compiled once for all."""
+    os.environ.update(ONE_THREAD)
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test first: started last, it would run alone at the end."""
+    items.sort(key=lambda item: "test_smoke" not in item.nodeid)
 
 
 class Target(gym.Env):

@@ -72,6 +72,13 @@ def test_it_learns_the_task(steady: EnvSpec) -> None:
     assert learned.rl_steps == STEPS
 
 
+def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
+    short = solve(steady, Seek(), steps=300)
+    assert short.env_steps == 300 + len(short.curve) * 4 * 10
+    shortest = solve(steady, Seek(), steps=20)
+    assert shortest.env_steps == 20 + len(shortest.curve) * 1 * 10
+
+
 def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
     opposite = solve(steady, Seek(side=-1.0))
     assert np.abs(opposite.policy(OBS) + OBS).mean() < 0.15
