@@ -7,6 +7,7 @@ reward of speed only, with crashing and leaving the road worth less than anythin
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -14,9 +15,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from highway_env.utils import lmap
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from envs.highway_batch import Road, Scenes
 from envs.highway_fast import FastHighwayEnv, speed_up_vehicle
 from envs.spec import Array, EnvSpec, Shape
 
@@ -31,7 +35,7 @@ CRUISE = 25.0  # m/s, the speed that is observed as 0
 TARGET_SPEED = 30.0  # m/s, of the reference driver
 OBS_SIZE = 18
 LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
-CONFIG = {
+CONFIG: dict[str, Any] = {
     # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
     "observation": {
         "type": "Kinematics",
@@ -98,41 +102,89 @@ class Highway(FastHighwayEnv):
         return self._observe(), float(reward), bool(terminated), truncated, {"crashed": bool(info["crashed"])}
 
     def _observe(self) -> NDArray[np.float32]:
-        ego = self.vehicle
-        x, y = ego.position
-        speed, drift = ego.speed * math.cos(ego.heading), ego.speed * math.sin(ego.heading)
-        others = [
-            (v.position[0] - x, v.position[1] - y, v.speed * math.cos(v.heading) - speed)
-            for v in self.road.vehicles
-            if v is not ego and abs(v.position[0] - x) < REACH + ego.LENGTH
-        ]
-        left, right = y + LANE_WIDTH / 2, (LANES - 0.5) * LANE_WIDTH - y
-        for dx, dy, dv in others:
-            closing = max(-dv if dx > 0 else dv, 0.0)  # m in a second
-            if abs(dx) < ego.LENGTH + ELBOW_ROOM + closing:
-                left, right = (left, min(right, dy)) if dy > 0 else (min(left, -dy), right)
-        seen = [
-            (y - (LANES - 1) / 2 * LANE_WIDTH) / WIDE,
-            y - LANE_WIDTH * min(max(round(y / LANE_WIDTH), 0), LANES - 1),
-            drift / DRIFT,
-            (speed - CRUISE) / FAST,
-            min(left, SIDE_REACH) / WIDE,
-            min(right, SIDE_REACH) / WIDE,
-        ]
-        for lane in (-LANE_WIDTH, 0.0, LANE_WIDTH):
-            if not -LANE_WIDTH / 2 < y + lane < (LANES - 0.5) * LANE_WIDTH:
-                seen += [0.0, 0.0, 0.0, 0.0]
-                continue
-            ahead, behind = (REACH, 0.0), (REACH, 0.0)
-            for dx, dy, dv in others:
-                if abs(dy - lane) < CORRIDOR:
-                    gap = (max(abs(dx) - ego.LENGTH, 0.0), dv)
-                    if dx > 0 or gap[0] == 0:
-                        ahead = min(ahead, gap)
-                    if dx < 0 or gap[0] == 0:
-                        behind = min(behind, gap)
-            seen += [ahead[0] / LONG, ahead[1] / FAST, behind[0] / LONG, behind[1] / FAST]
-        return np.array(seen, np.float32)
+        cars = [self.vehicle, *(v for v in self.road.vehicles if v is not self.vehicle)]
+        values = np.array([(*v.position, v.heading, v.speed) for v in cars])
+        seen: NDArray[np.float32] = observe(*values.T[:, None])[0]
+        return seen
+
+
+def observe(x: Array, y: Array, heading: Array, speed: Array) -> NDArray[np.float32]:
+    """(B, 18): what the egos see, which come first in B scenes of vehicles, each array (B, N)."""
+    ahead = speed * np.cos(heading)
+    drift = speed[:, 0] * np.sin(heading[:, 0])
+    here = y[:, :1]
+    dx, dy, dv = x[:, 1:] - x[:, :1], y[:, 1:] - here, ahead[:, 1:] - ahead[:, :1]
+    gap = np.maximum(np.abs(dx) - Vehicle.LENGTH, 0.0)
+    near = np.abs(dx) < REACH + Vehicle.LENGTH
+    closing = np.maximum(np.where(dx > 0, -dv, dv), 0.0)  # m in a second
+    beside = near & (np.abs(dx) < Vehicle.LENGTH + ELBOW_ROOM + closing)
+    left, right = here[:, 0] + LANE_WIDTH / 2, (LANES - 0.5) * LANE_WIDTH - here[:, 0]
+    left = np.minimum(left, np.where(beside & (dy <= 0), -dy, np.inf).min(axis=1))
+    right = np.minimum(right, np.where(beside & (dy > 0), dy, np.inf).min(axis=1))
+    lane = LANE_WIDTH * np.clip(np.round(here[:, 0] / LANE_WIDTH), 0, LANES - 1)
+    seen = [
+        (here[:, 0] - (LANES - 1) / 2 * LANE_WIDTH) / WIDE,
+        here[:, 0] - lane,
+        drift / DRIFT,
+        (ahead[:, 0] - CRUISE) / FAST,
+        np.minimum(left, SIDE_REACH) / WIDE,
+        np.minimum(right, SIDE_REACH) / WIDE,
+    ]
+    for side in (-LANE_WIDTH, 0.0, LANE_WIDTH):
+        middle = here[:, 0] + side
+        there = (middle > -LANE_WIDTH / 2) & (middle < (LANES - 0.5) * LANE_WIDTH)
+        on_it = near & (np.abs(dy - side) < CORRIDOR)
+        for in_front in (dx > 0, dx < 0):
+            among = on_it & (in_front | (gap == 0))  # who is beside is in front and behind
+            distance = np.minimum(np.where(among, gap, np.inf).min(axis=1), REACH)
+            nearest = np.where(among & (gap == distance[:, None]), dv, np.inf).min(axis=1)
+            change = np.where(distance < REACH, nearest, np.minimum(nearest, 0.0))
+            seen += [np.where(there, distance / LONG, 0.0), np.where(there, change / FAST, 0.0)]
+    return np.stack(seen, axis=1).astype(np.float32)
+
+
+class HighwayBatch:
+    """Scenes of the task in lockstep (`envs.spec.Batch`)."""
+
+    def __init__(self, count: int) -> None:
+        self._env = Highway()
+        # The same seeds come again: every checkpoint is checked on the same episodes.
+        self._first = functools.lru_cache(maxsize=1000)(self._build)
+        self._scenes = self._first(0)[np.zeros(count, np.int64)]
+        self._road = Road.of(self._env.road, CONFIG["action"]["speed_range"])
+
+    def _build(self, seed: int) -> Scenes:
+        self._env.reset(seed=seed)
+        return Scenes.of(self._env.road)
+
+    def reset(self, place: int, seed: int) -> Array:
+        first = self._first(seed)
+        self._scenes[np.array([place])] = first
+        return np.asarray(_seen(first)[0], np.float64)
+
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        rows = np.array(places)
+        scenes = self._scenes[rows]
+        # In 32 bits, like the actions that highway-env is given.
+        push, turn = np.clip(act.astype(np.float32), -1, 1).T
+        scenes.acceleration[:, 0] = lmap(push, [-1, 1], CONFIG["action"]["acceleration_range"])
+        scenes.steering[:, 0] = lmap(turn, [-1, 1], CONFIG["action"]["steering_range"])
+        for _ in range(round(CONFIG["simulation_frequency"] * TIME_STEP)):
+            scenes.step(self._road, 1 / CONFIG["simulation_frequency"])
+        self._scenes[rows] = scenes
+        crashed = scenes.crashed[:, 0]
+        speed = scenes.speed[:, 0] * np.cos(scenes.heading[:, 0])
+        fast: Array = np.clip(lmap(speed, CONFIG["reward_speed_range"], [0, 1]), 0, 1)
+        on_road = scenes.on_road(self._road)[:, 0]
+        rewards = (CONFIG["collision_reward"] * crashed + fast) * on_road
+        return np.asarray(_seen(scenes), np.float64), rewards, crashed | ~on_road
+
+    def why_ended(self, place: int) -> str:
+        return _why(bool(self._scenes.crashed[place, 0]))
+
+
+def _seen(scenes: Scenes) -> NDArray[np.float32]:
+    return observe(scenes.x, scenes.y, scenes.heading, scenes.speed)
 
 
 def idm_return(seeds: Sequence[int]) -> tuple[Array, NDArray[np.bool_]]:
@@ -195,7 +247,11 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     """'crashed' or 'left the road'."""
     scene = env.unwrapped
     assert isinstance(scene, Highway)
-    return "crashed" if scene.vehicle.crashed else "left the road"
+    return _why(scene.vehicle.crashed)
+
+
+def _why(crashed: bool) -> str:
+    return "crashed" if crashed else "left the road"
 
 
 SPEC = EnvSpec(
@@ -216,6 +272,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    batch=HighwayBatch,
 )
 
 gym.register(

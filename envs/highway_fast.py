@@ -58,7 +58,7 @@ def _speed_up(road: Any) -> None:
         lane.x0, lane.y0 = lane.start.tolist()
     road.network.__class__ = _AlignedNetwork
     road.network.lane_of = lanes
-    road.__class__ = _FastRoad
+    road.__class__ = FastRoad
     road.scene = None
     for vehicle in road.vehicles:
         speed_up_vehicle(vehicle)
@@ -66,8 +66,8 @@ def _speed_up(road: Any) -> None:
 
 def speed_up_vehicle(vehicle: Any) -> None:
     """Give one vehicle on a fast road its faster class, if there is one."""
-    fast = {Vehicle: _FastVehicle, MDPVehicle: _FastMDP, IDMVehicle: _FastIDM}
-    if type(vehicle.road) is _FastRoad and type(vehicle) in fast:
+    fast = {Vehicle: FastVehicle, MDPVehicle: _FastMDP, IDMVehicle: FastIDM}
+    if type(vehicle.road) is FastRoad and type(vehicle) in fast:
         vehicle.__class__ = fast[type(vehicle)]
         # What highway-env drew are numpy's scalars, several times slower than floats.
         for name in {"heading", "speed", "target_speed", "timer", "DELTA"} & vars(vehicle).keys():
@@ -148,7 +148,7 @@ class _Scene:
         return float(np.dot(self.velocities[i] - self.velocities[j], self.directions[i]))
 
 
-class _FastRoad(Road):  # type: ignore[misc]
+class FastRoad(Road):  # type: ignore[misc]
     """A road of aligned lanes without obstacles."""
 
     scene: _Scene | None
@@ -228,7 +228,7 @@ class _FastStep(Vehicle):  # type: ignore[misc]
         self.on_state_update()
 
 
-class _FastVehicle(_FastStep):
+class FastVehicle(_FastStep):
     """`Vehicle`: driven from outside."""
 
 
@@ -236,7 +236,7 @@ class _FastMDP(MDPVehicle, _FastStep):  # type: ignore[misc]
     """`MDPVehicle`: driven by meta-actions."""
 
 
-class _FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
+class FastIDM(IDMVehicle, _FastStep):  # type: ignore[misc]
     """`IDMVehicle` in scalars. Lane changes are decided by highway-env's own method."""
 
     def act(self, action: Any = None) -> None:
@@ -301,7 +301,7 @@ class _FastKinematics(KinematicObservation):  # type: ignore[misc]
 
     def observe(self) -> NDArray[np.float32]:
         road, ego = self.env.road, self.observer_vehicle
-        if type(road) is not _FastRoad or road.objects:
+        if type(road) is not FastRoad or road.objects:
             return super().observe()  # type: ignore[no-any-return]
         origin = self._values(ego)
         rows = [origin]

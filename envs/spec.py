@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -98,6 +98,20 @@ class Tabular(Model):
         return Model(self.P, self.start, self.obs)
 
 
+class Batch(Protocol):
+    """Copies of an environment that step together, numbered from 0. Each is reset before it is stepped; time
+    limits are not theirs to keep."""
+
+    def reset(self, place: int, seed: int) -> Array:
+        """(O,): the first observation of the copy's next episode."""
+
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Steps the copies by actions (B, A): observations (B, O), rewards (B,), whether each terminated."""
+
+    def why_ended(self, place: int) -> str:
+        """Why the copy's episode just terminated."""
+
+
 @dataclass(frozen=True)
 class EnvSpec:
     """One task: the environment itself and everything about it that a benchmark must know.
@@ -140,6 +154,8 @@ class EnvSpec:
     """The scene as it stands, in metres; the same names throughout an episode."""
     why_ended: Callable[[gym.Env], str]
     """Why the episode just terminated, in a few words, e.g. 'pole fell'."""
+    batch: Callable[[int], Batch] | None = None
+    """So many copies, where they step faster together and bit for bit as they would alone."""
     discrete: bool = False
     """Whether an action is a choice among A."""
     tabular: Tabular | None = None

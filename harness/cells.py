@@ -15,7 +15,7 @@ from harness.experts import Expert, expert_for
 from harness.registry import load_method
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, PolicyName, Row
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
-from harness.simulator import Simulator
+from harness.simulator import Simulator, drawings
 from harness.study import ARMS, Arm
 from harness.world import TaskWorld, solver_for, without_rewards
 from methods.base import Array, Episodes, Policy, Reward
@@ -156,7 +156,8 @@ class _Work:
         if cell.seed == 0:
             path = self.directory / "recordings" / f"{cell.name}__{name}.rrd"
             learned = None if reward is None else _above_absorbing(reward, scored.first.obs, scored.first.act)
-            recordings.record(path, self.spec, cell, name, scored.first, scored.frames, learned)
+            frames = drawings(self.spec, self.seeds[0], scored.first.act)
+            recordings.record(path, self.spec, cell, name, scored.first, frames, learned)
         return scored
 
 

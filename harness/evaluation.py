@@ -7,24 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
-from envs import EnvSpec, Shape
+from envs import EnvSpec
 from harness.simulator import Simulator, Trajectory
 from methods.base import Array, Policy
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths (N,) of N episodes, how many ended why, and the first one, drawn."""
+    """True returns and lengths (N,) of N episodes, how many ended why, and the first one."""
 
     returns: Array
     discounted: Array
     lengths: Array
     endings: dict[str, int]
     first: Trajectory
-    frames: list[dict[str, Shape]]
 
     def columns(self) -> dict[str, Any]:
         """The columns of scores.csv that it fills."""
@@ -37,18 +35,11 @@ class Evaluation:
 
 def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int]) -> Evaluation:
     """Native episodes of the policy, one for each seed."""
-    frames: list[dict[str, Shape]] = []
-
-    def watch(index: int, env: gym.Env[Any, Any]) -> None:
-        if index == 0:
-            frames.append(spec.draw(env))
-
-    episodes = Simulator(spec).run(policy, seeds, watch)
+    episodes = Simulator(spec).run(policy, seeds)
     return Evaluation(
         returns=np.array([e.rewards.sum() for e in episodes]),
         discounted=np.array([e.rewards @ spec.gamma ** np.arange(len(e.rewards)) for e in episodes]),
         lengths=np.array([float(len(e.act)) for e in episodes]),
         endings=dict(sorted(Counter(e.ending for e in episodes).items())),
         first=episodes[0],
-        frames=frames,
     )

@@ -9,10 +9,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.road.lane import SineLane, StraightLane
-from highway_env.road.road import Road
+from highway_env.road.road import Road as UpstreamRoad
 
 from envs import highway
 from envs.highway import CONFIG, HORIZON, SPEC, idm_return
+from envs.highway_batch import Road, Scenes
 from envs.highway_fast import FastHighwayEnv
 
 VIEW = {
@@ -69,6 +70,68 @@ def test_identical_to_upstream(case: str) -> None:
         assert_identical(FastHighwayEnv(CASES[case]), HighwayEnvFast(CASES[case]), seed, steps)
 
 
+def drive(kind: str, seed: int, time: int, env: Any) -> Any:
+    """An action of a driver who wanders, who races down the lanes, or who changes lanes."""
+    rng = np.random.default_rng([seed, time])
+    aim = {"wander": None, "race": 0.5 * np.sin(time / 7), "weave": 4.0 * ((time // 15 + seed) % 3)}[kind]
+    if aim is None:
+        return (rng.normal(size=2) * [0.5, 0.1]).astype(np.float32)
+    aside = env.vehicle.position[1] - aim
+    steering = np.clip(-0.3 * aside - 12 * env.vehicle.heading, -1, 1)
+    return np.array([1.0 if kind == "race" else rng.uniform(-0.3, 1), steering], np.float32)
+
+
+def rows_of(scenes: Scenes, row: int) -> list[tuple[Any, ...]]:
+    """Of every vehicle what `scene` tells."""
+    names = ("x", "y", "heading", "speed", "crashed", "lane", "target", "timer")
+    ego, *others = zip(*(getattr(scenes, name)[row].tolist() for name in names), strict=True)
+    return [(*ego[:6], None, None), *others]
+
+
+@pytest.mark.parametrize("kind", ["wander", "race", "weave"])
+@pytest.mark.parametrize("case", ["task", "dense", "offroad"])
+def test_scenes_side_by_side_are_identical_to_upstream(case: str, kind: str) -> None:
+    config, crashes = CASES[case], 0
+    frames = round(config["simulation_frequency"] / config["policy_frequency"])
+    ours, upstream = FastHighwayEnv(config), HighwayEnvFast(config)
+    road = Road.of(ours.road, config["action"]["speed_range"])
+    together, compared, still = np.array([2, 0]), 0, 1
+    for seed in range(3):
+        scenes = Scenes.of(ours.road)[np.zeros(3, np.int64)]
+        for row in range(3):
+            ours.reset(seed=seed + row)
+            scenes[np.array([row])] = Scenes.of(ours.road)
+        start = rows_of(scenes, still)
+        upstream.reset(seed=seed)
+        for time in range(60):  # upstream steps on after a crash
+            action = drive(kind, seed, time, upstream)
+            asked = upstream.action_type.get_action(action)
+            upstream.step(action)
+            driven = scenes[together]
+            driven.steering[:, 0], driven.acceleration[:, 0] = (
+                (0.01, asked["steering"]),
+                (1, asked["acceleration"]),
+            )
+            for _ in range(frames):
+                driven.step(road, 1 / config["simulation_frequency"])
+            scenes[together] = driven
+            theirs = [(*v[:5], *(lane and lane[2] for lane in v[5:7]), v[7]) for v in scene(upstream)]
+            assert rows_of(scenes, compared) == theirs
+        crashes += upstream.vehicle.crashed
+        assert rows_of(scenes, still) == start
+    assert crashes or kind == "wander"
+
+
+@pytest.mark.parametrize("change", ["meta", "connected lanes", "other drivers"])
+def test_scenes_of_another_kind_are_refused(change: str) -> None:
+    Scenes.of(FastHighwayEnv(CONFIG).road)
+    config = {**CONFIG, **CASES[change]}
+    if change != "meta":
+        config["action"] = CONFIG["action"]
+    with pytest.raises(ValueError, match="beside others"):
+        Scenes.of(FastHighwayEnv(config).road)
+
+
 def test_curved_lanes_keep_upstream_methods() -> None:
     def bend(env: Any) -> None:
         lanes = env.road.network.graph["0"]["1"]
@@ -85,7 +148,7 @@ def test_curved_lanes_keep_upstream_methods() -> None:
             bend(self)
 
     ours = FastBent(CONFIG)
-    assert type(ours.road) is Road
+    assert type(ours.road) is UpstreamRoad
     assert type(ours.road.network.graph["0"]["1"][1]) is StraightLane
     assert_identical(ours, Bent(CONFIG), seed=0, steps=20)
 

@@ -13,7 +13,7 @@ from envs import SPECS
 from envs.spec import Array, Shape
 from harness.recordings import record
 from harness.results import Cell
-from harness.simulator import Simulator, Trajectory
+from harness.simulator import Simulator, Trajectory, drawings
 
 SPEC = SPECS["cartpole"]
 CELL = Cell("cartpole", "shaped", 3)
@@ -22,11 +22,8 @@ CELL = Cell("cartpole", "shaped", 3)
 @pytest.fixture(scope="module")
 def episode() -> tuple[Trajectory, list[dict[str, Shape]]]:
     """A short episode: pushed to the right, the pole falls to the left."""
-    frames: list[dict[str, Shape]] = []
-    trajectory = Simulator(SPEC, lanes=1).run(
-        lambda obs: np.full((len(obs), 1), 0.7), [5], lambda _, env: frames.append(SPEC.draw(env))
-    )[0]
-    return trajectory, frames
+    (trajectory,) = Simulator(SPEC).run(lambda obs: np.full((len(obs), 1), 0.7), [5])
+    return trajectory, drawings(SPEC, 5, trajectory.act)
 
 
 def read(path: Path) -> dict[str, dict[str, pa.Array]]:

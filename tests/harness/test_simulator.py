@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
-from envs import SPECS, EnvSpec
-from harness.simulator import Simulator, Trajectory
+from envs import SPECS, EnvSpec, Shape
+from harness.simulator import Simulator, Trajectory, drawings
 from methods.base import Array
 
 SEEDS = [11, 3, 8, 5, 2, 21, 13, 3]
@@ -86,16 +86,27 @@ def test_what_is_recorded_is_what_was_done(spec: EnvSpec) -> None:
     np.testing.assert_array_equal(episode.obs, np.stack(seen))
 
 
-def test_every_reset_and_step_is_watched(fragile: EnvSpec) -> None:
-    seen: list[tuple[int, float]] = []
+@pytest.mark.parametrize("spec", [s for s in SPECS.values() if s.batch], ids=lambda spec: spec.name)
+def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: EnvSpec) -> None:
+    weights = np.random.default_rng(0).normal(size=(spec.obs_size, spec.act_size))
 
-    def watch(index: int, env: Any) -> None:
-        seen.append((index, env.unwrapped.where))
+    def policy(obs: Array) -> Array:
+        return np.tanh((obs[:, :, None] * weights).sum(axis=1) * [0.5, 0.1])
 
-    episodes = Simulator(fragile, lanes=3).run(contrary, SEEDS, watch)
-    assert Counter(index for index, _ in seen) == {i: len(e.act) + 1 for i, e in enumerate(episodes)}
-    for i, episode in enumerate(episodes):
-        assert [where for index, where in seen if index == i] == episode.obs[:, 0].tolist()
+    alone = dataclasses.replace(spec, batch=None)
+    seeds = [*range(5000, 5012), 5003]
+    episodes = Simulator(spec, lanes=5).run(policy, seeds)
+    assert_equal(episodes, Simulator(alone, lanes=5).run(policy, seeds))
+    assert len({e.ending for e in episodes}) > 1
+
+
+def test_an_episodes_drawings_are_the_scenes_it_went_through(fragile: EnvSpec) -> None:
+    def draw(env: Any) -> dict[str, Shape]:
+        return {"target": Shape(np.array([[env.unwrapped.where, 0.0]]), (0, 0, 0))}
+
+    (episode,) = Simulator(fragile).run(contrary, [3])
+    frames = drawings(dataclasses.replace(fragile, draw=draw), 3, episode.act)
+    assert [frame["target"].points[0, 0] for frame in frames] == episode.obs[:, 0].tolist()
 
 
 def test_endings_are_told_in_words(fragile: EnvSpec, steady: EnvSpec) -> None:
