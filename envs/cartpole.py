@@ -7,6 +7,7 @@ For actions of -1 and +1 the dynamics equal those of Gymnasium's `CartPole-v1`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -37,32 +38,70 @@ class CartPole(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
         bound = np.array([2 * MAX_X, np.inf, 2 * MAX_ANGLE, np.inf], np.float32)
         self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
-        self.state = (0.0, 0.0, 0.0, 0.0)
+        self.state: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         super().reset(seed=seed)
-        x, x_dot, angle, angle_dot = self.np_random.uniform(-0.05, 0.05, 4).tolist()
-        self.state = (x, x_dot, angle, angle_dot)
+        self.state = tuple(self.np_random.uniform(-0.05, 0.05, 4).tolist())
         return np.array(self.state, np.float32), {}
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        x, x_dot, angle, angle_dot = self.state
         force = MAX_FORCE * min(1.0, max(-1.0, float(action[0])))
-        cos, sin = math.cos(angle), math.sin(angle)
-        total_mass = CART_MASS + POLE_MASS
-        push = (force + POLE_MASS * HALF_LENGTH * angle_dot**2 * sin) / total_mass
-        angle_acc = (GRAVITY * sin - cos * push) / (HALF_LENGTH * (4 / 3 - POLE_MASS * cos**2 / total_mass))
-        x_acc = push - POLE_MASS * HALF_LENGTH * angle_acc * cos / total_mass
-        x, x_dot = x + TIME_STEP * x_dot, x_dot + TIME_STEP * x_acc
-        angle, angle_dot = angle + TIME_STEP * angle_dot, angle_dot + TIME_STEP * angle_acc
-        self.state = (x, x_dot, angle, angle_dot)
-        failed = abs(x) > MAX_X or abs(angle) > MAX_ANGLE
-        reward = 0.0 if failed else (10 - (1 - math.cos(angle)) - 1e-5 * force**2) / 10
-        return np.array(self.state, np.float32), reward, failed, False, {}
+        self.state = tuple(float(value) for value in advance(self.state, force))
+        failed = fails(self.state[0], self.state[2])
+        reward = 0.0 if failed else float(pay(self.state[2], force))
+        return np.array(self.state, np.float32), reward, bool(failed), False, {}
+
+
+def advance(state: Any, force: Any) -> tuple[Any, Any, Any, Any]:
+    """The state after one step of one cart-pole or, of arrays, of many."""
+    x, x_dot, angle, angle_dot = state
+    cos, sin = np.cos(angle), np.sin(angle)
+    total_mass = CART_MASS + POLE_MASS
+    push = (force + POLE_MASS * HALF_LENGTH * (angle_dot * angle_dot) * sin) / total_mass
+    angle_acc = (GRAVITY * sin - cos * push) / (HALF_LENGTH * (4 / 3 - POLE_MASS * (cos * cos) / total_mass))
+    x_acc = push - POLE_MASS * HALF_LENGTH * angle_acc * cos / total_mass
+    x, x_dot = x + TIME_STEP * x_dot, x_dot + TIME_STEP * x_acc
+    angle, angle_dot = angle + TIME_STEP * angle_dot, angle_dot + TIME_STEP * angle_acc
+    return x, x_dot, angle, angle_dot
+
+
+def fails(x: Any, angle: Any) -> Any:
+    """Whether the cart is off the track or the pole has fallen."""
+    return (abs(x) > MAX_X) | (abs(angle) > MAX_ANGLE)
+
+
+def pay(angle: Any, force: Any) -> Any:
+    """RLLab's reward of a step that did not fail."""
+    return (10 - (1 - np.cos(angle)) - 1e-5 * (force * force)) / 10
+
+
+class CartPoleBatch:
+    """Cart-poles in lockstep (`envs.spec.Batch`)."""
+
+    def __init__(self, count: int) -> None:
+        self._env = CartPole()
+        self._states = np.zeros((count, 4))
+
+    def reset(self, place: int, seed: int) -> Array:
+        obs, _ = self._env.reset(seed=seed)
+        self._states[place] = self._env.state
+        return obs.astype(np.float64)
+
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        force = MAX_FORCE * np.clip(act[:, 0].astype(np.float32).astype(np.float64), -1, 1)
+        states = np.stack(advance(self._states[places].T, force), axis=1)
+        self._states[places] = states
+        failed: NDArray[np.bool_] = fails(states[:, 0], states[:, 2])
+        rewards = np.where(failed, 0.0, pay(states[:, 2], force))
+        return states.astype(np.float32).astype(np.float64), rewards, failed
+
+    def why_ended(self, place: int) -> str:
+        return failure(float(self._states[place, 0]))
 
 
 def phi(obs: Array, act: Array) -> Array:
@@ -120,6 +159,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    batch=CartPoleBatch,
 )
 
 gym.register(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
@@ -18,6 +20,7 @@ MAX_ANGLE = 0.2  # rad, where the environment terminates
 RAIL = 1.0  # m, half of the rail's length
 POLE_LENGTH = 0.6  # m
 TIME_STEP = 0.04  # s
+FALL = "pole fell"
 
 
 class Pendulum(InvertedPendulumEnv):
@@ -28,12 +31,40 @@ class Pendulum(InvertedPendulumEnv):
 
     def _set_action_space(self) -> Any:
         super()._set_action_space()  # type: ignore[no-untyped-call]
-        self._full_action = self.model.actuator_ctrlrange[:, 1].astype(np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, self._full_action.shape, np.float32)
+        self.full_action = self.model.actuator_ctrlrange[:, 1].astype(np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, self.full_action.shape, np.float32)
         return self.action_space
 
     def step(self, action: NDArray[np.float32]) -> Any:
-        return super().step(action * self._full_action)  # type: ignore[no-untyped-call]
+        return super().step(action * self.full_action)  # type: ignore[no-untyped-call]
+
+
+class PendulumBatch:
+    """Pendulums in lockstep (`envs.spec.Batch`): one model, a state of MuJoCo's for each."""
+
+    def __init__(self, count: int) -> None:
+        self._env = Pendulum()
+        self._data = [mujoco.MjData(self._env.model) for _ in range(count)]
+
+    def reset(self, place: int, seed: int) -> Array:
+        obs, _ = self._env.reset(seed=seed)
+        mujoco.mj_copyData(self._data[place], self._env.model, self._env.data)
+        return np.asarray(obs, np.float64)
+
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        model, frames = self._env.model, self._env.frame_skip
+        forces = act.astype(np.float32) * self._env.full_action
+        obs = np.empty((len(places), 4))
+        for row, (place, force) in enumerate(zip(places, forces.tolist(), strict=True)):
+            data = self._data[place]
+            data.ctrl[:] = force
+            mujoco.mj_step(model, data, nstep=frames)
+            obs[row, :2], obs[row, 2:] = data.qpos, data.qvel
+        fell = ~np.isfinite(obs).all(axis=1) | (np.abs(obs[:, 1]) > MAX_ANGLE)
+        return obs, (~fell).astype(np.float64), fell
+
+    def why_ended(self, place: int) -> str:
+        return FALL
 
 
 def phi(obs: Array, act: Array) -> Array:
@@ -52,7 +83,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
     """Always 'pole fell': the cart cannot leave its rail."""
-    return "pole fell"
+    return FALL
 
 
 SPEC = EnvSpec(
@@ -73,6 +104,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    batch=PendulumBatch,
 )
 
 gym.register(

@@ -23,7 +23,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import gymnasium as gym
 import numpy as np
 import optax
 import sbx
@@ -32,20 +31,22 @@ from numpy.typing import NDArray
 from stable_baselines3 import DDPG, DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
 from harness.seeds import training_seeds
-from harness.simulator import Simulator
+from harness.simulator import Simulator, copies_of
 from methods.base import Array, Policy, Reward
 from methods.network import Network
 
 ABSORBING_STEPS = 5
 """Steps in the absorbing state before the episode is truncated."""
+NOT_ABSORBED = -1
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
-TRAIN_EVERY = 10
-"""Environment steps between bouts of learning."""
-STEP_UNIT = 2 * TRAIN_EVERY
+COPIES = 10
+"""Environments that an agent acts in side by side. It learns after each step of all."""
+STEP_UNIT = 2 * COPIES
 STEPS_PER_CHECK_EPISODE = 75
 """A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
 REWARD_SIZE = 0.1
@@ -75,7 +76,7 @@ class Settings:
     """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
     actions."""
     gradient_steps: int = 10
-    """Gradient steps after every `TRAIN_EVERY` environment steps."""
+    """Gradient steps after each step of all copies."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
     check_episodes: int = 20
@@ -137,14 +138,15 @@ class Learner:
         self._env.reward = reward
         warm_up = 0
         if self._model is None:
-            warm_up = min(WARM_UP, steps // 2)  # a multiple of `TRAIN_EVERY`, as `steps` is of twice that
+            warm_up = min(WARM_UP, steps // 2)  # a multiple of `COPIES`, as `steps` is of twice that
             self._model = self._build(warm_up, seed)
             self._model.learn(warm_up)
         else:
             self._model.set_random_seed(seed)
         buffer = self._model.replay_buffer
         assert buffer is not None
-        buffer.rewards[: self._env.steps, 0] = self._env.normalise()
+        seen = self._env.normalise()
+        buffer.rewards[: len(seen)] = seen
         episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
         keeper = _Keeper(self, training_seeds(self._rng, episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
@@ -162,16 +164,17 @@ class Learner:
             "tau": s.tau,
             "gamma": self._spec.gamma,
             "n_steps": s.n_steps,
-            "train_freq": TRAIN_EVERY,
+            "train_freq": 1,
             "gradient_steps": s.gradient_steps,
             "seed": seed,
             "device": "cpu",
         }
         network: dict[str, Any] = {"net_arch": list(s.net)}
         if self._spec.discrete:
+            # It moves its target network with every step of all copies, not with every gradient step.
             return DQN(
-                **common,
-                target_update_interval=1,
+                **(common | {"tau": 1 - (1 - s.tau) ** COPIES}),
+                target_update_interval=COPIES,
                 exploration_initial_eps=s.noise,
                 exploration_final_eps=s.noise,
                 policy_kwargs=network,
@@ -243,7 +246,7 @@ class _Keeper(BaseCallback):
         self._check()
 
     def _on_step(self) -> bool:
-        self.done_steps += 1
+        self.done_steps += COPIES
         self.learner.advance(self.done_steps / self.steps)
         if self.done_steps % self.learner.settings.checkpoint_every == 0 or self.done_steps == self.steps:
             self._check()
@@ -260,30 +263,28 @@ class _Keeper(BaseCallback):
             self.best, self.best_return = policy, score
 
 
-class _TrainingEnv(gym.Env[NDArray[np.float32], Any]):
-    """The environment as the agent sees it. It logs every transition, so that rewards can be relabelled."""
+class _TrainingEnv(VecEnv):
+    """Copies of the environment as the agent sees them, and all steps taken, to be relabelled."""
 
     def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
-        self.observation_space = spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32)
-        self.action_space: spaces.Space[Any] = (
+        actions: spaces.Space[Any] = (
             spaces.Discrete(spec.act_size)
             if spec.discrete
             else spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
         )
+        super().__init__(COPIES, spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32), actions)
         self.reward: Reward | None = None
         self._spec = spec
-        self._env = spec.make()
+        self._batch = copies_of(spec, COPIES)
         self._obs_scale = np.array(spec.obs_scale)
         self._absorbing = protocol == "absorbing"
         self._rng = rng
-        self._obs = np.zeros(spec.obs_size)
-        self._absorbed_for: int | None = None
+        self._obs = np.zeros((COPIES, spec.obs_size))
+        self._age = np.zeros(COPIES, np.int64)
+        self._absorbed_for = np.full(COPIES, NOT_ABSORBED)
+        self._actions: NDArray[Any]
         self._centre, self._size = 0.0, 1.0
-        self._log = _Log(spec)
-
-    @property
-    def steps(self) -> int:
-        return self._log.steps
+        self._log: list[tuple[Array, Array, Array, Array, NDArray[np.bool_]]] = []
 
     def raw_rewards(self, obs: Array, act: Array, next_obs: Array, true: Array) -> Array:
         """(B,): what each step pays before normalisation. Raises FloatingPointError if that is not finite."""
@@ -295,66 +296,80 @@ class _TrainingEnv(gym.Env[NDArray[np.float32], Any]):
         return rewards
 
     def normalise(self) -> Array:
-        """Fit the normalisation to all that was seen, and return every step's reward under it."""
-        log = self._log
-        raw = np.zeros(log.steps)
-        alive = log.alive[: log.steps]
-        arrays = (a[: log.steps][alive] for a in (log.obs, log.act, log.next_obs, log.true))
-        raw[alive] = self.raw_rewards(*arrays)
+        """Fit the normalisation to all that was seen; every step's rewards (T, copies) under it."""
+        obs, act, next_obs, true, alive = (np.stack(column) for column in zip(*self._log, strict=True))
+        raw = np.zeros(true.shape)
+        raw[alive] = self.raw_rewards(obs[alive], act[alive], next_obs[alive], true[alive])
         size = float(np.abs(raw[alive]).mean())
         self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
         self._centre = float(raw[alive].mean()) if self._absorbing else 0.0
         return (raw - self._centre) / self._size
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        super().reset(seed=seed)
-        obs, _ = self._env.reset(seed=training_seeds(self._rng, 1)[0])
-        self._obs = np.asarray(obs, np.float64)
-        self._absorbed_for = None
-        return self._seen(), {}
+    def reset(self) -> NDArray[np.float32]:
+        for place in range(COPIES):
+            self._reset(place)
+        return self._seen()
 
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        act = np.eye(self._spec.act_size)[action] if self._spec.discrete else np.asarray(action, np.float64)
-        if self._absorbed_for is not None:
-            self._absorbed_for += 1
-            self._log.add(self._obs, act, self._obs, 0.0, alive=False)
-            return self._seen(), -self._centre / self._size, False, self._absorbed_for == ABSORBING_STEPS, {}
-        obs, true, terminated, truncated, _ = self._env.step(action)
-        obs = np.asarray(obs, np.float64)
-        batch = (self._obs[None], act[None], obs[None], np.array([float(true)]))
-        reward = (float(self.raw_rewards(*batch)[0]) - self._centre) / self._size
-        self._log.add(self._obs, act, obs, float(true), alive=True)
-        self._obs = obs
-        if terminated and self._absorbing:
-            self._absorbed_for, terminated, truncated = 0, False, False
-        return self._seen(), reward, terminated, truncated, {}
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[Any]]:
+        spec, obs = self._spec, self._obs
+        act = np.eye(spec.act_size)[self._actions] if spec.discrete else self._actions.astype(np.float64)
+        alive = self._absorbed_for == NOT_ABSORBED
+        next_obs, true, terminated = obs.copy(), np.zeros(COPIES), np.zeros(COPIES, bool)
+        raw = np.zeros(COPIES)
+        if alive.any():
+            stepped = self._batch.step(np.flatnonzero(alive).tolist(), act[alive])
+            next_obs[alive], true[alive], terminated[alive] = stepped
+            raw[alive] = self.raw_rewards(obs[alive], act[alive], next_obs[alive], true[alive])
+        self._log.append((obs, act, next_obs, true, alive))
+        self._obs = next_obs
+        self._age += 1
+        self._absorbed_for[~alive] += 1
+        if self._absorbing:
+            self._absorbed_for[terminated] = 0
+            truncated = (alive & ~terminated & (self._age == spec.horizon)) | (
+                self._absorbed_for == ABSORBING_STEPS
+            )
+            done = truncated
+        else:
+            truncated = ~terminated & (self._age == spec.horizon)
+            done = terminated | truncated
+        seen = self._seen()
+        infos: list[dict[str, Any]] = [{} for _ in range(COPIES)]
+        for place in np.flatnonzero(done).tolist():
+            infos[place] = {
+                "terminal_observation": seen[place],
+                "TimeLimit.truncated": bool(truncated[place]),
+            }
+            self._reset(place)
+        rewards = ((raw - self._centre) / self._size).astype(np.float32)
+        return self._seen() if done.any() else seen, rewards, done, infos
+
+    def _reset(self, place: int) -> None:
+        self._obs = self._obs.copy()  # the log keeps what was seen
+        self._obs[place] = self._batch.reset(place, training_seeds(self._rng, 1)[0])
+        self._age[place], self._absorbed_for[place] = 0, NOT_ABSORBED
 
     def _seen(self) -> NDArray[np.float32]:
-        absorbed = self._absorbed_for is not None
-        obs = np.zeros_like(self._obs) if absorbed else self._obs / self._obs_scale
-        return np.append(obs, float(absorbed)).astype(np.float32)
+        absorbed = self._absorbed_for[:, None] != NOT_ABSORBED
+        obs = np.where(absorbed, 0.0, self._obs / self._obs_scale)
+        return np.concatenate([obs, absorbed], axis=1).astype(np.float32)
 
+    # What stable-baselines3 asks of environments besides.
+    render_mode = None
 
-class _Log:
-    """Every transition so far, in the order of the replay buffer."""
+    def close(self) -> None: ...
 
-    def __init__(self, spec: EnvSpec) -> None:
-        self.steps = 0
-        self.obs = np.zeros((BUFFER, spec.obs_size))
-        self.act = np.zeros((BUFFER, spec.act_size))
-        self.next_obs = np.zeros((BUFFER, spec.obs_size))
-        self.true = np.zeros(BUFFER)
-        self.alive = np.zeros(BUFFER, bool)
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self, attr_name)] * COPIES
 
-    def add(self, obs: Array, act: Array, next_obs: Array, true: float, *, alive: bool) -> None:
-        i = self.steps
-        self.obs[i], self.act[i], self.next_obs[i], self.true[i], self.alive[i] = (
-            obs,
-            act,
-            next_obs,
-            true,
-            alive,
-        )
-        self.steps += 1
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * COPIES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
@@ -26,55 +26,55 @@ class Trajectory:
     """Why it ended: the environment's words, or 'time limit'."""
 
 
-@dataclass
-class _Lane:
-    place: int
-    index: int
-    obs: list[Array]
-    act: list[Array] = field(default_factory=list)
-    rewards: list[float] = field(default_factory=list)
+def copies_of(spec: EnvSpec, count: int) -> Batch:
+    """So many copies of an environment, together where they can be."""
+    return spec.batch(count) if spec.batch else _Copies(spec)
 
 
 class Simulator:
     """Steps up to `lanes` copies of an environment side by side."""
 
-    def __init__(self, spec: EnvSpec, lanes: int = 25) -> None:
+    def __init__(self, spec: EnvSpec, lanes: int = 100) -> None:
         self.spec = spec
         self.lanes = lanes
-        self._batch: Batch = spec.batch(lanes) if spec.batch else _Copies(spec)
+        self._batch = copies_of(spec, lanes)
 
     def run(self, policy: Policy, seeds: Sequence[int]) -> list[Trajectory]:
         """One trajectory for each seed, in their order."""
+        spec, lanes = self.spec, min(self.lanes, len(seeds))
+        obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
+        act = np.empty((lanes, spec.horizon, spec.act_size))
+        rewards = np.empty((lanes, spec.horizon))
+        length = np.zeros(lanes, np.int64)
         waiting = iter(range(len(seeds)))
+        playing: dict[int, int] = {}
         done: dict[int, Trajectory] = {}
 
-        def enter(place: int) -> _Lane | None:
-            index = next(waiting, None)
-            if index is None:
-                return None
-            return _Lane(place, index, [self._batch.reset(place, int(seeds[index]))])
+        def enter(place: int) -> None:
+            if (index := next(waiting, None)) is not None:
+                playing[place] = index
+                obs[place, 0], length[place] = self._batch.reset(place, int(seeds[index])), 0
 
-        lanes = [lane for place in range(self.lanes) if (lane := enter(place))]
-        while lanes:
-            actions = self.spec.executed(policy(np.stack([lane.obs[-1] for lane in lanes])))
-            observed, rewards, terminated = self._batch.step([lane.place for lane in lanes], actions)
-            going = []
-            for lane, action, obs, reward, ended in zip(
-                lanes, actions, observed, rewards.tolist(), terminated.tolist(), strict=True
-            ):
-                lane.obs.append(obs)
-                lane.act.append(action)
-                lane.rewards.append(reward)
-                if not ended and len(lane.act) < self.spec.horizon:
-                    going.append(lane)
-                    continue
-                ending = self._batch.why_ended(lane.place) if ended else "time limit"
-                done[lane.index] = Trajectory(
-                    np.stack(lane.obs), np.stack(lane.act), np.array(lane.rewards), ended, ending
+        for place in range(lanes):
+            enter(place)
+        while playing:
+            places = np.array(sorted(playing))
+            now = length[places]
+            act[places, now] = spec.executed(policy(obs[places, now]))
+            stepped = self._batch.step(places.tolist(), act[places, now])
+            obs[places, now + 1], rewards[places, now], terminated = stepped
+            length[places] += 1
+            for i in np.flatnonzero(terminated | (now + 1 == spec.horizon)):
+                place, end = int(places[i]), int(now[i]) + 1
+                ending = self._batch.why_ended(place) if terminated[i] else "time limit"
+                done[playing.pop(place)] = Trajectory(
+                    obs[place, : end + 1].copy(),
+                    act[place, :end].copy(),
+                    rewards[place, :end].copy(),
+                    bool(terminated[i]),
+                    ending,
                 )
-                if follower := enter(lane.place):
-                    going.append(follower)
-            lanes = going
+                enter(place)
         return [done[index] for index in range(len(seeds))]
 
 

@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
-from harness.rl import ABSORBING_STEPS, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
+from harness.rl import ABSORBING_STEPS, COPIES, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
 
@@ -259,58 +259,71 @@ def training_env(spec: EnvSpec, protocol: str) -> Any:
     return rl._TrainingEnv(spec, protocol, np.random.default_rng(0))
 
 
-def away_from(obs: np.ndarray) -> np.ndarray:
-    """A miss of at least 1, which ends a fragile episode."""
-    return np.array([-1.0 if obs[0] > 0 else 1.0], np.float32)
+def some_miss(seen: np.ndarray) -> np.ndarray:
+    """Right for even copies; for odd ones a miss of at least 1, which ends a fragile episode."""
+    action = seen[:, :1] * 0.5  # obs_scale
+    action[1::2] = np.where(seen[1::2, :1] > 0, -1.0, 1.0)
+    return action
 
 
 def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -> None:
     env = training_env(fragile, "absorbing")
-    reward = Seek(absorbing=0.25)
-    env.reward = reward
-    seen, _ = env.reset()
-    assert seen[1] == 0.0
-    where = seen[0] * 0.5  # obs_scale
-    action = away_from(seen)
-    seen, paid, terminated, truncated, _ = env.step(action)
-    assert paid == pytest.approx(1 - abs(where - action[0]) - 0.25)
+    env.reward = Seek(absorbing=0.25)
+    seen = env.reset()
+    assert seen.shape == (COPIES, 2)
+    assert len(np.unique(seen[:, 0])) == COPIES
+    assert (seen[:, 1] == 0).all()
+    first = some_miss(seen)
+    where = seen[:, 0] * 0.5
+    seen, paid, done, _ = env.step(first)
+    np.testing.assert_allclose(paid, 1 - np.abs(where - first[:, 0]) - 0.25, rtol=1e-5)
     for _ in range(ABSORBING_STEPS):
-        np.testing.assert_array_equal(seen, [0.0, 1.0])
-        assert not terminated
-        assert not truncated
-        seen, paid, terminated, truncated, _ = env.step(action)
-        assert paid == 0.0
-    np.testing.assert_array_equal(seen, [0.0, 1.0])
-    assert not terminated
-    assert truncated
-    assert env.reset()[0][1] == 0.0
+        assert (seen[1::2] == [0.0, 1.0]).all()
+        assert (seen[::2, 1] == 0).all()
+        assert not done.any()
+        action = seen[:, :1] * 0.5
+        seen, paid, done, infos = env.step(action)
+        assert (paid[1::2] == 0.0).all()
+        assert paid[::2] == pytest.approx(0.75)
+    assert done.tolist() == [False, True] * (COPIES // 2)
+    for info in infos[1::2]:
+        assert info["TimeLimit.truncated"]
+        assert info["terminal_observation"].tolist() == [0.0, 1.0]
+    assert (seen[:, 1] == 0).all()
 
 
 def test_a_native_episode_ends(fragile: EnvSpec) -> None:
     env = training_env(fragile, "native")
     env.reward = Seek(absorbing=0.25)
-    seen, _ = env.reset()
-    where, action = seen[0] * 0.5, away_from(seen)
-    seen, paid, terminated, truncated, _ = env.step(action)
-    assert terminated
-    assert not truncated
-    assert seen[1] == 0.0
-    assert paid == pytest.approx(1 - abs(where - action[0]))  # the reward as it is
+    seen = env.reset()
+    where, action = seen[:, 0] * 0.5, some_miss(seen)
+    seen, paid, done, infos = env.step(action)
+    assert done.tolist() == [False, True] * (COPIES // 2)
+    assert not any(info["TimeLimit.truncated"] for info in infos[1::2])
+    assert (seen[:, 1] == 0).all()
+    # The new episode's first observation is not the old one's last.
+    assert all(
+        info["terminal_observation"][0] != row[0] for info, row in zip(infos, seen, strict=True) if info
+    )
+    np.testing.assert_allclose(paid, 1 - np.abs(where - action[:, 0]), rtol=1e-5)  # the reward as it is
 
 
 @pytest.mark.parametrize("protocol", ["absorbing", "native"])
 def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) -> None:
     env = training_env(steady, protocol)
     env.reset()
-    ends = [env.step(np.zeros(1, np.float32))[2:4] for _ in range(10)]
-    assert ends == [(False, False)] * 9 + [(False, True)]
+    for _ in range(2):
+        steps = [env.step(np.zeros((COPIES, 1), np.float32)) for _ in range(10)]
+        assert [done.tolist() for _, _, done, _ in steps] == [[False] * COPIES] * 9 + [[True] * COPIES]
+        assert all(info["TimeLimit.truncated"] for info in steps[-1][3])
 
 
 def experience(learner: Learner) -> dict[str, Array]:
-    """What the agent learned from, in order."""
+    """What the agent learned from, in order: arrays (steps, ...), of all copies after each other."""
     buffer: Any = learner._model.replay_buffer  # type: ignore[union-attr]
     names = ("observations", "actions", "next_observations", "rewards", "dones", "timeouts")
-    return {name: getattr(buffer, name)[: buffer.pos, 0].astype(float) for name in names}
+    arrays = {name: getattr(buffer, name)[: buffer.pos].astype(float) for name in names}
+    return {name: array.reshape(-1, *array.shape[2:]) for name, array in arrays.items()}
 
 
 @pytest.mark.parametrize("protocol", ["absorbing", "native"])
