@@ -90,7 +90,7 @@ SETTINGS: dict[str, Settings] = {
         tau=0.005,
         critics=2,
         noise=0.15,
-        checkpoint_every=2000,
+        checkpoint_every=4000,
         check_episodes=40,
     ),
 }
