@@ -16,11 +16,12 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
-from harness.rl import ABSORBING_STEPS, COPIES, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
+from harness.rl import ABSORBING_STEPS, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
 
 STEPS = 1500
+COPIES = 4
 OBS = np.linspace(-0.8, 0.8, 33)[:, None]
 
 
@@ -256,7 +257,7 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
 
 
 def training_env(spec: EnvSpec, protocol: str) -> Any:
-    return rl._TrainingEnv(spec, protocol, np.random.default_rng(0))
+    return rl._TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
 
 
 def some_miss(seen: np.ndarray) -> np.ndarray:
