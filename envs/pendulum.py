@@ -44,9 +44,11 @@ class PendulumBatch:
 
     def __init__(self, count: int) -> None:
         self._env = Pendulum()
-        self._data = [mujoco.MjData(self._env.model) for _ in range(count)]
+        self._data: dict[int, mujoco.MjData] = {}  # made when they are needed: half a megabyte each
 
     def reset(self, place: int, seed: int) -> Array:
+        if place not in self._data:
+            self._data[place] = mujoco.MjData(self._env.model)
         obs, _ = self._env.reset(seed=seed)
         mujoco.mj_copyData(self._data[place], self._env.model, self._env.data)
         return np.asarray(obs, np.float64)

@@ -330,15 +330,11 @@ class _TrainingEnv(VecEnv):
         self._obs = next_obs
         self._age += 1
         self._absorbed_for[~alive] += 1
-        if self._absorbing:
-            self._absorbed_for[terminated] = 0
-            truncated = (alive & ~terminated & (self._age == spec.horizon)) | (
-                self._absorbed_for == ABSORBING_STEPS
-            )
-            done = truncated
-        else:
-            truncated = ~terminated & (self._age == spec.horizon)
-            done = terminated | truncated
+        ended = terminated & (not self._absorbing)
+        self._absorbed_for[terminated & ~ended] = 0
+        at_horizon = alive & ~terminated & (self._age == spec.horizon)
+        truncated = at_horizon | (self._absorbed_for == ABSORBING_STEPS)
+        done = ended | truncated
         seen = self._seen()
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for place in np.flatnonzero(done).tolist():

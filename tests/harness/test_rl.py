@@ -1,4 +1,4 @@
-"""The solver learns what a reward asks for, nothing where it asks for nothing, and ends episodes as told."""
+"""The solver learns what a reward asks for, and nothing where it asks for nothing."""
 
 from __future__ import annotations
 
@@ -16,34 +16,13 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
-from harness.rl import ABSORBING_STEPS, REWARD_SIZE, SETTINGS, Learner, Settings, Solution
+from harness.rl import SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
+from tests.harness.rewards import Constant, Seek
 
 STEPS = 1500
-COPIES = 4
 OBS = np.linspace(-0.8, 0.8, 33)[:, None]
-
-
-@dataclass(frozen=True)
-class Seek:
-    """Pays for being close to `side` times the observation."""
-
-    side: float = 1.0
-    scale: float = 1.0
-    absorbing: float = 0.0
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.scale * (1 - np.abs(self.side * obs - act)[:, 0])
-
-
-@dataclass(frozen=True)
-class Constant:
-    value: float
-    absorbing: float
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return np.full(len(obs), self.value)
 
 
 def solve(
@@ -254,115 +233,6 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
     one = solve(fragile, Seek(absorbing=-0.5), steps=500)
     other = solve(fragile, Shifted(absorbing=63.5), steps=500)
     np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
-
-
-def training_env(spec: EnvSpec, protocol: str) -> Any:
-    return rl._TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
-
-
-def some_miss(seen: np.ndarray) -> np.ndarray:
-    """Right for even copies; for odd ones a miss of at least 1, which ends a fragile episode."""
-    action = seen[:, :1] * 0.5  # obs_scale
-    action[1::2] = np.where(seen[1::2, :1] > 0, -1.0, 1.0)
-    return action
-
-
-def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -> None:
-    env = training_env(fragile, "absorbing")
-    env.reward = Seek(absorbing=0.25)
-    seen = env.reset()
-    assert seen.shape == (COPIES, 2)
-    assert len(np.unique(seen[:, 0])) == COPIES
-    assert (seen[:, 1] == 0).all()
-    first = some_miss(seen)
-    where = seen[:, 0] * 0.5
-    seen, paid, done, _ = env.step(first)
-    np.testing.assert_allclose(paid, 1 - np.abs(where - first[:, 0]) - 0.25, rtol=1e-5)
-    for _ in range(ABSORBING_STEPS):
-        assert (seen[1::2] == [0.0, 1.0]).all()
-        assert (seen[::2, 1] == 0).all()
-        assert not done.any()
-        action = seen[:, :1] * 0.5
-        seen, paid, done, infos = env.step(action)
-        assert (paid[1::2] == 0.0).all()
-        assert paid[::2] == pytest.approx(0.75)
-    assert done.tolist() == [False, True] * (COPIES // 2)
-    for info in infos[1::2]:
-        assert info["TimeLimit.truncated"]
-        assert info["terminal_observation"].tolist() == [0.0, 1.0]
-    assert (seen[:, 1] == 0).all()
-
-
-def test_a_native_episode_ends(fragile: EnvSpec) -> None:
-    env = training_env(fragile, "native")
-    env.reward = Seek(absorbing=0.25)
-    seen = env.reset()
-    where, action = seen[:, 0] * 0.5, some_miss(seen)
-    seen, paid, done, infos = env.step(action)
-    assert done.tolist() == [False, True] * (COPIES // 2)
-    assert not any(info["TimeLimit.truncated"] for info in infos[1::2])
-    assert (seen[:, 1] == 0).all()
-    # The new episode's first observation is not the old one's last.
-    assert all(
-        info["terminal_observation"][0] != row[0] for info, row in zip(infos, seen, strict=True) if info
-    )
-    np.testing.assert_allclose(paid, 1 - np.abs(where - action[:, 0]), rtol=1e-5)  # the reward as it is
-
-
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
-def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) -> None:
-    env = training_env(steady, protocol)
-    env.reset()
-    for _ in range(2):
-        steps = [env.step(np.zeros((COPIES, 1), np.float32)) for _ in range(10)]
-        assert [done.tolist() for _, _, done, _ in steps] == [[False] * COPIES] * 9 + [[True] * COPIES]
-        assert all(info["TimeLimit.truncated"] for info in steps[-1][3])
-
-
-def experience(learner: Learner) -> dict[str, Array]:
-    """What the agent learned from, in order: arrays (steps, ...), of all copies after each other."""
-    buffer: Any = learner._model.replay_buffer  # type: ignore[union-attr]
-    names = ("observations", "actions", "next_observations", "rewards", "dones", "timeouts")
-    arrays = {name: getattr(buffer, name)[: buffer.pos].astype(float) for name in names}
-    return {name: array.reshape(-1, *array.shape[2:]) for name, array in arrays.items()}
-
-
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
-def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str) -> None:
-    learner = Learner(fragile, protocol, np.random.default_rng(0))
-    learner.solve(Seek(), 300)
-    seen = experience(learner)
-    assert len(seen["dones"]) == 300
-    terminal = (seen["dones"] > 0) & (seen["timeouts"] == 0)
-    absorbed = seen["observations"][:, 1] == 1
-    missed = np.abs(seen["observations"][:, 0] * 0.5 - seen["actions"][:, 0]) > 0.5
-    if protocol == "absorbing":
-        assert not terminal.any()
-        np.testing.assert_array_equal(seen["next_observations"][~absorbed, 1] == 1, missed[~absorbed])
-    else:
-        assert not absorbed.any()
-        assert terminal.any()
-        np.testing.assert_array_equal(terminal, missed)
-
-
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
-def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
-    learner = Learner(fragile, protocol, np.random.default_rng(0))
-    second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
-    for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
-        learner.solve(reward, steps)
-        seen = experience(learner)
-        alive = seen["observations"][:, 1] == 0
-        obs = seen["observations"][:, :1] * 0.5
-        raw = reward(obs, seen["actions"], obs)
-        if protocol == "absorbing":
-            raw = np.where(alive, raw - reward.absorbing, 0.0)
-        # Normalised by what had been seen when the solve began to learn.
-        known = raw[:seen_before][alive[:seen_before]]
-        centre = known.mean() if protocol == "absorbing" else 0.0
-        expected = (raw - centre) / np.abs(known).mean() * REWARD_SIZE
-        np.testing.assert_allclose(seen["rewards"], expected, atol=1e-5)
-    assert len(seen["rewards"]) == 500
 
 
 @both_libraries
