@@ -20,6 +20,9 @@ _ROLES = {
 }
 
 
+UNSCORED = ("not scored", "no expert better than a random policy to measure by")
+
+
 @dataclass(frozen=True)
 class Entry:
     """One line of the leaderboard: a policy of a method in an env, over its seeds that are ok.
@@ -51,7 +54,7 @@ class Entry:
     rl_steps: float
     rl_solves: float
     note: str
-    """Which seeds were skipped or failed, and why."""
+    """Which seeds were skipped, failed or not scored, and why."""
 
 
 @dataclass(frozen=True)
@@ -129,14 +132,16 @@ def _entry(rows: list[Row], score: float, above: float) -> Entry:
     for row in rows:
         if row.status != "ok":
             reasons.setdefault((row.status, row.reason), []).append(str(row.seed))
-    statuses = {status for status, _ in reasons}
+        elif not math.isfinite(row.normalized_score):
+            reasons.setdefault(UNSCORED, []).append(str(row.seed))
+    statuses = {row.status for row in rows}
     return Entry(
         env=first.env,
         method=first.method,
         role=_ROLES.get(first.method, "method"),
         policy=first.policy,
         protocol=first.protocol,
-        status="failed" if "failed" in statuses else "skipped" if statuses else "ok",
+        status=next(status for status in ("failed", "skipped", "ok") if status in statuses),
         seeds=len(rows),
         seeds_ok=len(ok),
         score_mean=score,

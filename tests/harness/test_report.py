@@ -216,6 +216,15 @@ def test_an_expert_no_better_than_random_is_no_scale() -> None:
     assert all(math.isnan(row.normalized_score) for row in scored_rows(results))
 
 
+def test_a_seed_without_a_reference_is_named() -> None:
+    results = [r for r in make_results() if (r.cell.method, r.cell.seed) != ("reference", 1)]
+    shaped = [entry for entry in leaderboard(scored_rows(results)) if entry.method == "shaped"]
+    assert shaped
+    for entry in shaped:
+        assert (entry.seeds_ok, entry.status) == (3, "ok")
+        assert entry.note == "not scored (seed 1): no expert better than a random policy to measure by"
+
+
 def test_overall_compares_only_what_every_env_has() -> None:
     results = make_results()
     pooled = {(line.method, line.policy): line for line in overall(scored_rows(results))}
