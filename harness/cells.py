@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from envs import SPECS, EnvSpec
 from harness import recordings
+from harness.advantage import rank_correlation
 from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
 from harness.experts import Expert, expert_for
@@ -20,6 +22,9 @@ from harness.study import ARMS, Arm
 from harness.world import TaskWorld, solver_for, without_rewards
 from methods.base import Array, Episodes, Policy, Reward
 from methods.settings import settings_for
+
+ADVANTAGES = {"smoke": 20, "quick": 200, "full": 500}
+"""States and actions by which a reward is compared with the true advantage, for each budget."""
 
 
 def train_expert(env: str, budget: str) -> None:
@@ -121,6 +126,12 @@ class _Work:
             "pi_R", solution.policy, reward, seconds, solution.env_steps, solution.rl_steps, rl_solves=1
         )
 
+    def advantage_correlation(self, reward: Reward | None) -> float:
+        """The same states and actions for every reward of this environment and seed."""
+        seeds = evaluation_seeds(self.cell.seed, ADVANTAGES[self.budget])
+        rng = rng_for(self.cell.seed, self.cell.env, "advantage")
+        return rank_correlation(reward, self.spec, self.expert.policy, seeds, rng)
+
     @property
     def seeds(self) -> range:
         return evaluation_seeds(self.cell.seed, self.spec.eval_episodes[self.budget])
@@ -147,6 +158,7 @@ class _Work:
                 name,
                 self.protocol,
                 **scored.columns(),
+                advantage_correlation=self.advantage_correlation(reward) if name == "pi_R" else math.nan,
                 fit_seconds=seconds,
                 env_steps=env_steps,
                 rl_steps=rl_steps,

@@ -45,6 +45,8 @@ class Entry:
     score_high: float
     above_best_lower_control: float
     """Of pi_R rows: score_mean minus the best score_mean of the three lower controls."""
+    advantage_correlation: float
+    """Of pi_R rows: Spearman's, of the reward with the true advantage; the mean over seeds."""
     return_mean: float
     return_low: float
     return_high: float
@@ -148,6 +150,7 @@ def _entry(rows: list[Row], score: float, above: float) -> Entry:
         score_low=score_low,
         score_high=score_high,
         above_best_lower_control=above,
+        advantage_correlation=_mean([row.advantage_correlation for row in ok]),
         return_mean=_mean([row.return_mean for row in ok]),
         return_low=return_low,
         return_high=return_high,

@@ -19,6 +19,7 @@ from harness.results import COLUMNS, CellResult, Row
 
 HEADINGS = (
     *("Method", "Role", "Policy", "Seeds ok", "Score [95 %]", "Above best lower control"),
+    "Reward's rank correlation with the advantage",
     *("Return [95 %]", "Discounted return", "Seconds", "Env steps", "RL solves", "Note"),
 )
 OVERALL_HEADINGS = ("Method", "Policy", "Environments", "Runs", "Interquartile mean [95 %]")
@@ -97,6 +98,7 @@ def _cells(entry: Entry) -> list[str]:
         f"{entry.seeds_ok} of {entry.seeds}",
         _range(entry.score_mean, entry.score_low, entry.score_high, ".2f"),
         _number(entry.above_best_lower_control, "+.2f") if entry.policy == "pi_R" else "",
+        _number(entry.advantage_correlation, ".2f") if entry.policy == "pi_R" else "",
         _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
         _number(entry.discounted_mean, ".2f"),
         _number(entry.fit_seconds, ".1f"),

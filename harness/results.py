@@ -64,6 +64,8 @@ class Row:
     length_std: float = math.nan
     normalized_score: float = math.nan
     """(J - J_random) / (J_expert - J_random), undiscounted; known once the env's reference cell is."""
+    advantage_correlation: float = math.nan
+    """Of pi_R rows: Spearman's, of the reward with the true advantage (`harness.advantage`)."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: int = 0

@@ -39,8 +39,14 @@ class Simulator:
         self.lanes = lanes
         self._batch = copies_of(spec, lanes)
 
-    def run(self, policy: Policy, seeds: Sequence[int]) -> list[Trajectory]:
-        """One trajectory for each seed, in their order."""
+    def run(
+        self,
+        policy: Policy,
+        seeds: Sequence[int],
+        leave: tuple[NDArray[np.int64], Array] | None = None,
+    ) -> list[Trajectory]:
+        """One trajectory for each seed, in their order. leave: (N,), (N, A), for each episode the step at
+        which the policy is not followed, and the action that is taken instead."""
         spec, lanes = self.spec, min(self.lanes, len(seeds))
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
         act = np.empty((lanes, spec.horizon, spec.act_size))
@@ -60,7 +66,12 @@ class Simulator:
         while playing:
             places = np.array(sorted(playing))
             now = length[places]
-            act[places, now] = spec.executed(policy(obs[places, now]))
+            chosen = spec.executed(policy(obs[places, now]))
+            if leave is not None:
+                episodes = [playing[place] for place in places.tolist()]
+                here = leave[0][episodes] == now
+                chosen = np.where(here[:, None], leave[1][episodes], chosen)
+            act[places, now] = chosen
             stepped = self._batch.step(places.tolist(), act[places, now])
             obs[places, now + 1], rewards[places, now], terminated = stepped
             length[places] += 1

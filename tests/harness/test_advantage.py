@@ -1,0 +1,80 @@
+"""A reward's rank correlation with the true advantage, where that is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from envs import SPECS, EnvSpec
+from envs.spec import Tabular
+from harness.advantage import rank_correlation
+from harness.seeds import rng_for
+from harness.simulator import Simulator
+from methods.base import Array, Reward
+from methods.tabular import value_iteration
+from tests.harness.rewards import Constant, Seek
+
+SEEDS = range(40)
+
+
+def best(obs: Array) -> Array:
+    """The target tasks' best policy."""
+    return obs
+
+
+def correlation(spec: EnvSpec, reward: Reward | None) -> float:
+    return rank_correlation(reward, spec, best, SEEDS, rng_for(0, "advantage"))
+
+
+def test_a_reward_that_orders_actions_like_the_advantage_correlates_fully(steady: EnvSpec) -> None:
+    # What one action misses is all that it loses: nothing depends on it later.
+    assert correlation(steady, None) == pytest.approx(1)
+    assert correlation(steady, Seek(scale=30.0)) == pytest.approx(1)
+    assert correlation(steady, Seek(scale=-1.0)) == pytest.approx(-1)
+    assert abs(correlation(steady, Seek(side=0.0))) < 0.9
+
+
+def test_what_an_early_end_costs_counts(fragile: EnvSpec) -> None:
+    # Missing by more than 0.5 loses every later reward, so how early it happens matters most.
+    assert 0.5 < correlation(fragile, None) < 0.999
+
+
+def test_a_reward_or_an_advantage_that_never_varies_has_no_correlation(steady: EnvSpec) -> None:
+    assert math.isnan(correlation(steady, Constant(1.0, absorbing=1.0)))
+
+
+def test_only_the_one_action_is_another(fragile: EnvSpec) -> None:
+    moments, actions = np.array([0, 3, 9, 2]), np.array([[0.1], [-0.2], [0.3], [2.0]])
+    kept = Simulator(fragile).run(best, range(4))
+    for lanes in (1, 4):
+        left = Simulator(fragile, lanes).run(best, range(4), leave=(moments, actions))
+        for episode, before, moment, action in zip(left, kept, moments, actions, strict=True):
+            expected = before.act.copy()
+            expected[moment] = action
+            np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
+            np.testing.assert_array_equal(episode.obs[: moment + 1], before.obs[: moment + 1])
+        assert len(left[3].act) == 3
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """The grid's true reward shaped by its optimal values."""
+
+    tabular: Tabular
+    gamma: float
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        value = value_iteration(self.tabular.P, self.tabular.reward, self.gamma)[0]
+        here, there = self.tabular.states(obs), self.tabular.states(next_obs)
+        return self.tabular.reward[here] + self.gamma * value[there] - value[here]
+
+
+def test_where_the_model_is_known_the_shaped_true_reward_correlates_fully() -> None:
+    spec = SPECS["gridworld"]
+    assert spec.tabular is not None
+    assert correlation(spec, Shaped(spec.tabular, spec.gamma)) > 0.99
+    assert correlation(spec, None) < 0.9
