@@ -15,7 +15,7 @@ from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
 from harness.experts import Expert, expert_for
 from harness.registry import load_method
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult, PolicyName, Row
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, PolicyName, Row
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator, drawings
 from harness.study import ARMS, Arm
@@ -27,14 +27,14 @@ ADVANTAGES = {"smoke": 20, "quick": 200, "full": 500}
 """States and actions by which a reward is compared with the true advantage, for each budget."""
 
 
-def train_expert(env: str, budget: str) -> None:
+def train_expert(env: str, conditions: Conditions) -> None:
     """Make sure that the environment's expert is in the cache."""
-    expert_for(env, budget)
+    expert_for(env, conditions.budget, conditions.rl)
 
 
-def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
+def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises."""
-    work = _Work(cell, budget, protocol, directory)
+    work = _Work(cell, conditions, directory)
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
@@ -58,11 +58,12 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
 
 
 class _Work:
-    def __init__(self, cell: Cell, budget: str, protocol: str, directory: Path) -> None:
-        self.cell, self.budget, self.protocol, self.directory = cell, budget, protocol, directory
+    def __init__(self, cell: Cell, conditions: Conditions, directory: Path) -> None:
+        self.cell, self.directory = cell, directory
+        self.budget, self.protocol, self.rl = conditions.budget, conditions.protocol, conditions.rl
         self.spec: EnvSpec = SPECS[cell.env]
-        self.expert: Expert = expert_for(cell.env, budget)
-        self.arm = ARMS.get(cell.method) or Arm(cell.method, self.spec.demo_episodes[budget], {})
+        self.expert: Expert = expert_for(cell.env, self.budget, self.rl)
+        self.arm = ARMS.get(cell.method) or Arm(cell.method, self.spec.demo_episodes[self.budget], {})
         self.result = CellResult(cell, [])
 
     def rng(self, purpose: str) -> np.random.Generator:
@@ -92,7 +93,7 @@ class _Work:
     def method(self) -> None:
         settings = settings_for(self.arm.method, self.cell.env, self.budget) | self.arm.settings
         method = load_method(self.arm.method)(**settings)
-        demos, world = self.demos(), TaskWorld(self.spec, self.protocol)
+        demos, world = self.demos(), TaskWorld(self.spec, self.protocol, self.rl)
         started = time.perf_counter()
         learned = method.fit(demos, world, self.rng("fit"))
         seconds = time.perf_counter() - started
@@ -117,7 +118,7 @@ class _Work:
     def retrain(self, reward: Reward | None) -> None:
         """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
         started = time.perf_counter()
-        solver = solver_for(self.spec, self.protocol, self.rng("pi_R"))
+        solver = solver_for(self.spec, self.protocol, self.rng("pi_R"), self.rl)
         solution = solver.solve(reward, self.spec.rl_steps[self.budget])
         seconds = time.perf_counter() - started
         self.result.curves["pi_R"] = solution.curve

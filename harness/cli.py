@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
-from harness.results import PROTOCOLS, Cell, CellResult
+from harness.results import LIBRARIES, PROTOCOLS, Cell, CellResult, Conditions
 
 if TYPE_CHECKING:
     from harness.store import Request, RunDirectory
@@ -25,7 +25,7 @@ MOST = 1000
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise BadInput(" ".join(message.split()))
+        raise BadInput(message)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return code
     except BadInput as error:
-        print(f"irl-bench: error: {error}", file=sys.stderr)
+        print(f"irl-bench: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         # Python flushes standard output once more at exit.
@@ -79,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--seeds", type=_count, metavar="K", help="how many, from 0 (default 1; 5 for full)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
+    add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
     add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
     add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
     add = commands.add_parser(
@@ -122,7 +123,7 @@ def _run(args: argparse.Namespace) -> int:
     from harness.store import Request, open_for_run
 
     seeds = args.seeds or (5 if args.budget == "full" else 1)
-    request = Request(methods, envs, seeds, args.budget, args.protocol)
+    request = Request(methods, envs, seeds, Conditions(args.budget, args.protocol, args.rl))
     _let_signals_interrupt()
     with open_for_run(args.out, request) as run:
         results = _compute(run, request, args.workers)
@@ -140,7 +141,7 @@ def _reproduce(args: argparse.Namespace) -> int:
     _let_signals_interrupt()
     found = {}
     for protocol in PROTOCOLS:
-        request = Request(tuple(ARMS), ENVS, args.seeds, args.budget, protocol)
+        request = Request(tuple(ARMS), ENVS, args.seeds, Conditions(args.budget, protocol, "sbx"))
         with open_for_run(args.out / protocol, request) as run:
             found[protocol] = list(_compute(run, request, args.workers).values())
     write_study(args.out, found)
@@ -159,8 +160,9 @@ def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[C
         print(f"corrupt, computed again if asked for: {path}: {reason}", file=sys.stderr)
     cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
     kept = len(request.cells) - len(cells)
-    say(f"{len(cells)} cells to run, {kept} kept from before, {request.budget} budget, in {run.path}")
-    Grid(request.budget, request.protocol, run.path.absolute(), workers or _cores(), run.save).run(cells)
+    conditions = request.conditions
+    say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
+    Grid(conditions, run.path.absolute(), workers or _cores(), run.save).run(cells)
     results, _ = run.load()
     if any(_has_failed(results[cell]) for cell in request.cells):
         print(f"tracebacks are in {run.path / LOG}; the same command tries again", file=sys.stderr)

@@ -19,6 +19,7 @@ from safetensors import safe_open
 from envs import SPECS, EnvSpec
 from harness import rl
 from harness.files import write_atomic
+from harness.results import Library
 from harness.seeds import rng_for
 from harness.world import solver_for
 from methods.base import Policy
@@ -45,14 +46,15 @@ class Expert:
     rl_steps: int
 
 
-def expert_for(env: str, budget: str) -> Expert:
+def expert_for(env: str, budget: str, library: Library) -> Expert:
     """The expert from the cache, or trained and cached now, which may take minutes."""
     spec = SPECS[env]
-    path = _cache_file(spec, budget)
+    path = _cache_file(spec, budget, library)
     if (expert := _load(path)) is not None:
         return expert
     started = time.perf_counter()
-    solution = solver_for(spec, "absorbing", rng_for(0, env, "expert")).solve(None, spec.rl_steps[budget])
+    solver = solver_for(spec, "absorbing", rng_for(0, env, "expert"), library)
+    solution = solver.solve(None, spec.rl_steps[budget])
     facts: dict[str, Any] = {
         "curve": solution.curve,
         "seconds": time.perf_counter() - started,
@@ -78,11 +80,10 @@ def _load(path: Path) -> Expert | None:
         return None
 
 
-def _cache_file(spec: EnvSpec, budget: str) -> Path:
+def _cache_file(spec: EnvSpec, budget: str, library: Library) -> Path:
     settings = rl.SETTINGS.get(spec.name, rl.Settings())
-    text = json.dumps(
-        [spec.name, spec.rl_steps[budget], dataclasses.asdict(settings), *_sources(), *_versions()]
-    )
+    ingredients = [library, spec.name, spec.rl_steps[budget], dataclasses.asdict(settings)]
+    text = json.dumps([*ingredients, *_sources(), *_versions()])
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
     cache = Path(os.environ.get(CACHE_VARIABLE, DEFAULT_CACHE))
     return cache / f"expert__{spec.name}__{budget}__{key}.safetensors"

@@ -1,6 +1,6 @@
 """What a run produces: cells, their rows and curves, and the layout of a run's directory.
 
-DIR/run.json               the request: methods, envs, seeds, budget, protocol, and the format's version
+DIR/run.json               the request: methods, envs, seeds, conditions, and the format's version
 DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
 DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
@@ -16,16 +16,28 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-FORMAT = 1
+FORMAT = 2
 """Version of the directory layout; a run of another version is refused."""
 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
+Library = Literal["sbx", "sb3"]
+LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 PROTOCOLS = ("absorbing", "native")
 CONTROLS = ("control_true", "control_plus1", "control_minus1", "control_untrained", "control_survival")
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 REFERENCE = "reference"
 """The method of the rows of the expert and of the random policy."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What all cells of a run are computed under."""
+
+    budget: str
+    protocol: str
+    rl: Library
+    """Whose DDPG learns."""
 
 
 @dataclass(frozen=True, order=True)

@@ -21,7 +21,7 @@ nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import optax
@@ -34,6 +34,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
+from harness.results import Library
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, copies_of
 from methods.base import Array, Policy, Reward
@@ -61,8 +62,6 @@ BUFFER = 100_000
 class Settings:
     """Hyper-parameters of DDPG or DQN: the same for the expert, inner loops and pi_R in one environment."""
 
-    library: Literal["sbx", "sb3"] = "sbx"
-    """Whose DDPG."""
     net: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
     final_learning_rate: float = 1e-3
@@ -118,11 +117,12 @@ class Learner:
     """DDPG or DQN in one environment. Solving again goes on with the same networks and the same experience,
     relabelled by the new reward."""
 
-    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator) -> None:
+    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library) -> None:
         if protocol not in ("absorbing", "native"):
             raise ValueError(f"no protocol named {protocol!r}")
         self._spec = spec
         self._rng = rng
+        self._library = library
         self.settings = SETTINGS.get(spec.name, Settings())
         self._env = _TrainingEnv(spec, protocol, rng, self.settings.copies)
         self._checks = Simulator(spec)
@@ -185,7 +185,7 @@ class Learner:
             )
         network["n_critics"] = s.critics
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
-        if s.library == "sb3":
+        if self._library == "sb3":
             # Of SB3's own progress a warm start would begin in the middle.
             common["learning_rate"] = lambda _: self._learning_rate
             return DDPG(**common, policy_kwargs={**network, "optimizer_kwargs": {"fused": True}})

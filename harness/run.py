@@ -24,7 +24,7 @@ from pebble.concurrent import process as in_a_process
 
 from harness.processes import NAME, end_with_parent, fresh_processes
 from harness.progress import Progress, progress_for
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions
 from harness.store import LOG, decode, encode
 
 ENV_COST = {"cartpole": 1.0, "pendulum": 2.0, "highway": 5.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
@@ -42,9 +42,9 @@ EXPERT_COST = 1.0
 class Work(Protocol):
     """The module that does what is scheduled here; named, so that only the cells' processes import it."""
 
-    def train_expert(self, env: str, budget: str) -> None: ...
+    def train_expert(self, env: str, conditions: Conditions) -> None: ...
 
-    def run_cell(self, cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult: ...
+    def run_cell(self, cell: Cell, conditions: Conditions, directory: Path) -> CellResult: ...
 
     def failed_rows(self, cell: Cell, protocol: str, reason: str) -> CellResult: ...
 
@@ -76,15 +76,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Grid:
-    """What to do with cells: at which budget and protocol, where, with how many processes at a time.
+    """What to do with cells: under which conditions, where, with how many processes at a time.
 
     save: called in this process with each result as soon as it is there.
     work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells;
     torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
     """
 
-    budget: str
-    protocol: str
+    conditions: Conditions
     directory: Path
     workers: int
     save: Callable[[CellResult], None]
@@ -114,7 +113,7 @@ class Grid:
             for task in ready[: self.workers - len(running)]:
                 waiting.remove(task)
                 progress.started(task.name)
-                running[launch(self.work, task, self.budget, self.protocol, self.directory)] = task
+                running[launch(self.work, task, self.conditions, self.directory)] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 outcome = _outcome(future)
@@ -132,13 +131,13 @@ class Grid:
     def _keep(self, cell: Cell, outcome: Outcome, progress: Progress) -> None:
         if outcome.error:
             work = cast(Work, importlib.import_module(self.work))
-            self.save(work.failed_rows(cell, self.protocol, outcome.error))
+            self.save(work.failed_rows(cell, self.conditions.protocol, outcome.error))
         else:
             self.save(decode(outcome.result))
         progress.finished(cell.name, "failed" if outcome.error else "ok", outcome.error)
 
 
-def attempt(work: str, task: Task, budget: str, protocol: str, directory: Path) -> Outcome:
+def attempt(work: str, task: Task, conditions: Conditions, directory: Path) -> Outcome:
     """Does one task, in its own process; whatever it prints goes to the run's log."""
     end_with_parent()
     try:
@@ -148,9 +147,9 @@ def attempt(work: str, task: Task, budget: str, protocol: str, directory: Path) 
         faulthandler.enable()
         module = cast(Work, importlib.import_module(work))
         if task.cell is None:
-            module.train_expert(task.env, budget)
+            module.train_expert(task.env, conditions)
             return Outcome()
-        result = module.run_cell(task.cell, budget, protocol, directory)
+        result = module.run_cell(task.cell, conditions, directory)
         _check(result, task.cell)
         return Outcome(result=encode(result))
     except (Exception, SystemExit) as error:

@@ -17,10 +17,12 @@ from filelock import FileLock, Timeout
 
 from harness.files import write_atomic
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
-from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult
+from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
+
+KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,7 @@ class Request:
     methods: tuple[str, ...]
     envs: tuple[str, ...]
     seeds: int
-    budget: str
-    protocol: str
+    conditions: Conditions
 
     @property
     def cells(self) -> list[Cell]:
@@ -72,7 +73,7 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
     """Starts a run in `path`, which is made, or continues the one there; held until the context ends.
 
     Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
-    another budget, protocol or format, or cannot be written, or is held by another process.
+    other conditions or another format, or cannot be written, or is held by another process.
     """
     _merged(path, request)
     try:
@@ -82,6 +83,7 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
     with _held(path):
         merged = _merged(path, request)
         data = {"format": FORMAT, **dataclasses.asdict(merged)}
+        data |= data.pop("conditions")
         write_atomic(path / "run.json", json.dumps(data, indent=2) + "\n")
         yield RunDirectory(path)
 
@@ -156,16 +158,15 @@ def _merged(path: Path, request: Request) -> Request:
     old = _read_request(path)
     if old is None:
         return request
-    for name in ("budget", "protocol"):
-        there, asked = getattr(old, name), getattr(request, name)
+    for name in KEYS:
+        there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
             raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=max(old.seeds, request.seeds),
-        budget=old.budget,
-        protocol=old.protocol,
+        conditions=old.conditions,
     )
 
 
@@ -191,11 +192,10 @@ def _read_request(path: Path) -> Request | None:
         raise BadInput(f"cannot use {str(path)!r}: {error}") from error
     try:
         data = json.loads(text)
-        version, seeds = data["format"], int(data.get("seeds", 0))
-        methods, envs = (tuple(map(str, data.get(key, ()))) for key in ("methods", "envs"))
-        budget, protocol = str(data.get("budget")), str(data.get("protocol"))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        version = data["format"]
+        if version == FORMAT:
+            methods, envs = (tuple(map(str, data[key])) for key in ("methods", "envs"))
+            return Request(methods, envs, int(data["seeds"]), Conditions(**{key: data[key] for key in KEYS}))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"{path / 'run.json'} is damaged") from error
-    if version != FORMAT:
-        raise BadInput(f"{path} has format {version!r}; this version reads format {FORMAT}")
-    return Request(methods, envs, seeds, budget, protocol)
+    raise BadInput(f"{path} has format {version!r}; this version reads format {FORMAT}")

@@ -8,6 +8,7 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.exact import ExactSolver
+from harness.results import Library
 from harness.rl import Learner
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, Trajectory
@@ -17,7 +18,7 @@ from methods.base import Array, Episodes, Policy, Reward
 class TaskWorld:
     """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave."""
 
-    def __init__(self, spec: EnvSpec, protocol: str) -> None:
+    def __init__(self, spec: EnvSpec, protocol: str, library: Library) -> None:
         self.obs_size = spec.obs_size
         self.act_size = spec.act_size
         self.horizon = spec.horizon
@@ -29,6 +30,7 @@ class TaskWorld:
         self.model = spec.tabular.model if spec.tabular else None
         self._spec = spec
         self._protocol = protocol
+        self._library = library
         self._solver: Learner | ExactSolver | None = None
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
@@ -41,7 +43,7 @@ class TaskWorld:
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
         if not warm or self._solver is None:
-            self._solver = solver_for(self._spec, self._protocol, rng)
+            self._solver = solver_for(self._spec, self._protocol, rng, self._library)
         solution = self._solver.solve(reward, steps)
         self.env_steps += solution.env_steps
         self.rl_steps += solution.rl_steps
@@ -49,9 +51,13 @@ class TaskWorld:
         return solution.policy
 
 
-def solver_for(spec: EnvSpec, protocol: str, rng: np.random.Generator) -> Learner | ExactSolver:
-    """What solves an environment: dynamic programming where its model is known, else RL."""
-    return ExactSolver(spec.tabular, spec.gamma, rng) if spec.tabular else Learner(spec, protocol, rng)
+def solver_for(
+    spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library
+) -> Learner | ExactSolver:
+    """What solves an environment: dynamic programming where its model is known, else RL by that library."""
+    if spec.tabular:
+        return ExactSolver(spec.tabular, spec.gamma, rng)
+    return Learner(spec, protocol, rng, library)
 
 
 def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:

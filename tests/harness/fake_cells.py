@@ -15,15 +15,15 @@ import time
 import types
 from pathlib import Path
 
-from harness.results import Cell, CellResult, Row
+from harness.results import Cell, CellResult, Conditions, Row
 
 
-def train_expert(env: str, budget: str) -> None:
+def train_expert(env: str, conditions: Conditions) -> None:
     if env == "nowhere":
         raise RuntimeError("no gradient")
 
 
-def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellResult:
+def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     with (directory / "computed.txt").open("a") as file:
         file.write(f"{cell.name} {os.getpid()}\n")
     print("a cell speaks; pytest here:", "pytest" in sys.modules)
@@ -44,7 +44,8 @@ def run_cell(cell: Cell, budget: str, protocol: str, directory: Path) -> CellRes
     score = math.nan if behaviour == "nan" else 100.0 * cell.seed + len(cell.method)
     steps = 1j if behaviour == "unstorable" else 7
     cell = Cell(cell.env, "bc", 99) if behaviour == "other" else cell
-    row = Row(cell.env, cell.method, cell.seed, "pi_R", protocol, "ok", "", 1, score, 0, score, 0, 5, 0)
+    numbers = (1, score, 0, score, 0, 5, 0)
+    row = Row(cell.env, cell.method, cell.seed, "pi_R", conditions.protocol, "ok", "", *numbers)
     row = dataclasses.replace(row, env_steps=steps)
     curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)]}
     return CellResult(cell, [row], curves, warnings=[f"{cell.env}: low bar"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envs import SPECS
-from harness import experts
+from envs import SPECS, EnvSpec
+from harness import experts, rl
 from harness.cells import failed_rows, policies_of, run_cell
 from harness.experts import CACHE_VARIABLE, expert_for
-from harness.results import CONTROLS, Cell, CellResult, Row
+from harness.results import CONTROLS, Cell, CellResult, Conditions, Library, Row
 
 BC = Cell("cartpole", "bc", 0)
 
@@ -29,7 +30,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def run(cell: Cell, directory: Path) -> CellResult:
-    return run_cell(cell, "smoke", "absorbing", directory)
+    return run_cell(cell, Conditions("smoke", "absorbing", "sb3"), directory)
 
 
 def timeless(result: CellResult) -> str:
@@ -81,7 +82,7 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert expert.env_steps > 600
     assert (random.env_steps, random.rl_steps, random.rl_solves) == (0, 0, 0)
     assert random.length_mean < 100
-    assert result.curves["expert"] == expert_for("cartpole", "smoke").curve
+    assert result.curves["expert"] == expert_for("cartpole", "smoke", "sb3").curve
     assert set(result.endings) == {"expert", "random"}
     (warning,) = result.warnings
     assert "misses its bar" in warning
@@ -133,7 +134,7 @@ def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[st
 @pytest.fixture
 def stored(cache: Path) -> Path:
     """The file of the smoke expert."""
-    expert_for("cartpole", "smoke")
+    expert_for("cartpole", "smoke", "sb3")
     (path,) = cache.glob("expert__cartpole__smoke__*")
     return path
 
@@ -142,9 +143,9 @@ def test_an_expert_is_trained_once(stored: Path, monkeypatch: pytest.MonkeyPatch
     def never(*_: object) -> None:
         pytest.fail("trained again")
 
-    one = expert_for("cartpole", "smoke")
+    one = expert_for("cartpole", "smoke", "sb3")
     monkeypatch.setattr(experts, "solver_for", never)
-    other = expert_for("cartpole", "smoke")
+    other = expert_for("cartpole", "smoke", "sb3")
     obs = np.eye(4)
     np.testing.assert_array_equal(one.policy(obs), other.policy(obs))
     assert one.curve == other.curve
@@ -168,10 +169,31 @@ def test_a_damaged_expert_is_no_expert(stored: Path, tmp_path: Path, damage: str
 
 
 def test_a_damaged_expert_is_trained_again(stored: Path) -> None:
-    before = expert_for("cartpole", "smoke")
+    before = expert_for("cartpole", "smoke", "sb3")
     stored.write_bytes(stored.read_bytes()[:1000])
-    after = expert_for("cartpole", "smoke")
+    after = expert_for("cartpole", "smoke", "sb3")
     obs = np.random.default_rng(0).normal(size=(20, 4))
     np.testing.assert_array_equal(after.policy(obs), before.policy(obs))
     assert after.curve == before.curve
     assert experts._load(stored) is not None
+
+
+def test_whatever_can_change_an_expert_changes_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    cartpole = SPECS["cartpole"]
+
+    def key(spec: EnvSpec = cartpole, budget: str = "smoke", library: Library = "sb3") -> Path:
+        return experts._cache_file(spec, budget, library)
+
+    longer = dataclasses.replace(cartpole, rl_steps={**cartpole.rl_steps, "smoke": 2000})
+    keys = [key(), key(SPECS["pendulum"]), key(budget="quick"), key(library="sbx"), key(longer)]
+    with monkeypatch.context() as changed:
+        changed.setitem(rl.SETTINGS, "cartpole", rl.Settings(noise=0.5))
+        keys.append(key())
+    with monkeypatch.context() as changed:
+        changed.setattr(importlib.metadata, "version", lambda package: "0")
+        keys.append(key())
+    with monkeypatch.context() as changed:
+        changed.setattr(Path, "read_bytes", lambda path: b"pass")
+        keys.append(key())
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]

@@ -130,6 +130,7 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         ("run --workers 0", "argument --workers"),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --protocol naive", "invalid choice: 'naive'"),
+        ("run --rl torch", "invalid choice: 'torch'"),
         ("run --bud smoke", "unrecognized arguments"),
         ("run --out", "expected one argument"),
         ("run --out mine", "mine is not empty and holds no run"),

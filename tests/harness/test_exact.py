@@ -137,7 +137,7 @@ def test_policies_answer_observations_one_by_one_and_in_batches() -> None:
 
 def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    one, other = expert_for("gridworld", "smoke"), expert_for("gridworld", "full")
+    one, other = expert_for("gridworld", "smoke", "sb3"), expert_for("gridworld", "full", "sb3")
     assert not (tmp_path / "cache").exists()
     assert SPECS["gridworld"].gamma == GAMMA
     assert value(one.policy) == pytest.approx(best_value(), abs=1e-6)

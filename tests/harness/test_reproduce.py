@@ -12,7 +12,7 @@ import pytest
 from harness.cells import SPECS, run_cell
 from harness.cli import main
 from harness.experts import CACHE_VARIABLE
-from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Row
+from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Conditions, Row
 from harness.study import ARMS, DECAYS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
@@ -22,8 +22,8 @@ class InstantGrid:
 
     computed: ClassVar[list[Cell]] = []
 
-    def __init__(self, budget: str, protocol: str, directory: Path, workers: int, save: Any):
-        self.protocol, self.save = protocol, save
+    def __init__(self, conditions: Conditions, directory: Path, workers: int, save: Any):
+        self.protocol, self.save = conditions.protocol, save
 
     def run(self, cells: Sequence[Cell]) -> None:
         for cell in cells:
@@ -94,7 +94,7 @@ def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
 
     monkeypatch.setattr(Shaped, "fit", spy)
     for name in (name_of(1, DECAYS[1]), "shaped"):
-        result = run_cell(Cell("cartpole", name, 1), "smoke", "native", tmp_path)
+        result = run_cell(Cell("cartpole", name, 1), Conditions("smoke", "native", "sb3"), tmp_path)
         assert [(row.method, row.policy, row.status) for row in result.rows] == [
             (name, "pi_star", "ok"),
             (name, "pi_R", "ok"),

@@ -16,6 +16,7 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
+from harness.results import LIBRARIES, Library
 from harness.rl import SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
@@ -26,12 +27,18 @@ OBS = np.linspace(-0.8, 0.8, 33)[:, None]
 
 
 def solve(
-    spec: EnvSpec, reward: Any, protocol: str = "absorbing", steps: int = STEPS, seed: int = 0
+    spec: EnvSpec,
+    reward: Any,
+    protocol: str = "absorbing",
+    steps: int = STEPS,
+    seed: int = 0,
+    library: Library = "sb3",
 ) -> Solution:
-    return Learner(spec, protocol, np.random.default_rng(seed)).solve(reward, steps)
+    """By default with Stable-Baselines3, whose first step takes no seconds of compiling."""
+    return Learner(spec, protocol, np.random.default_rng(seed), library).solve(reward, steps)
 
 
-both_libraries = pytest.mark.parametrize("library", ["sbx", "sb3"], indirect=True)
+both_libraries = pytest.mark.parametrize("library", LIBRARIES)
 
 
 def same(one: Network, other: Network) -> bool:
@@ -40,8 +47,8 @@ def same(one: Network, other: Network) -> bool:
 
 
 @both_libraries
-def test_it_learns_the_task(steady: EnvSpec) -> None:
-    learned = solve(steady, Seek(), seed=1)
+def test_it_learns_the_task(steady: EnvSpec, library: Library) -> None:
+    learned = solve(steady, Seek(), seed=1, library=library)
     assert np.abs(learned.policy(OBS) - OBS).mean() < 0.15
     returns = [value for _, value in learned.curve]
     assert max(returns) > 8.5 > 7 > returns[0]
@@ -114,13 +121,13 @@ def test_it_learns_to_choose(steady: EnvSpec) -> None:
 
 
 @both_libraries
-def test_the_generator_decides_everything(steady: EnvSpec) -> None:
+def test_the_generator_decides_everything(steady: EnvSpec, library: Library) -> None:
     # The library draws from the global generators, whose state must not matter.
     np.random.seed(1)  # noqa: NPY002
-    one = solve(steady, Seek(), steps=400)
+    one = solve(steady, Seek(), steps=400, library=library)
     np.random.seed(2)  # noqa: NPY002
-    again = solve(steady, Seek(), steps=400)
-    other = solve(steady, Seek(), steps=400, seed=1)
+    again = solve(steady, Seek(), steps=400, library=library)
+    other = solve(steady, Seek(), steps=400, seed=1, library=library)
     assert one.curve == again.curve
     assert one.env_steps == again.env_steps
     assert same(one.policy, again.policy)
@@ -182,7 +189,7 @@ def test_the_last_of_the_best_is_kept_if_it_is_better_than_the_untrained(
 
 @both_libraries
 def test_the_learning_rate_falls_within_each_solve(
-    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: str
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library
 ) -> None:
     settings = rl.Settings(learning_rate=1e-3, final_learning_rate=1e-4)
     monkeypatch.setitem(SETTINGS, steady.name, settings)
@@ -198,7 +205,7 @@ def test_the_learning_rate_falls_within_each_solve(
             rates.append(self.actor.optimizer.param_groups[0]["lr"])
 
     monkeypatch.setattr(solver, "train", spy)
-    learner = Learner(steady, "absorbing", np.random.default_rng(0))
+    learner = Learner(steady, "absorbing", np.random.default_rng(0), library)
     learner.solve(Seek(), 400)
     first = list(rates)
     rates.clear()
@@ -236,8 +243,8 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
 
 
 @both_libraries
-def test_a_second_solve_follows_the_new_reward(steady: EnvSpec) -> None:
-    learner = Learner(steady, "absorbing", np.random.default_rng(0))
+def test_a_second_solve_follows_the_new_reward(steady: EnvSpec, library: Library) -> None:
+    learner = Learner(steady, "absorbing", np.random.default_rng(0), library)
     first = learner.solve(Seek(), 600)
     second = learner.solve(Seek(side=-1.0), 1000)
     assert np.abs(first.policy(OBS) - OBS).mean() < 0.25

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from harness.results import Cell, CellResult
+from harness.results import Cell, CellResult, Conditions
 from harness.run import Grid, Task
 from harness.store import encode
 
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 REASONS = {
     "raise": "ValueError: two lines; in run_cell (fake_cells.py:",
     "kill": "its process was killed by SIGKILL (out of memory?)",
@@ -36,9 +37,8 @@ def run(directory: Path, cells: list[Cell], workers: int) -> dict[Cell, CellResu
         assert result.cell not in found
         found[result.cell] = result
 
-    Grid("smoke", "absorbing", directory, workers, save, work="fake_cells", preload=("harness.run",)).run(
-        cells
-    )
+    grid = Grid(CONDITIONS, directory, workers, save, work="fake_cells", preload=("harness.run",))
+    grid.run(cells)
     return found
 
 

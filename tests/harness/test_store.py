@@ -1,6 +1,7 @@
 """A run's directory: what is stored comes back, or is named as damaged; and who may write where."""
 
 import contextlib
+import dataclasses
 import json
 import math
 import os
@@ -11,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.registry import BadInput
-from harness.results import FORMAT, Cell, CellResult, Row
+from harness.results import FORMAT, Cell, CellResult, Conditions, Row
 from harness.store import Request, decode, encode, open_for_report, open_for_run
 
-REQUEST = Request(("bc",), ("cartpole",), 1, "smoke", "absorbing")
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
 CELL = Cell("cartpole", "bc", 0)
 FLOATS = st.floats(allow_infinity=False)
 
@@ -65,7 +67,7 @@ def test_a_truncated_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
-    more = Request(("shaped",), ("highway",), 3, "smoke", "absorbing")
+    more = Request(("shaped",), ("highway",), 3, CONDITIONS)
     for request in (REQUEST, more, REQUEST):
         with open_for_run(tmp_path / "a/b", request):
             pass
@@ -77,7 +79,14 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         "seeds": 3,
         "budget": "smoke",
         "protocol": "absorbing",
+        "rl": "sbx",
     }
+
+
+def stored(**changes: object) -> str:
+    """A run.json that REQUEST fits, but for the changes."""
+    asked = {"methods": ["bc"], "envs": ["cartpole"], "seeds": 1}
+    return json.dumps({"format": FORMAT, **asked, **dataclasses.asdict(CONDITIONS), **changes})
 
 
 def snapshot(path: Path) -> dict[str, bytes]:
@@ -87,10 +96,12 @@ def snapshot(path: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("stored", "message"),
     [
-        ('{"format": 1, "budget": "full", "protocol": "absorbing"}', "budget full, not smoke"),
-        ('{"format": 1, "budget": "smoke", "protocol": "native"}', "protocol native, not absorbing"),
-        ('{"format": 99, "new": true}', "format 99"),
-        ('{"format": 1', "damaged"),
+        (stored(budget="full"), "budget full, not smoke"),
+        (stored(protocol="native"), "protocol native, not absorbing"),
+        (stored(rl="sb3"), "rl sb3, not sbx"),
+        (stored(format=99, envs=None), "format 99"),
+        (stored(envs=None), "damaged"),
+        (stored()[:-9], "damaged"),
         ("[]", "damaged"),
         (None, "holds no run"),
     ],

@@ -93,7 +93,7 @@ def test_which_transitions_are_terminal(
     fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str, copies: int
 ) -> None:
     monkeypatch.setitem(SETTINGS, fragile.name, rl.Settings(copies=copies))
-    learner = Learner(fragile, protocol, np.random.default_rng(0))
+    learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
     learner.solve(Seek(), 300)
     seen = experience(learner)
     assert len(seen["dones"]) == 300
@@ -111,7 +111,7 @@ def test_which_transitions_are_terminal(
 
 @pytest.mark.parametrize("protocol", ["absorbing", "native"])
 def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
-    learner = Learner(fragile, protocol, np.random.default_rng(0))
+    learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
     second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
     for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
         learner.solve(reward, steps)

@@ -38,7 +38,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
-    world = TaskWorld(steady, "absorbing")
+    world = TaskWorld(steady, "absorbing", "sb3")
     world.rollout(on_target, 3, rng())
     assert (world.env_steps, world.rl_steps, world.rl_solves) == (30, 0, 0)
     # So short a solve checks one episode of ten steps before it learns and at its end.
@@ -49,7 +49,7 @@ def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
 
 
 def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
-    world = TaskWorld(fragile, "native")
+    world = TaskWorld(fragile, "native", "sb3")
     episodes = world.rollout(off_target, 4, rng())
     assert world.env_steps == 4
     assert episodes.terminated == (True,) * 4
@@ -61,16 +61,16 @@ def test_a_solve_starts_anew_unless_it_is_warm(steady: EnvSpec) -> None:
         assert isinstance(policy, Network)
         return policy
 
-    world, obs = TaskWorld(steady, "absorbing"), np.linspace(-0.8, 0.8, 9)[:, None]
+    world, obs = TaskWorld(steady, "absorbing", "sb3"), np.linspace(-0.8, 0.8, 9)[:, None]
     first = solve(world, 0, False)(obs)
     # Under a constant reward learning stands still, and the first actor of a solve is the one returned.
     np.testing.assert_array_equal(solve(world, 0, False)(obs), first)
     assert (solve(world, 1, False)(obs) != first).any()
-    np.testing.assert_array_equal(solve(TaskWorld(steady, "absorbing"), 0, True)(obs), first)
+    np.testing.assert_array_equal(solve(TaskWorld(steady, "absorbing", "sb3"), 0, True)(obs), first)
 
 
 def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
-    world, generator = TaskWorld(steady, "absorbing"), rng()
+    world, generator = TaskWorld(steady, "absorbing", "sb3"), rng()
     one, other = (world.rollout(on_target, 2, generator) for _ in range(2))
     assert {f.name for f in dataclasses.fields(one)} == {"obs", "act", "terminated"}
     assert len({obs.tobytes() for obs in (*one.obs, *other.obs)}) == 4
@@ -79,7 +79,9 @@ def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
 
 
 def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
-    public = {name: value for name, value in vars(TaskWorld(steady, "absorbing")).items() if name[0] != "_"}
+    public = {
+        name: value for name, value in vars(TaskWorld(steady, "absorbing", "sb3")).items() if name[0] != "_"
+    }
     assert set(public) == {
         *("obs_size", "act_size", "horizon", "gamma", "phi", "model"),
         *("env_steps", "rl_steps", "rl_solves"),
@@ -90,12 +92,12 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
 
 def test_random_actions_are_the_environments(steady: EnvSpec) -> None:
     for spec in (steady, SPECS["gridworld"]):
-        found = TaskWorld(spec, "absorbing").random_actions(9, rng())
+        found = TaskWorld(spec, "absorbing", "sb3").random_actions(9, rng())
         np.testing.assert_array_equal(found, spec.random_actions(9, rng()))
 
 
 def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
-    world = TaskWorld(SPECS["gridworld"], "absorbing")
+    world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     assert type(world.model) is Model
     assert set(vars(world.model)) == {"P", "start", "obs"}
     policy: Any = world.solve(ZERO, rng(), 1)
@@ -104,7 +106,7 @@ def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
 
 
 def test_in_a_known_model_a_solve_takes_no_steps() -> None:
-    world = TaskWorld(SPECS["gridworld"], "absorbing")
+    world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 1000)
     world.solve(ZERO, rng(), 1000, warm=True)
     assert (world.env_steps, world.rl_steps, world.rl_solves) == (0, 0, 2)
