@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import json
 import os
 import shlex
 import signal
@@ -65,6 +66,8 @@ def _dispatch(argv: list[str]) -> int:
         return _list()
     if args.command == "report":
         return _report(args.directory)
+    if args.command == "bench":
+        return _bench(args.json)
     if args.command == "reproduce":
         return _reproduce(args)
     return _run(args)
@@ -91,6 +94,8 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
+    add.add_argument("--json", action="store_true", help="as JSON, when all is measured")
     commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     return parser
 
@@ -147,6 +152,23 @@ def _reproduce(args: argparse.Namespace) -> int:
     write_study(args.out, found)
     say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
+
+
+def _bench(as_json: bool) -> int:
+    from harness.processes import ONE_THREAD
+    from harness.progress import say
+
+    os.environ.update(ONE_THREAD)  # before what it is for is imported
+    from harness.bench import bench
+
+    found = []
+    for measure in bench():
+        found.append(measure.to_json())
+        if not as_json:
+            say("{name}: {median:.3g} {unit} ({low:.3g} to {high:.3g}), bar {bar}".format(**found[-1]))
+    if as_json:
+        say(json.dumps(found, indent=1))
+    return 0
 
 
 def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[Cell, CellResult]:

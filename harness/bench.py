@@ -1,0 +1,199 @@
+"""What things cost, as ratios that survive a noisy machine: what is compared runs in turn, several times."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from highway_env.envs.highway_env import HighwayEnvFast
+from stable_baselines3 import DDPG
+
+from envs import SPECS, EnvSpec
+from envs.highway import CONFIG, HORIZON
+from envs.highway_fast import FastHighwayEnv
+from harness.cells import run_cell
+from harness.evaluation import evaluate
+from harness.experts import expert_for
+from harness.registry import load_method
+from harness.results import Cell, CellResult, Conditions, Library
+from harness.rl import SETTINGS, Learner, Settings
+from harness.run import Grid
+from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
+from harness.simulator import Simulator
+from harness.world import TaskWorld, without_rewards
+from methods.base import Policy
+from methods.settings import settings_for
+
+REPEATS = 5
+EPISODES = 60
+"""Evaluated at once, against one after the other."""
+SOLVE_STEPS = 3000
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One figure, in each repeat. unit: 'times' as fast, or 's' for the seconds of a whole command.
+    bar: what is wanted, at least of ratios and at most of seconds; None where nothing is."""
+
+    name: str
+    unit: str
+    values: list[float]
+    bar: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Name, unit, median, smallest and largest value, bar."""
+        spread = {"median": statistics.median(self.values), "low": min(self.values), "high": max(self.values)}
+        return {"name": self.name, "unit": self.unit, **spread, "bar": self.bar}
+
+
+def compare(
+    name: str, ours: Callable[[], int], theirs: Callable[[], int], bar: float | None, repeats: int = REPEATS
+) -> Measure:
+    """Rates of work, ours over theirs; both return how much of it they did. The first time does not count."""
+    ratios = []
+    for repeat in range(repeats + 1):
+        rates = [_rate(work) for work in ((ours, theirs) if repeat % 2 else (theirs, ours))]
+        ratios.append(rates[0] / rates[1] if repeat % 2 else rates[1] / rates[0])
+    return Measure(name, "times", ratios[1:], bar)
+
+
+def _rate(work: Callable[[], int]) -> float:
+    started = time.perf_counter()
+    return work() / (time.perf_counter() - started)
+
+
+def bench() -> Iterator[Measure]:
+    """Every comparison, as it is made: about ten minutes on two cores."""
+    yield compare(
+        "highway-env's scenes, ours against its own",
+        partial(_drive, FastHighwayEnv),
+        partial(_drive, HighwayEnvFast),
+        bar=3,
+    )
+    for env, bar in (("cartpole", 10.0), ("pendulum", 3.0), ("highway", None)):
+        spec, policy = SPECS[env], expert_for(env, "smoke", "sbx").policy
+        yield compare(
+            f"{env}, {EPISODES} episodes of a policy, against one after the other",
+            partial(_together, spec, policy),
+            partial(_one_by_one, spec, policy),
+            bar,
+        )
+    for env in ("cartpole", "pendulum"):
+        for library in ("sbx", "sb3"):
+            yield compare(
+                f"{env}, RL steps with {library}, against Stable-Baselines3's DDPG by itself",
+                partial(_solve, env, library),
+                partial(_plain_ddpg, env),
+                bar=3 if library == "sbx" else None,
+            )
+    yield compare(
+        "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=3
+    )
+    yield compare(
+        "a cell of cart-pole, against its library calls alone",
+        _cell,
+        _bare_cell,
+        bar=0.97,
+    )
+    with tempfile.TemporaryDirectory() as directory:
+        cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
+        _command(cached)
+        for name, arguments, bar in (
+            ("--help", ["--help"], 0.5),
+            ("list", ["list"], 0.5),
+            ("a run that has nothing left to do", cached, 5.0),
+        ):
+            yield Measure(name, "s", [_command(arguments) for _ in range(REPEATS)], bar)
+
+
+def _command(arguments: list[str]) -> float:
+    """Seconds that `python -m harness` takes with these arguments, in a process of its own."""
+    started = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "harness", *arguments], check=True, capture_output=True)
+    return time.perf_counter() - started
+
+
+def _drive(kind: type[HighwayEnvFast]) -> int:
+    env, rng, steps = kind(dict(CONFIG)), np.random.default_rng(0), 0
+    for seed in range(3):
+        env.reset(seed=seed)
+        ended = False
+        while not ended and steps < HORIZON * (seed + 1):
+            action = rng.normal(0, [0.3, 0.05]).astype(np.float32)
+            ended, steps = bool(env.step(action)[2]), steps + 1
+    return steps
+
+
+def _together(spec: EnvSpec, policy: Policy) -> int:
+    return sum(len(e.act) for e in Simulator(spec).run(policy, range(EPISODES)))
+
+
+def _one_by_one(spec: EnvSpec, policy: Policy) -> int:
+    """The loop that one would write; a part of the episodes, for it is slow."""
+    env, steps = spec.make(), 0
+    for seed in range(EPISODES // 10):
+        obs, ended = env.reset(seed=seed)[0], False
+        while not ended:
+            obs, _, terminated, truncated, _ = env.step(spec.native(policy(obs[None])[0]))
+            ended, steps = terminated or truncated, steps + 1
+    return steps
+
+
+def _solve(env: str, library: Library) -> int:
+    Learner(SPECS[env], "absorbing", np.random.default_rng(0), library).solve(None, SOLVE_STEPS)
+    return SOLVE_STEPS
+
+
+def _plain_ddpg(env: str) -> int:
+    """As its documentation has it, with our networks, batch and one gradient step a step; no checkpoints."""
+    settings = SETTINGS.get(env, Settings())
+    DDPG(
+        "MlpPolicy",
+        SPECS[env].make(),
+        learning_starts=SOLVE_STEPS // 3,
+        batch_size=settings.batch,
+        train_freq=1,
+        policy_kwargs={"net_arch": list(settings.net)},
+        device="cpu",
+    ).learn(SOLVE_STEPS)
+    return SOLVE_STEPS
+
+
+def _grid(workers: int) -> int:
+    cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
+    done: list[CellResult] = []
+    with tempfile.TemporaryDirectory() as directory:
+        Grid(CONDITIONS, Path(directory), workers, done.append).run(cells)
+    return len(done)
+
+
+def _cell() -> int:
+    with tempfile.TemporaryDirectory() as directory:
+        run_cell(Cell("cartpole", "shaped", 1), CONDITIONS, Path(directory))
+    return 1
+
+
+def _bare_cell() -> int:
+    """What that cell calls of libraries, environments and methods."""
+    spec, budget = SPECS["cartpole"], CONDITIONS.budget
+    expert = expert_for("cartpole", budget, "sbx")
+    demos = without_rewards(
+        Simulator(spec).run(expert.policy, demonstration_seeds(1, spec.demo_episodes[budget]))
+    )
+    method = load_method("shaped")(**settings_for("shaped", "cartpole", budget))
+    learned = method.fit(demos, TaskWorld(spec, "absorbing", "sbx"), rng_for(1, "cartpole", "shaped", "fit"))
+    rng = rng_for(1, "cartpole", "shaped", "pi_R")
+    solved = Learner(spec, "absorbing", rng, "sbx").solve(learned.reward, spec.rl_steps[budget])
+    for policy in (learned.policy, solved.policy):
+        evaluate(spec, policy, evaluation_seeds(1, spec.eval_episodes[budget]))
+    return 1
