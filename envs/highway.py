@@ -34,6 +34,7 @@ SIDE_REACH = 8.0  # m, how far the ego sees to its sides
 CRUISE = 25.0  # m/s, the speed that is observed as 0
 TARGET_SPEED = 30.0  # m/s, of the reference driver
 OBS_SIZE = 18
+MARGIN = 20.0  # m, of drawn road before the last and after the first vehicle
 LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
 CONFIG: dict[str, Any] = {
     # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
@@ -231,10 +232,12 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     assert isinstance(scene, Highway)
     ego = scene.vehicle
     shapes = {}
+    along = [vehicle.position[0] - ego.position[0] for vehicle in scene.road.vehicles]
+    start, end = min(along) - MARGIN, max(along) + MARGIN
     for i in range(LANES + 1):
         side = (0.5 - i) * LANE_WIDTH  # highway-env's y points to the right of the road, ours to the left
         grey = (140, 140, 140) if i in (0, LANES) else (200, 200, 200)
-        shapes[f"lane_{i}"] = Shape(np.array([[-60.0, side], [120.0, side]]), grey)
+        shapes[f"lane_{i}"] = Shape(np.array([[start, side], [end, side]]), grey)
     others = [vehicle for vehicle in scene.road.vehicles if vehicle is not ego]
     names = [f"vehicle_{i:02d}" for i in range(1, len(others) + 1)]
     for name, vehicle in [*zip(names, others, strict=True), ("ego", ego)]:
