@@ -199,7 +199,7 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
         known = row["env"] == "pendulum" and row["status"] == "ok"
         assert (row["normalized_score"] != "") == known
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
-    assert "| shaped | method | pi_R | 1 of 1 | n/a | n/a | 440.0 |" in cartpole
+    assert "| shaped | method | pi_R | 1 of 1 | n/a | n/a | n/a | 440.0 |" in cartpole
     assert "nan" not in (tmp_path / "leaderboard.md").read_text()
     text = Page((tmp_path / "report.html").read_text()).text
     assert "cartpole, seed 0: no normalized scores" in text
