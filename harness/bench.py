@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import statistics
 import subprocess
 import sys
@@ -73,7 +75,7 @@ def _rate(work: Callable[[], int]) -> float:
 
 
 def bench() -> Iterator[Measure]:
-    """Every comparison, as it is made: about ten minutes on two cores."""
+    """Every comparison, as it is made: about twenty minutes on two cores."""
     yield compare(
         "highway-env's scenes, ours against its own",
         partial(_drive, FastHighwayEnv),
@@ -172,7 +174,7 @@ def _plain_ddpg(env: str) -> int:
 def _grid(workers: int) -> int:
     cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
     done: list[CellResult] = []
-    with tempfile.TemporaryDirectory() as directory:
+    with tempfile.TemporaryDirectory() as directory, contextlib.redirect_stdout(io.StringIO()):
         Grid(CONDITIONS, Path(directory), workers, done.append).run(cells)
     return len(done)
 
