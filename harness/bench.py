@@ -64,8 +64,8 @@ def compare(
     """Rates of work, ours over theirs; both return how much of it they did. The first time does not count."""
     ratios = []
     for repeat in range(repeats + 1):
-        rates = [_rate(work) for work in ((ours, theirs) if repeat % 2 else (theirs, ours))]
-        ratios.append(rates[0] / rates[1] if repeat % 2 else rates[1] / rates[0])
+        rates = {work: _rate(work) for work in ((ours, theirs) if repeat % 2 else (theirs, ours))}
+        ratios.append(rates[ours] / rates[theirs])
     return Measure(name, "times", ratios[1:], bar)
 
 

@@ -19,12 +19,3 @@ class Seek:
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         return self.scale * (1 - np.abs(self.side * obs - act)[:, 0])
-
-
-@dataclass(frozen=True)
-class Constant:
-    value: float
-    absorbing: float
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return np.full(len(obs), self.value)

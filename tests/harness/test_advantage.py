@@ -11,11 +11,12 @@ import pytest
 from envs import SPECS, EnvSpec
 from envs.spec import Tabular
 from harness.advantage import rank_correlation
+from harness.controls import Constant
 from harness.seeds import rng_for
 from harness.simulator import Simulator
 from methods.base import Array, Reward
 from methods.tabular import value_iteration
-from tests.harness.rewards import Constant, Seek
+from tests.harness.rewards import Seek
 
 SEEDS = range(40)
 

@@ -16,11 +16,12 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness import rl
+from harness.controls import Constant
 from harness.results import LIBRARIES, Library
 from harness.rl import SETTINGS, Learner, Settings, Solution
 from methods.base import Array
 from methods.network import Network
-from tests.harness.rewards import Constant, Seek
+from tests.harness.rewards import Seek
 
 STEPS = 1500
 OBS = np.linspace(-0.8, 0.8, 33)[:, None]
