@@ -169,23 +169,43 @@ def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> 
 
 
 @pytest.mark.parametrize(
-    ("returns", "kept"),
-    [([1, 5, 3, 5, 4], 3), ([1, 5, 5, 6, 2], 3), ([5, 5, 4, 5, 5], 0), ([5, 1, 2, 3, 4], 0)],
+    ("returns", "disturbed", "kept"),
+    [
+        ([1, 5, 3, 5, 4], [2, 1], 1),
+        ([1, 5, 3, 5, 5], [2, 3, 1], 3),
+        ([1, 5, 3, 5, 4], [2, 2], 3),
+        ([1, 5, 5, 6, 2], [], 3),
+        ([5, 5, 4, 5, 5], [], 0),
+        ([5, 1, 2, 3, 4], [], 0),
+    ],
 )
-def test_the_last_of_the_best_is_kept_if_it_is_better_than_the_untrained(
+def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     steady: EnvSpec,
     actors: list[Network],
     monkeypatch: pytest.MonkeyPatch,
     returns: list[float],
+    disturbed: list[float],
     kept: int,
 ) -> None:
     monkeypatch.setitem(SETTINGS, steady.name, rl.Settings(checkpoint_every=100))
-    scores, truth = iter(returns), (-value for value in returns)
-    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), next(truth), 0))
+    scores, truth = iter(returns + disturbed), (-value for value in returns + disturbed)
+    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), next(truth), 1))
     solution = solve(steady, Seek(), steps=800)
     assert [value for _, value in solution.curve] == returns
     assert [value for _, value in solution.true_curve] == [-value for value in returns]
+    assert solution.env_steps == 800 + len(returns + disturbed)
     assert same(solution.policy, actors[kept])
+    assert next(scores, None) is None
+
+
+def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) -> None:
+    learner = Learner(steady, "absorbing", np.random.default_rng(0), "sb3")
+    obs = np.zeros((10_000, 1))
+    noise = learner.disturbed(lambda obs: obs)(obs)
+    assert noise.mean() == pytest.approx(0, abs=0.01)
+    assert noise.std() == pytest.approx(Settings.noise, rel=0.05)
+    assert np.abs(noise).max() <= 1
+    assert np.array_equal(noise, learner.disturbed(lambda obs: obs)(obs))
 
 
 @both_libraries
