@@ -10,10 +10,10 @@ import numpy as np
 
 from envs import SPECS, EnvSpec
 from harness import recordings
-from harness.advantage import rank_correlation
+from harness.advantage import known_correlation, sampled_correlation
 from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
-from harness.experts import Expert, expert_for
+from harness.experts import Expert, deviations_for, expert_for
 from harness.registry import load_method
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, PolicyName, Row
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
@@ -22,9 +22,6 @@ from harness.study import ARMS, Arm
 from harness.world import TaskWorld, solver_for, without_rewards
 from methods.base import Array, Episodes, Policy, Reward
 from methods.settings import settings_for
-
-ADVANTAGES = {"smoke": 20, "quick": 200, "full": 500}
-"""States and actions by which a reward is compared with the true advantage, for each budget."""
 
 
 def train_expert(env: str, conditions: Conditions) -> None:
@@ -128,10 +125,10 @@ class _Work:
         )
 
     def advantage_correlation(self, reward: Reward | None) -> float:
-        """The same states and actions for every reward of this environment and seed."""
-        seeds = evaluation_seeds(self.cell.seed, ADVANTAGES[self.budget])
-        rng = rng_for(self.cell.seed, self.cell.env, "advantage")
-        return rank_correlation(reward, self.spec, self.expert.policy, seeds, rng)
+        cell, tabular = self.cell, self.spec.tabular
+        if tabular:
+            return known_correlation(reward, tabular, self.spec.gamma)
+        return sampled_correlation(reward, deviations_for(cell.env, self.budget, self.rl, cell.seed))
 
     @property
     def seeds(self) -> range:

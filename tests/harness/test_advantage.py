@@ -10,7 +10,7 @@ import pytest
 
 from envs import SPECS, EnvSpec
 from envs.spec import Tabular
-from harness.advantage import rank_correlation
+from harness.advantage import deviations, known_correlation, sampled_correlation
 from harness.controls import Constant
 from harness.seeds import rng_for
 from harness.simulator import Simulator
@@ -27,7 +27,7 @@ def best(obs: Array) -> Array:
 
 
 def correlation(spec: EnvSpec, reward: Reward | None) -> float:
-    return rank_correlation(reward, spec, best, SEEDS, rng_for(0, "advantage"))
+    return sampled_correlation(reward, deviations(spec, best, SEEDS, rng_for(0, "advantage")))
 
 
 def test_a_reward_that_orders_actions_like_the_advantage_correlates_fully(steady: EnvSpec) -> None:
@@ -77,5 +77,6 @@ class Shaped:
 def test_where_the_model_is_known_the_shaped_true_reward_correlates_fully() -> None:
     spec = SPECS["gridworld"]
     assert spec.tabular is not None
-    assert correlation(spec, Shaped(spec.tabular, spec.gamma)) > 0.99
-    assert correlation(spec, None) < 0.9
+    shaped = Shaped(spec.tabular, spec.gamma)
+    assert known_correlation(shaped, spec.tabular, spec.gamma) > 0.99
+    assert known_correlation(None, spec.tabular, spec.gamma) < 0.9

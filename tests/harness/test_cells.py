@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from envs import SPECS, EnvSpec
-from harness import experts, rl
+from envs import SPECS
+from harness.cache import CACHE_VARIABLE
 from harness.cells import failed_rows, policies_of, run_cell
-from harness.experts import CACHE_VARIABLE, expert_for
-from harness.results import CONTROLS, Cell, CellResult, Conditions, Library, Row
+from harness.experts import expert_for
+from harness.results import CONTROLS, Cell, CellResult, Conditions, Row
 
 BC = Cell("cartpole", "bc", 0)
 
@@ -129,71 +127,3 @@ def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[st
     assert result.cell == cell
     rows = [Row("cartpole", method, 4, policy, "native", "failed", "no luck") for policy in policies]
     assert repr(result.rows) == repr(rows)
-
-
-@pytest.fixture
-def stored(cache: Path) -> Path:
-    """The file of the smoke expert."""
-    expert_for("cartpole", "smoke", "sb3")
-    (path,) = cache.glob("expert__cartpole__smoke__*")
-    return path
-
-
-def test_an_expert_is_trained_once(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(*_: object) -> None:
-        pytest.fail("trained again")
-
-    one = expert_for("cartpole", "smoke", "sb3")
-    monkeypatch.setattr(experts, "solver_for", never)
-    other = expert_for("cartpole", "smoke", "sb3")
-    obs = np.eye(4)
-    np.testing.assert_array_equal(one.policy(obs), other.policy(obs))
-    assert one.curve == other.curve
-    assert one.seconds == other.seconds > 0
-
-
-@pytest.mark.parametrize("damage", ["empty", "half", "noise", "JSON", "absent"])
-def test_a_damaged_expert_is_no_expert(stored: Path, tmp_path: Path, damage: str) -> None:
-    whole = stored.read_bytes()
-    path = tmp_path / stored.name
-    path.write_bytes(whole)
-    assert experts._load(path) is not None
-    path.write_bytes(
-        {"empty": b"", "half": whole[: len(whole) // 2], "noise": bytes(range(256)) * 9, "JSON": b"{}"}.get(
-            damage, b""
-        )
-    )
-    if damage == "absent":
-        path.unlink()
-    assert experts._load(path) is None
-
-
-def test_a_damaged_expert_is_trained_again(stored: Path) -> None:
-    before = expert_for("cartpole", "smoke", "sb3")
-    stored.write_bytes(stored.read_bytes()[:1000])
-    after = expert_for("cartpole", "smoke", "sb3")
-    obs = np.random.default_rng(0).normal(size=(20, 4))
-    np.testing.assert_array_equal(after.policy(obs), before.policy(obs))
-    assert after.curve == before.curve
-    assert experts._load(stored) is not None
-
-
-def test_whatever_can_change_an_expert_changes_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    cartpole = SPECS["cartpole"]
-
-    def key(spec: EnvSpec = cartpole, budget: str = "smoke", library: Library = "sb3") -> Path:
-        return experts._cache_file(spec, budget, library)
-
-    longer = dataclasses.replace(cartpole, rl_steps={**cartpole.rl_steps, "smoke": 2000})
-    keys = [key(), key(SPECS["pendulum"]), key(budget="quick"), key(library="sbx"), key(longer)]
-    with monkeypatch.context() as changed:
-        changed.setitem(rl.SETTINGS, "cartpole", rl.Settings(noise=0.5))
-        keys.append(key())
-    with monkeypatch.context() as changed:
-        changed.setattr(importlib.metadata, "version", lambda package: "0")
-        keys.append(key())
-    with monkeypatch.context() as changed:
-        changed.setattr(Path, "read_bytes", lambda path: b"pass")
-        keys.append(key())
-    assert len(set(keys)) == len(keys)
-    assert key() == keys[0]

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import pandas as pd
 import pytest
 
+from harness.cache import CACHE_VARIABLE
 from harness.cells import SPECS, run_cell
 from harness.cli import main
-from harness.experts import CACHE_VARIABLE
 from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Conditions, Row
 from harness.study import ARMS, DECAYS, TRAJECTORIES, name_of
 from methods.shaped import Shaped

@@ -1,0 +1,102 @@
+"""What is kept between runs: computed once, whole or not at all, under a key of all that can change it."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envs import SPECS, EnvSpec
+from harness import experts, rl
+from harness.cache import CACHE_VARIABLE, Kept, cache_file, kept, load
+from harness.experts import deviations_for, expert_for
+from harness.results import Library
+
+CARTPOLE = SPECS["cartpole"]
+VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def never() -> Kept:
+    pytest.fail("computed again")
+
+
+def test_it_is_computed_once(folder: Path) -> None:
+    first = kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    again = kept("thing", CARTPOLE, "smoke", "sb3", never)
+    assert first is VALUE
+    assert again.facts == VALUE.facts
+    assert again.arrays.keys() == VALUE.arrays.keys()
+    for name, array in VALUE.arrays.items():
+        np.testing.assert_array_equal(again.arrays[name], array)
+    assert [path.name.split("__")[:3] for path in folder.iterdir()] == [["thing", "cartpole", "smoke"]]
+
+
+def test_whatever_bit_is_flipped_it_is_computed_again(folder: Path) -> None:
+    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    (path,) = folder.iterdir()
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    places = [int(place) for place in rng.integers(len(whole), size=200)]
+    for place in places:
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1 :])
+        found = load(path)
+        # What is not read, such as spaces that fill up the header, may be anything.
+        assert found is None or (found.facts == VALUE.facts and found.arrays.keys() == VALUE.arrays.keys())
+        assert found is None or all(np.array_equal(found.arrays[n], VALUE.arrays[n]) for n in VALUE.arrays)
+    for damaged in (b"", whole[: len(whole) // 2], bytes(range(256)) * 9, b"{}"):
+        path.write_bytes(damaged)
+        assert load(path) is None
+    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    assert path.read_bytes() == whole
+    path.unlink()
+    assert load(path) is None
+
+
+def test_an_expert_and_its_advantages_are_computed_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, sample = expert_for("cartpole", "smoke", "sb3"), deviations_for("cartpole", "smoke", "sb3", 3)
+    for name in ("solver_for", "deviations"):
+        monkeypatch.setattr(experts, name, lambda *_: never())
+    other, again = expert_for("cartpole", "smoke", "sb3"), deviations_for("cartpole", "smoke", "sb3", 3)
+    obs = np.eye(4)
+    np.testing.assert_array_equal(one.policy(obs), other.policy(obs))
+    assert one.curve == other.curve
+    assert one.seconds == other.seconds > 0
+    for name, array in vars(sample).items():
+        np.testing.assert_array_equal(getattr(again, name), array)
+    assert len(list(folder.iterdir())) == 2
+    with pytest.raises(pytest.fail.Exception, match="again"):
+        deviations_for("cartpole", "smoke", "sb3", 4)
+
+
+def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(
+        name: str = "expert", spec: EnvSpec = CARTPOLE, budget: str = "smoke", library: Library = "sb3"
+    ) -> Path:
+        return cache_file(name, spec, budget, library)
+
+    longer = dataclasses.replace(CARTPOLE, rl_steps={**CARTPOLE.rl_steps, "smoke": 2000})
+    keys = [key(), key("other"), key(spec=SPECS["pendulum"]), key(budget="quick"), key(library="sbx")]
+    keys.append(key(spec=longer))
+    with monkeypatch.context() as changed:
+        changed.setitem(rl.SETTINGS, "cartpole", rl.Settings(noise=0.5))
+        keys.append(key())
+    with monkeypatch.context() as changed:
+        changed.setattr(importlib.metadata, "version", lambda package: "0")
+        keys.append(key())
+    with monkeypatch.context() as changed:
+        changed.setattr(Path, "read_bytes", lambda path: b"pass")
+        keys.append(key())
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]
