@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 import os
 from collections.abc import Callable
@@ -19,20 +18,12 @@ from safetensors import safe_open
 from envs import EnvSpec
 from harness import rl
 from harness.files import write_atomic
+from harness.keys import EXPERT_SOURCES, key_of
 from harness.results import Library
 from methods.base import Array
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
 DEFAULT_CACHE = Path("results") / "cache"
-SOURCES = (
-    *("envs", "harness/advantage.py", "harness/rl.py", "harness/seeds.py", "harness/simulator.py"),
-    "methods/network.py",
-)
-"""What can change what is kept, besides the packages below."""
-PACKAGES = (
-    *("torch", "numpy", "jax", "flax", "optax", "stable-baselines3", "sbx-rl"),
-    *("gymnasium", "mujoco", "highway-env"),
-)
 
 
 @dataclass(frozen=True)
@@ -70,7 +61,7 @@ def cache_file(name: str, spec: EnvSpec, budget: str, library: Library) -> Path:
     """Where something of this environment's expert is kept."""
     settings = rl.SETTINGS.get(spec.name, rl.Settings())
     ingredients = [library, spec.name, spec.rl_steps[budget], dataclasses.asdict(settings)]
-    key = hashlib.sha256(json.dumps([*ingredients, *_sources(), *_versions()]).encode()).hexdigest()[:16]
+    key = key_of(EXPERT_SOURCES, ingredients)
     folder = Path(os.environ.get(CACHE_VARIABLE, DEFAULT_CACHE))
     return folder / f"{name}__{spec.name}__{budget}__{key}.safetensors"
 
@@ -80,13 +71,3 @@ def _checksum(arrays: dict[str, Array], facts: str) -> str:
     for name, array in sorted(arrays.items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
     return digest.hexdigest()
-
-
-def _versions() -> list[str]:
-    return [importlib.metadata.version(package) for package in PACKAGES]
-
-
-def _sources() -> list[str]:
-    root = Path(__file__).parent.parent
-    files = [f for s in SOURCES for f in (sorted((root / s).glob("*.py")) if s == "envs" else [root / s])]
-    return [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]

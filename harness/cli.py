@@ -177,9 +177,8 @@ def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[C
     from harness.run import Grid
     from harness.store import LOG
 
-    known, corrupt = run.load()
-    for path, reason in corrupt.items():
-        print(f"corrupt, computed again if asked for: {path}: {reason}", file=sys.stderr)
+    known, unusable = run.load()
+    _tell_unusable(unusable, "left out, computed again if asked for")
     cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
@@ -195,14 +194,13 @@ def _report(directory: Path) -> int:
     from harness.store import open_for_report
 
     with open_for_report(directory) as run:
-        results, corrupt = run.load()
-        for path, reason in corrupt.items():
-            print(f"corrupt, left out: {path}: {reason}", file=sys.stderr)
+        results, unusable = run.load()
+        _tell_unusable(unusable, "left out")
         if not results:
             raise BadInput(f"{directory} holds no finished cell")
         _write_report(directory, list(results.values()))
     _tell_troubles(list(results.values()))
-    return 1 if corrupt else 0
+    return 1 if unusable else 0
 
 
 def _write_report(directory: Path, results: list[CellResult]) -> None:
@@ -224,6 +222,14 @@ def _tell_troubles(results: list[CellResult]) -> bool:
         reason = next(row.reason for row in result.rows if row.status == "failed")
         print(f"FAILED: {result.cell.name}: {reason}", file=sys.stderr)
     return bool(failed)
+
+
+def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
+    """A line for each reason."""
+    for reason in sorted(set(files.values())):
+        first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
+        more = f" and {len(others)} more" if others else ""
+        print(f"{what_happens}: {first}{more}: {reason}", file=sys.stderr)
 
 
 def _has_failed(result: CellResult) -> bool:

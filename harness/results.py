@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-FORMAT = 2
+FORMAT = 3
 """Version of the directory layout; a run of another version is refused."""
 
 Status = Literal["ok", "skipped", "failed"]
@@ -104,6 +104,8 @@ class CellResult:
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: list[str] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
+    key: str = ""
+    """Of all that can change it (`harness.keys`); given when it is stored."""
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -116,4 +118,4 @@ class CellResult:
             values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
             rows.append(Row(**values))
         curves = {name: [(x, y) for x, y in points] for name, points in data["curves"].items()}
-        return cls(Cell(**data["cell"]), rows, curves, data["endings"], data["warnings"])
+        return cls(Cell(**data["cell"]), rows, curves, data["endings"], data["warnings"], data["key"])

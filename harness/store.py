@@ -16,6 +16,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from harness.files import write_atomic
+from harness.keys import CELL_SOURCES, key_of
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
 
@@ -42,30 +43,36 @@ class Request:
 
 
 class RunDirectory:
-    """A run's directory, held by this process alone. Made by `open_for_run` and `open_for_report`."""
+    """A run's directory, held by this process alone. Made by `open_for_run` and `open_for_report`.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    key: what cells must have been computed under to count; '' where all do.
+    """
+
+    def __init__(self, path: Path, key: str = "") -> None:
+        self.path, self.key = path, key
         for folder in (path, path / "cells", path / "recordings", path / "figures"):
             for left_by_a_killed_run in folder.glob(".*.tmp"):
                 left_by_a_killed_run.unlink()
 
     def save(self, result: CellResult) -> None:
         """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
-        write_atomic(self.path / "cells" / f"{result.cell.name}.json", encode(result))
+        keyed = dataclasses.replace(result, key=self.key)
+        write_atomic(self.path / "cells" / f"{result.cell.name}.json", encode(keyed))
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
-        """Every stored cell, sorted, and what is wrong with the files that cannot be trusted."""
-        results, corrupt = {}, {}
+        """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
+        results, unusable = {}, {}
         for path in (self.path / "cells").glob("[!.]*.json"):
             try:
                 result = decode(path.read_bytes())
                 if path.stem != result.cell.name:
                     raise ValueError(f"holds the cell {result.cell.name}")
+                if self.key not in ("", result.key):
+                    raise ValueError("computed by another version of the program or its packages")
                 results[result.cell] = result
             except (ValueError, OSError) as error:
-                corrupt[path] = str(error)
-        return dict(sorted(results.items())), corrupt
+                unusable[path] = str(error)
+        return dict(sorted(results.items())), unusable
 
 
 @contextmanager
@@ -85,7 +92,7 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         data = {"format": FORMAT, **dataclasses.asdict(merged)}
         data |= data.pop("conditions")
         write_atomic(path / "run.json", json.dumps(data, indent=2) + "\n")
-        yield RunDirectory(path)
+        yield RunDirectory(path, key_of(CELL_SOURCES, dataclasses.asdict(merged.conditions)))
 
 
 @contextmanager

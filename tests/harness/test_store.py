@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import importlib.metadata
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.keys import CELL_SOURCES, ROOT
 from harness.registry import BadInput
 from harness.results import FORMAT, Cell, CellResult, Conditions, Row
 from harness.store import Request, decode, encode, open_for_report, open_for_run
@@ -61,9 +63,42 @@ def test_a_truncated_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path
         half = cells / "cartpole__bc__seed0.json"
         half.write_bytes(half.read_bytes()[:100])
         other = (cells / "cartpole__bc__seed1.json").rename(cells / "cartpole__bc__seed7.json")
-        results, corrupt = run.load()
+        results, unusable = run.load()
     assert list(results) == [Cell("cartpole", "bc", 2)]
-    assert set(corrupt) == {half, other}
+    assert set(unusable) == {half, other}
+
+
+def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_for_run(tmp_path, REQUEST) as run:
+        run.save(result())
+    with open_for_run(tmp_path, REQUEST) as run:
+        assert list(run.load()[0]) == [CELL]
+    with monkeypatch.context() as changed:
+        changed.setattr(importlib.metadata, "version", lambda package: "0")
+        with open_for_run(tmp_path, REQUEST) as run:
+            found, unusable = run.load()
+            assert found == {}
+            assert {path.name: "version" in reason for path, reason in unusable.items()} == {
+                f"{CELL.name}.json": True
+            }
+            run.save(result(2.5))
+            assert run.load()[0][CELL].rows[0].return_mean == 2.5
+    with open_for_report(tmp_path) as run:
+        assert run.load()[0][CELL].rows[0].return_mean == 2.5
+
+
+def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it() -> None:
+    covered = {f for s in CELL_SOURCES for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])}
+    assert all(file.is_file() for file in covered)
+    assert set(ROOT.glob("envs/*.py")) | set(ROOT.glob("methods/*.py")) <= covered
+    others = {file.stem for file in set(ROOT.glob("harness/*.py")) - covered}
+    assert others == {
+        *("__init__", "__main__", "bench", "cache", "cli", "figures", "files", "keys", "leaderboard"),
+        *("progress", "recordings", "registry", "report", "reproduce", "results", "run", "statistics"),
+        "store",
+    }
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
