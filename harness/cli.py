@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MOST = 1000
 """Largest count that --seeds and --workers take."""
+LONGEST = 10**6
+"""Largest number of seconds that --cell-timeout takes."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -84,14 +86,14 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
     add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
-    add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    _add_how_cells_run(add)
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
     )
     add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--out", default=Path("results/reference/thesis"), type=Path, metavar="DIR")
-    add.add_argument("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
@@ -100,13 +102,28 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
+    add("--retry-failed", action="store_true", help="compute again what failed before")
+
+
 def _count(text: str) -> int:
+    return _whole(text, MOST)
+
+
+def _seconds(text: str) -> int:
+    return _whole(text, LONGEST)
+
+
+def _whole(text: str, most: int) -> int:
     try:
         number = int(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number") from error
-    if not 1 <= number <= MOST:
-        raise argparse.ArgumentTypeError(f"must lie between 1 and {MOST}, not {text[:40]}")
+    if not 1 <= number <= most:
+        raise argparse.ArgumentTypeError(f"must lie between 1 and {most}, not {text[:40]}")
     return number
 
 
@@ -131,7 +148,7 @@ def _run(args: argparse.Namespace) -> int:
     request = Request(methods, envs, seeds, Conditions(args.budget, args.protocol, args.rl))
     _let_signals_interrupt()
     with open_for_run(args.out, request) as run:
-        results = _compute(run, request, args.workers)
+        results = _compute(run, request, args)
         _write_report(args.out, list(results.values()))
         failed = _tell_troubles([results[cell] for cell in request.cells])
     return int(failed)
@@ -148,7 +165,7 @@ def _reproduce(args: argparse.Namespace) -> int:
     for protocol in PROTOCOLS:
         request = Request(tuple(ARMS), ENVS, args.seeds, Conditions(args.budget, protocol, "sbx"))
         with open_for_run(args.out / protocol, request) as run:
-            found[protocol] = list(_compute(run, request, args.workers).values())
+            found[protocol] = list(_compute(run, request, args).values())
     write_study(args.out, found)
     say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
@@ -171,7 +188,7 @@ def _bench(as_json: bool) -> int:
     return 0
 
 
-def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[Cell, CellResult]:
+def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then."""
     from harness.progress import say
     from harness.run import Grid
@@ -179,14 +196,15 @@ def _compute(run: RunDirectory, request: Request, workers: int | None) -> dict[C
 
     known, unusable = run.load()
     _tell_unusable(unusable, "left out, computed again if asked for")
-    cells = [cell for cell in request.cells if cell not in known or _has_failed(known[cell])]
+    again = {cell for cell, result in known.items() if args.retry_failed and _has_failed(result)}
+    cells = [cell for cell in request.cells if cell not in known or cell in again]
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
-    Grid(conditions, run.path.absolute(), workers or _cores(), run.save).run(cells)
+    Grid(conditions, run.path.absolute(), args.workers or _cores(), run.save, args.cell_timeout).run(cells)
     results, _ = run.load()
     if any(_has_failed(results[cell]) for cell in request.cells):
-        print(f"tracebacks are in {run.path / LOG}; the same command tries again", file=sys.stderr)
+        print(f"tracebacks are in {run.path / LOG}; --retry-failed tries again", file=sys.stderr)
     return results
 
 

@@ -78,7 +78,8 @@ class Outcome:
 class Grid:
     """What to do with cells: under which conditions, where, with how many processes at a time.
 
-    save: called in this process with each result as soon as it is there.
+    save: called in this process with each result as soon as it is there. timeout: seconds after which a task
+    is stopped and has failed; None for never.
     work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells;
     torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
     """
@@ -87,6 +88,7 @@ class Grid:
     directory: Path
     workers: int
     save: Callable[[CellResult], None]
+    timeout: float | None = None
     work: str = "harness.cells"
     preload: tuple[str, ...] = ("harness.run", "harness.world", "torch._dynamo")
 
@@ -105,7 +107,8 @@ class Grid:
         self, waiting: list[Task], context: multiprocessing.context.BaseContext, progress: Progress
     ) -> None:
         # pebble's stubs call this argument mp_context, its code context.
-        launch = in_a_process(name=NAME, context=context)(attempt)  # type: ignore[call-overload]
+        options = {"name": NAME, "context": context, "timeout": self.timeout}
+        launch = in_a_process(**options)(attempt)  # type: ignore[call-overload]
         running: dict[Future[Outcome], Task] = {}
         trained: set[str] = set()
         while waiting or running:
@@ -116,7 +119,7 @@ class Grid:
                 running[launch(self.work, task, self.conditions, self.directory)] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
-                outcome = _outcome(future)
+                outcome = self._outcome(future)
                 if task.cell:
                     self._keep(task.cell, outcome, progress)
                 elif not outcome.error:
@@ -127,6 +130,19 @@ class Grid:
                     for orphan in [t.cell for t in waiting if t.env == task.env and t.cell]:
                         self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
                     waiting[:] = [t for t in waiting if t.env != task.env]
+
+    def _outcome(self, future: Future[Outcome]) -> Outcome:
+        try:
+            return future.result()
+        except TimeoutError:
+            return Outcome(error=f"it was stopped after {self.timeout:g} s")
+        except ProcessExpired as error:
+            code = error.exitcode
+            if code is not None and code < 0:
+                name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+                hint = " (out of memory?)" if -code == signal.SIGKILL else ""
+                return Outcome(error=f"its process was killed by {name}{hint}")
+            return Outcome(error=f"its process ended without a result, exit code {code}")
 
     def _keep(self, cell: Cell, outcome: Outcome, progress: Progress) -> None:
         if outcome.error:
@@ -174,15 +190,3 @@ def _describe(error: BaseException) -> str:
     where = ", called by ".join(f"{f.name} ({Path(f.filename).name}:{f.lineno})" for f in frames)
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     return f"{message.rstrip(': ')}; in {where}"
-
-
-def _outcome(future: Future[Outcome]) -> Outcome:
-    try:
-        return future.result()
-    except ProcessExpired as error:
-        code = error.exitcode
-        if code is not None and code < 0:
-            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-            hint = " (out of memory?)" if -code == signal.SIGKILL else ""
-            return Outcome(error=f"its process was killed by {name}{hint}")
-        return Outcome(error=f"its process ended without a result, exit code {code}")

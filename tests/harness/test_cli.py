@@ -123,6 +123,7 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         ("run --methods ,", "no method named: give 'all' or some of"),
         ("run --envs=", "no env named: give"),
         ("run --seeds 0", "argument --seeds: must lie between 1 and 1000, not 0"),
+        ("run --cell-timeout 0", "argument --cell-timeout: must lie between 1 and 1000000, not 0"),
         ("run --seeds -1", "argument --seeds: must lie between 1 and 1000, not -1"),
         ("run --seeds two", "'two' is not a whole number"),
         ("run --seeds 1.5", "'1.5' is not a whole number"),
@@ -176,7 +177,7 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     )
 
 
-def test_what_failed_or_was_damaged_is_computed_again_and_only_that(main: Main, tmp_path: Path) -> None:
+def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Main, tmp_path: Path) -> None:
     faults(tmp_path, cartpole__bc__seed0="raise")
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
@@ -189,11 +190,25 @@ def test_what_failed_or_was_damaged_is_computed_again_and_only_that(main: Main, 
     assert f"left out: run/cells/{damaged.name}: its checksum does not match" in err
     (tmp_path / "faults.json").unlink()
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert code == 0
-    assert "2 cells to run, 5 kept" in out
+    assert code == 1
+    assert "1 cells to run, 6 kept" in out
     assert f"{damaged.name}: its checksum does not match" in err
-    assert sorted(computed(tmp_path / "run")[7:]) == ["cartpole__bc__seed0", "cartpole__reference__seed0"]
+    assert "FAILED: cartpole__bc__seed0: ValueError" in err
+    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run", "--retry-failed")
+    assert code == 0
+    assert "1 cells to run, 6 kept" in out
+    assert computed(tmp_path / "run")[7:] == ["cartpole__reference__seed0", "cartpole__bc__seed0"]
     assert main("report", "run")[0] == 0
+
+
+def test_a_cell_that_hangs_fails_and_is_not_tried_again_unasked(main: Main, tmp_path: Path) -> None:
+    faults(tmp_path, cartpole__bc__seed0="sleep")
+    hanging = (*SMOKE, "--methods", "bc", "--out", "run", "--cell-timeout", "3")
+    for cells in (7, 0):
+        code, out, err = main(*hanging)
+        assert code == 1
+        assert f"{cells} cells to run" in out
+        assert "FAILED: cartpole__bc__seed0: it was stopped after 3 s" in err
 
 
 def start(tmp_path: Path, **options: object) -> subprocess.Popen[str]:

@@ -30,14 +30,16 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     assert multiprocessing.active_children() == []
 
 
-def run(directory: Path, cells: list[Cell], workers: int) -> dict[Cell, CellResult]:
+def run(
+    directory: Path, cells: list[Cell], workers: int, timeout: float | None = None
+) -> dict[Cell, CellResult]:
     found: dict[Cell, CellResult] = {}
 
     def save(result: CellResult) -> None:
         assert result.cell not in found
         found[result.cell] = result
 
-    grid = Grid(CONDITIONS, directory, workers, save, work="fake_cells", preload=("harness.run",))
+    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload=("harness.run",))
     grid.run(cells)
     return found
 
@@ -60,6 +62,12 @@ def test_every_way_to_fail_is_told_and_takes_no_other_cell_with_it(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 * (len(cells) + 1)
     assert "0 left" in lines[-1]
+
+
+def test_a_cell_that_hangs_is_stopped(directory: Path) -> None:
+    cells = [Cell("cartpole", method, 0) for method in ("sleep", "good")]
+    results = run(directory, cells, workers=1, timeout=3)
+    assert [results[cell].rows[0].reason for cell in cells] == ["it was stopped after 3 s", ""]
 
 
 def test_cells_of_an_env_without_expert_fail_and_are_not_tried(directory: Path) -> None:
