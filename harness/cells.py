@@ -14,6 +14,7 @@ from harness.advantage import known_correlation, sampled_correlation
 from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
 from harness.experts import Expert, deviations_for, expert_for
+from harness.files import sha256
 from harness.registry import load_method
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, PolicyName, Row
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
@@ -168,6 +169,7 @@ class _Work:
             learned = None if reward is None else _above_absorbing(reward, scored.first.obs, scored.first.act)
             frames = drawings(self.spec, self.seeds[0], scored.first.act)
             recordings.record(path, self.spec, cell, name, scored.first, frames, learned)
+            self.result.recordings[path.name] = sha256(path)
         return scored
 
 

@@ -1,4 +1,4 @@
-"""The command line. Exit codes: 0 done, 1 some cell failed, 2 bad input, 130 stopped by Ctrl-C."""
+"""The command line. Exit codes: 0 done, 1 a cell failed or a file is damaged, 2 bad input, 130 Ctrl-C."""
 
 from __future__ import annotations
 
@@ -68,6 +68,8 @@ def _dispatch(argv: list[str]) -> int:
         return _list()
     if args.command == "report":
         return _report(args.directory)
+    if args.command == "verify":
+        return _verify(args.directory)
     if args.command == "bench":
         return _bench(args.json)
     if args.command == "reproduce":
@@ -95,6 +97,8 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--out", default=Path("results/reference/thesis"), type=Path, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
+    add.add_argument("directory", type=Path, metavar="DIR")
+    add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
     add.add_argument("--json", action="store_true", help="as JSON, when all is measured")
@@ -149,7 +153,7 @@ def _run(args: argparse.Namespace) -> int:
     _let_signals_interrupt()
     with open_for_run(args.out, request) as run:
         results = _compute(run, request, args)
-        _write_report(args.out, list(results.values()))
+        _write_report(run, list(results.values()))
         failed = _tell_troubles([results[cell] for cell in request.cells])
     return int(failed)
 
@@ -216,16 +220,31 @@ def _report(directory: Path) -> int:
         _tell_unusable(unusable, "left out")
         if not results:
             raise BadInput(f"{directory} holds no finished cell")
-        _write_report(directory, list(results.values()))
+        _write_report(run, list(results.values()))
     _tell_troubles(list(results.values()))
     return 1 if unusable else 0
 
 
-def _write_report(directory: Path, results: list[CellResult]) -> None:
+def _verify(directory: Path) -> int:
+    from harness.progress import say
+    from harness.store import open_for_report
+
+    with open_for_report(directory) as run:
+        damaged = run.damaged()
+    for path, reason in sorted(damaged.items()):
+        say(f"{path}: {reason}")
+    if not damaged:
+        say(f"{directory}: every file is as it was written")
+    return int(bool(damaged))
+
+
+def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
     from harness.progress import say
     from harness.report import write_report
 
+    directory = run.path
     write_report(directory, results)
+    run.seal()
     say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))
     for name in ("scores.csv", "report.html", "recordings"):
         say(f"{name:11} {directory / name}")

@@ -6,6 +6,7 @@ DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
 DIR/recordings/*.rrd       rerun recordings
+DIR/SHA256SUMS             checksums of the tables, the report and its figures, as of sha256sum
 DIR/run.log                what the cells' processes print, full tracebacks included
 """
 
@@ -104,6 +105,8 @@ class CellResult:
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: list[str] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
+    recordings: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of each recording that was made, by its file's name."""
     key: str = ""
     """Of all that can change it (`harness.keys`); given when it is stored."""
 
@@ -118,4 +121,5 @@ class CellResult:
             values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
             rows.append(Row(**values))
         curves = {name: [(x, y) for x, y in points] for name, points in data["curves"].items()}
-        return cls(Cell(**data["cell"]), rows, curves, data["endings"], data["warnings"], data["key"])
+        rest = [data[name] for name in ("endings", "warnings", "recordings", "key")]
+        return cls(Cell(**data["cell"]), rows, curves, *rest)

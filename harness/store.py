@@ -15,7 +15,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from harness.files import write_atomic
+from harness.files import sha256, write_atomic
 from harness.keys import CELL_SOURCES, key_of
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
@@ -23,6 +23,9 @@ from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Condi
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
 
+SUMS = "SHA256SUMS"
+DERIVED = ("scores.csv", "leaderboard.*", "report.html", "figures/*.png")
+"""What is rebuilt from cells, and has its checksums in `SUMS`."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -69,10 +72,50 @@ class RunDirectory:
                     raise ValueError(f"holds the cell {result.cell.name}")
                 if self.key not in ("", result.key):
                     raise ValueError("computed by another version of the program or its packages")
+                if self.key and (damaged := self._damaged_recordings(result)):
+                    raise ValueError(next(iter(damaged.values())))
                 results[result.cell] = result
             except (ValueError, OSError) as error:
                 unusable[path] = str(error)
         return dict(sorted(results.items())), unusable
+
+    def seal(self) -> None:
+        """Notes the checksums of what was rebuilt from cells."""
+        lines = [f"{sha256(file)}  {file.relative_to(self.path).as_posix()}\n" for file in self._derived()]
+        write_atomic(self.path / SUMS, "".join(lines))
+
+    def damaged(self) -> dict[Path, str]:
+        """What is not as it was written, and why."""
+        results, damaged = self.load()
+        for result in results.values():
+            damaged |= self._damaged_recordings(result)
+        noted: dict[str, str] = {}
+        try:
+            for line in (self.path / SUMS).read_text().splitlines():
+                digest, name = line.split("  ", 1)
+                noted[name] = digest
+        except FileNotFoundError:  # no report yet
+            pass
+        except (OSError, ValueError):
+            damaged[self.path / SUMS] = "damaged"
+        there = {file.relative_to(self.path).as_posix(): file for file in self._derived()}
+        for name in sorted(noted.keys() | there.keys()):
+            if name not in there:
+                damaged[self.path / name] = "missing"
+            elif noted.get(name) != sha256(there[name]):
+                damaged[there[name]] = "its checksum does not match"
+        return damaged
+
+    def _derived(self) -> list[Path]:
+        return sorted(file for pattern in DERIVED for file in self.path.glob(pattern))
+
+    def _damaged_recordings(self, result: CellResult) -> dict[Path, str]:
+        folder = self.path / "recordings"
+        return {
+            folder / name: f"the recording {name} is missing or damaged"
+            for name, digest in result.recordings.items()
+            if "/" in name or not (folder / name).is_file() or sha256(folder / name) != digest
+        }
 
 
 @contextmanager
@@ -91,7 +134,8 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         merged = _merged(path, request)
         data = {"format": FORMAT, **dataclasses.asdict(merged)}
         data |= data.pop("conditions")
-        write_atomic(path / "run.json", json.dumps(data, indent=2) + "\n")
+        sealed = {"sha256": _checksum(data), **data}
+        write_atomic(path / "run.json", json.dumps(sealed, indent=2) + "\n")
         yield RunDirectory(path, key_of(CELL_SOURCES, dataclasses.asdict(merged.conditions)))
 
 
@@ -201,6 +245,8 @@ def _read_request(path: Path) -> Request | None:
         data = json.loads(text)
         version = data["format"]
         if version == FORMAT:
+            if data.pop("sha256") != _checksum(data):
+                raise ValueError
             methods, envs = (tuple(map(str, data[key])) for key in ("methods", "envs"))
             return Request(methods, envs, int(data["seeds"]), Conditions(**{key: data[key] for key in KEYS}))
     except (ValueError, KeyError, TypeError, RecursionError) as error:

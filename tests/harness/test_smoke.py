@@ -10,13 +10,18 @@ import pandas as pd
 ROOT = Path(__file__).parents[2]
 
 
-def scores(directory: Path, *options: str) -> pd.DataFrame:
-    command = [sys.executable, "-m", "harness", "run", "--budget", "smoke", "--out", str(directory / "run")]
+def harness(directory: Path, *arguments: str) -> str:
+    """What the command line prints."""
     env = {**os.environ, "IRL_BENCH_CACHE": str(directory / "cache")}
-    done = subprocess.run(
-        [*command, *options], cwd=ROOT, env=env, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-m", "harness", *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def scores(directory: Path, *options: str) -> pd.DataFrame:
+    harness(directory, "run", "--budget", "smoke", "--out", str(directory / "run"), *options)
+    assert "every file is as it was written" in harness(directory, "verify", str(directory / "run"))
     return pd.read_csv(directory / "run" / "scores.csv", dtype=str).drop(columns="fit_seconds")
 
 
@@ -26,3 +31,7 @@ def test_everything_runs_and_scores_do_not_depend_on_what_runs_beside(tmp_path: 
     alone = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole", "--workers", "1")
     same = every[(every["env"] == "cartpole") & every["method"].isin(alone["method"])]
     pd.testing.assert_frame_equal(alone, same.reset_index(drop=True), check_exact=True)
+    recording = tmp_path / "alone/run/recordings/cartpole__maxmargin__seed0__pi_R.rrd"
+    recording.write_bytes(recording.read_bytes()[:-1])
+    again = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole")
+    pd.testing.assert_frame_equal(again, alone, check_exact=True)

@@ -8,14 +8,17 @@ import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness import store
+from harness.files import sha256, write_atomic
 from harness.keys import CELL_SOURCES, ROOT
 from harness.registry import BadInput
 from harness.results import FORMAT, Cell, CellResult, Conditions, Row
-from harness.store import Request, decode, encode, open_for_report, open_for_run
+from harness.store import SUMS, Request, decode, encode, open_for_report, open_for_run
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
@@ -89,6 +92,67 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
         assert run.load()[0][CELL].rows[0].return_mean == 2.5
 
 
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """A run's directory with a file of every kind."""
+    with open_for_run(tmp_path, REQUEST) as run:
+        for name in ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", "figures/a.png"):
+            write_atomic(tmp_path / name, f"what {name} holds")
+        write_atomic(tmp_path / "recordings/a.rrd", b"a recording")
+        digest = sha256(tmp_path / "recordings/a.rrd")
+        run.save(dataclasses.replace(result(), recordings={"a.rrd": digest}))
+        run.seal()
+        assert run.damaged() == {}
+    return tmp_path
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "empty", "delete"])
+def test_whatever_is_damaged_is_named(whole: Path, damage: str) -> None:
+    files = [file for file in whole.rglob("*") if file.is_file() and file.name not in (".lock", "run.json")]
+    assert len(files) == 8
+    rng = np.random.default_rng(0)
+    for file in files:
+        before = file.read_bytes()
+        place = int(rng.integers(len(before)))
+        flipped = before[:place] + bytes([before[place] ^ 1 << int(rng.integers(8))]) + before[place + 1 :]
+        file.write_bytes({"flip": flipped, "truncate": before[: len(before) // 2]}.get(damage, b""))
+        if damage == "delete":
+            file.unlink()
+        with open_for_report(whole) as run:
+            damaged = run.damaged()
+        if file.name == SUMS:  # then no derived file is as it says
+            assert damaged
+        elif not (file.suffix == ".json" and damage == "delete"):  # then the cell is to be computed
+            assert set(damaged) == {file}
+        file.write_bytes(before)
+    with open_for_report(whole) as run:
+        assert run.damaged() == {}
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "empty"])
+def test_a_damaged_request_is_refused(whole: Path, damage: str) -> None:
+    file = whole / "run.json"
+    text = file.read_text()
+    assert '"seeds": 1' in text
+    damages = {"flip": text.replace('"seeds": 1', '"seeds": 3'), "truncate": text[:40], "empty": ""}
+    file.write_text(damages[damage])
+    for another in (open_for_run(whole, REQUEST), open_for_report(whole)):
+        with pytest.raises(BadInput, match="is damaged"), another:
+            pass
+
+
+@pytest.mark.parametrize("name", ["a.rrd", "../../a.rrd", "absent.rrd"])
+def test_a_cell_whose_recording_is_gone_is_computed_again(whole: Path, name: str) -> None:
+    (whole / "recordings/a.rrd").write_bytes(b"another")
+    with open_for_run(whole, REQUEST) as run:
+        run.save(dataclasses.replace(result(), recordings={name: "0" * 64}))
+        found, unusable = run.load()
+        assert found == {}
+        assert list(unusable.values()) == [f"the recording {name} is missing or damaged"]
+    with open_for_report(whole) as run:
+        assert list(run.load()[0]) == [CELL]
+
+
 def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it() -> None:
     covered = {f for s in CELL_SOURCES for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])}
     assert all(file.is_file() for file in covered)
@@ -107,6 +171,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         with open_for_run(tmp_path / "a/b", request):
             pass
     stored = json.loads((tmp_path / "a/b/run.json").read_text())
+    assert len(stored.pop("sha256")) == 64
     assert stored == {
         "format": FORMAT,
         "methods": ["shaped", "bc"],
@@ -121,7 +186,8 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
 def stored(**changes: object) -> str:
     """A run.json that REQUEST fits, but for the changes."""
     asked = {"methods": ["bc"], "envs": ["cartpole"], "seeds": 1}
-    return json.dumps({"format": FORMAT, **asked, **dataclasses.asdict(CONDITIONS), **changes})
+    data = {"format": FORMAT, **asked, **dataclasses.asdict(CONDITIONS), **changes}
+    return json.dumps({"sha256": store._checksum(data), **data})
 
 
 def snapshot(path: Path) -> dict[str, bytes]:
