@@ -205,7 +205,8 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
-    Grid(conditions, run.path.absolute(), args.workers or _cores(), run.save, args.cell_timeout).run(cells)
+    workers = args.workers or _cores()
+    Grid(conditions, run.path.absolute(), workers, run.save, timeout=args.cell_timeout).run(cells)
     results, _ = run.load()
     if any(_has_failed(results[cell]) for cell in request.cells):
         print(f"tracebacks are in {run.path / LOG}; --retry-failed tries again", file=sys.stderr)

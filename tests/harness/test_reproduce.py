@@ -22,7 +22,9 @@ class InstantGrid:
 
     computed: ClassVar[list[Cell]] = []
 
-    def __init__(self, conditions: Conditions, directory: Path, workers: int, save: Any):
+    def __init__(
+        self, conditions: Conditions, directory: Path, workers: int, save: Any, timeout: float | None
+    ) -> None:
         self.protocol, self.save = conditions.protocol, save
 
     def run(self, cells: Sequence[Cell]) -> None:
