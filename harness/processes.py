@@ -5,15 +5,21 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import tempfile
 import threading
 from collections.abc import Iterator
 from multiprocessing import connection, context, forkserver, popen_forkserver
+from pathlib import Path
 from typing import Any
 
+import psutil
+
 NAME = "irl-bench cell"
+FOLDER = "irl-bench-"
+"""Start of a temporary folder's name; then comes its process."""
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -28,7 +34,8 @@ def fresh_processes(preload: tuple[str, ...]) -> Iterator[context.BaseContext]:
     """How to start processes; on leaving, none is left. preload: modules to import once for all of them."""
     os.environ.update(ONE_THREAD)
     os.environ["PYTHONHASHSEED"] = "0"  # the order in which strings are hashed must not differ between runs
-    with tempfile.TemporaryDirectory(prefix="irl-bench-") as compiled:
+    _remove_what_killed_runs_left()
+    with tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-") as compiled:
         # What JAX compiles in one process, seconds of work, all others of this run may use.
         os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
@@ -57,6 +64,13 @@ def end_with_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _remove_what_killed_runs_left() -> None:
+    for folder in Path(tempfile.gettempdir()).glob(f"{FOLDER}*-*"):
+        process = folder.name.removeprefix(FOLDER).partition("-")[0]
+        if process.isdecimal() and not psutil.pid_exists(int(process)):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _starter(preload: tuple[str, ...]) -> context.BaseContext:
