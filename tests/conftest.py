@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import math
 import os
+from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -95,3 +97,21 @@ def steady() -> EnvSpec:
 def fragile() -> EnvSpec:
     """The task that terminates on a miss of more than 0.5."""
     return target_spec("Fragile", 0.5)
+
+
+@pytest.fixture
+def tried(record_property: Callable[[str, object], None]) -> Callable[[str, Counter[str]], None]:
+    """To tell at the end of the test run how much of what was tried."""
+
+    def tell(what: str, counts: Counter[str]) -> None:
+        parts = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+        record_property("tried", f"{counts.total()} {what}: {parts}")
+
+    return tell
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for report in terminalreporter.getreports("passed"):
+        for name, value in report.user_properties:
+            if name == "tried" and report.when == "call":
+                terminalreporter.write_line(f"tried {value}")
