@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from types import FunctionType
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from envs import SPECS, EnvSpec
-from envs.spec import Model
+from envs.spec import Model, Tabular
 from harness.controls import Constant, control_reward
 from harness.evaluation import evaluate
+from harness.exact import ExactSolver
 from harness.results import CONTROLS
-from harness.simulator import Trajectory
+from harness.rl import Learner
+from harness.simulator import Simulator, Trajectory
 from harness.world import TaskWorld, without_rewards
 from methods.base import Array, Episodes, Reward, default_absorbing
 from methods.network import Network
@@ -103,6 +108,39 @@ def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
     policy: Any = world.solve(ZERO, rng(), 1)
     assert set(vars(policy)) == {"model", "act"}
     assert type(policy.model) is Model
+
+
+def reachable(start: list[Any]) -> list[Any]:
+    """All that public names, items and what arrays are views of lead to, the objects of bound methods too."""
+    found, waiting = {id(thing): thing for thing in start}, list(start)
+    while waiting:
+        thing = waiting.pop()
+        inside: list[Any] = []
+        if isinstance(thing, np.ndarray):
+            inside = [thing.base]
+        elif isinstance(thing, dict | list | tuple | set):
+            inside = [*(thing.values() if isinstance(thing, dict) else thing)]
+        elif not isinstance(thing, type | type(math) | FunctionType | str | int | float):
+            inside = [getattr(thing, name, None) for name in dir(thing) if name[0] != "_"]
+        for one in inside:
+            if id(one) not in found:
+                found[id(one)] = one
+                waiting.append(one)
+    return list(found.values())
+
+
+@pytest.mark.parametrize("env", ["steady", "gridworld"])
+def test_no_public_path_leads_a_method_to_the_true_reward(env: str, steady: EnvSpec) -> None:
+    spec = steady if env == "steady" else SPECS[env]
+    world = TaskWorld(spec, "absorbing", "sb3")
+    policy = world.solve(ZERO, rng(), 20)
+    found = reachable([world, policy, world.rollout(policy, 2, rng())])
+    assert len(found) > 20
+    forbidden = (EnvSpec, Tabular, gym.Env, Trajectory, Simulator, Learner, ExactSolver)
+    assert [type(thing) for thing in found if isinstance(thing, forbidden)] == []
+    if spec.tabular:
+        rewards = spec.tabular.reward
+        assert not any(np.shares_memory(x, rewards) for x in found if isinstance(x, np.ndarray))
 
 
 def test_in_a_known_model_a_solve_takes_no_steps() -> None:
