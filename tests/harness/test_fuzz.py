@@ -27,7 +27,21 @@ COMMANDS = ["run", "report", "verify", "reproduce", "list"]
 PLACES = ["new", "mine", "mine/file", "run", "run/run.json", "damaged", "", ".", "/dev/null/x"]
 text = st.text(max_size=12)
 word = st.one_of(st.sampled_from(NAMES + FLAGS + COMMANDS + PLACES), st.integers().map(str), text)
+right = {
+    "--methods": st.sampled_from(["all", "bc", "shaped, maxent", *VARIANTS]),
+    "--envs": st.sampled_from(["all", *ENVS]),
+    "--seeds": st.integers(1, 3).map(str),
+    "--budget": st.sampled_from(["smoke", "quick", "full"]),
+    "--protocol": st.sampled_from(["absorbing", "native"]),
+    "--rl": st.sampled_from(["sbx", "sb3"]),
+    "--cell-timeout": st.integers(1, 99).map(str),
+}
+new = {"--out": st.integers(0, 10**6).map("new{}".format)}
+right_options = st.fixed_dictionaries(new, optional=right).map(
+    lambda options: [part for option in options.items() for part in option]
+)
 command_line = st.one_of(
+    right_options.map(lambda options: ["run", *options]),
     st.lists(word, max_size=6),
     st.tuples(st.sampled_from(COMMANDS), st.lists(word, max_size=6)).map(lambda pair: [pair[0], *pair[1]]),
     st.tuples(st.sampled_from(COMMANDS), st.lists(st.tuples(st.sampled_from(FLAGS), word), max_size=4)).map(
@@ -126,7 +140,7 @@ def test_demonstrations_of_any_shape_are_taken_or_refused(tried: Tried) -> None:
 
     counts: Counter[str] = Counter()
     check()
-    assert min(counts["taken"], counts["refused"]) > 40
+    assert min(counts["taken"], counts["refused"]) > 20
     tried("demonstrations", counts)
 
 
