@@ -44,7 +44,7 @@ class PendulumBatch:
 
     def __init__(self, count: int) -> None:
         self._env = Pendulum()
-        # Its geoms are of no contact type: looking for contacts finds none, and takes a fifth of the time.
+        # Its geoms are of no contact type: looking for contacts takes time and finds none.
         self._env.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data: dict[int, mujoco.MjData] = {}  # made when they are needed: half a megabyte each
 
