@@ -86,7 +86,7 @@ class Settings:
 
 SETTINGS: dict[str, Settings] = {
     # Its episodes are long, and begin alike.
-    "pendulum": Settings(checkpoint_every=1000, check_episodes=10),
+    "pendulum": Settings(checkpoint_every=2000, check_episodes=5),
     "highway": Settings(
         final_learning_rate=5e-5,
         tau=0.005,

@@ -11,26 +11,19 @@ import numpy as np
 import torch
 
 from methods.base import Episodes, Learned, World
-from methods.network import Network, converge, descend, mlp, standardiser
+from methods.network import Network, Regression, mlp, standardiser
 
 
 @dataclass(frozen=True)
-class BehaviourCloning:
-    """Its hyper-parameters."""
+class BehaviourCloning(Regression):
+    """Its hyper-parameters, besides those of `Regression`."""
 
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the policy."""
-    learning_rate: float = 3e-3
-    batch: int = 256
-    steps: int = 5000
-    """Gradient steps."""
-    iterations: int = 300
-    """Of L-BFGS after them."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Minimise the squared error of the policy's actions, by Adam and then L-BFGS, for the last percent
-        of it decides where a cloned balancer drifts to. Actions are in units of their standard deviation: one
-        who balances well hardly moves. Touches no environment."""
+        """Minimise the squared error of the policy's actions, in units of their standard deviation: one who
+        balances well hardly moves. Touches no environment."""
         obs, act = demos.pairs()
         mean, std = standardiser(obs)
         spread = standardiser(act)[1]
@@ -42,7 +35,6 @@ class BehaviourCloning:
             return ((a - torch.tanh(unit * policy(s))) / unit).square().mean()
 
         data = ((obs - mean) / std, act)
-        curve = descend(loss, [policy], data, self.learning_rate, self.steps, self.batch, rng)
-        curve.append(converge(loss, [policy], data, self.iterations))
+        curve = self.minimise(loss, [policy], data, rng)
         fitted = Network.from_torch(policy, mean, std, tanh=True).scaled(spread)
         return Learned(fitted, None, {"loss": curve})

@@ -153,3 +153,37 @@ def converge(
     optimizer.step(closure)  # type: ignore[no-untyped-call]
     with torch.no_grad():
         return float(loss(*tensors))
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Hyper-parameters of fits to demonstrations: Adam; then L-BFGS on some rows, for the last percent of the
+    error decides where a cloned balancer drifts to; then a little of it on all rows."""
+
+    learning_rate: float = 3e-3
+    batch: int = 256
+    steps: int = 1000
+    """Of Adam."""
+    iterations: int = 1000
+    """Of L-BFGS."""
+    sample: int = 8192
+    """Rows that L-BFGS sees, but for its last iterations."""
+    final_iterations: int = 50
+    """Of L-BFGS on all rows, where they are more."""
+
+    def minimise(
+        self,
+        loss: Callable[..., torch.Tensor],
+        networks: Sequence[torch.nn.Module],
+        data: Sequence[Array],
+        rng: np.random.Generator,
+    ) -> list[float]:
+        """Fit the networks' parameters to `data`, as in `descend`; the loss after each stretch of steps, and
+        at the end."""
+        curve = descend(loss, networks, data, self.learning_rate, self.steps, self.batch, rng)
+        count = len(data[0])
+        rows = rng.choice(count, min(self.sample, count), replace=False)
+        final = converge(loss, networks, [array[rows] for array in data], self.iterations)
+        if count > self.sample:
+            final = converge(loss, networks, data, self.final_iterations)
+        return [*curve, final]

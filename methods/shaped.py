@@ -10,8 +10,7 @@ Deviates from the paper: f passes through tanh, for actions are bounded and R mu
 their range where there were no demonstrations; the auxiliary loss is squared, for the median that the
 absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
 standardised, and what is fitted is in units of the demonstrated actions' standard deviation, a hundredth of
-their range where an expert balances well; Adam with a decaying learning rate and then L-BFGS instead of
-RMSprop, for the last percent of the error decides where a cloned balancer drifts to; L starts near 0, where
+their range where an expert balances well; Adam and L-BFGS instead of RMSprop; L starts near 0, where
 R is greatest, for what L is beyond the demonstrations nothing decides, and a large one makes life there worse
 than its end; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
@@ -24,26 +23,20 @@ import numpy as np
 import torch
 
 from methods.base import Array, Episodes, Learned, World, default_absorbing
-from methods.network import Network, converge, descend, mlp, standardiser
+from methods.network import Network, Regression, mlp, standardiser
 
 FIRST_L = 0.01
 """Size of the last weights of L at the start, of what torch draws."""
 
 
 @dataclass(frozen=True)
-class Shaped:
-    """Its hyper-parameters; the layer sizes are those of figure 4.3."""
+class Shaped(Regression):
+    """Its hyper-parameters, besides those of `Regression`; the layer sizes are those of figure 4.3."""
 
     f_layers: tuple[int, ...] = (32, 16)
     """Hidden layers of f."""
     l_layers: tuple[int, ...] = (32, 32)
     """Hidden layers of L."""
-    learning_rate: float = 3e-3
-    batch: int = 256
-    steps: int = 5000
-    """Gradient steps."""
-    iterations: int = 400
-    """Of L-BFGS after them."""
     weight_decay: float = 0.0
     """Of the sum of all squared weights of f and L, what is added to the loss."""
 
@@ -69,8 +62,7 @@ class Shaped:
             return error - reward.mean() / unit.square().mean() + self.weight_decay * size
 
         data = ((obs - mean) / std, act)
-        curve = descend(loss, [f, chol], data, self.learning_rate, self.steps, self.batch, rng)
-        curve.append(converge(loss, [f, chol], data, self.iterations))
+        curve = self.minimise(loss, [f, chol], data, rng)
         policy = Network.from_torch(f, mean, std, tanh=True).scaled(spread)
         reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)

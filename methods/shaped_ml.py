@@ -29,7 +29,7 @@ import torch
 from scipy import linalg, optimize
 
 from methods.base import Array, Episodes, Learned, World, default_absorbing
-from methods.network import Network, converge, descend, mlp, standardiser
+from methods.network import Network, mlp, standardiser
 from methods.shaped import Shaped, ShapedReward, shaped_reward
 
 CONDITION = 100
@@ -72,8 +72,7 @@ class ShapedML(Shaped):
 
         obs, act = demos.pairs()
         data = ((obs - f.mean) / f.std, act - f(obs))
-        curve = descend(loss, [chol], data, self.learning_rate, self.steps, self.batch, rng)
-        curve.append(converge(loss, [chol], data, self.iterations))
+        curve = self.minimise(loss, [chol], data, rng)
         reward = ShapedReward(f, Network.from_torch(chol, f.mean, f.std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)
         curves = {**learned.curves, "negative log-likelihood": curve}

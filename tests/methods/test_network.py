@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from methods.network import Network, converge, descend, mlp, standardiser
+from methods.network import Network, Regression, converge, descend, mlp, standardiser
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -138,3 +138,27 @@ def test_converge_finishes_what_minibatches_leave() -> None:
 
     left = np.mean(descend(loss, [net], (x, y), 3e-3, 1000, 256, rng)[-10:])
     assert converge(loss, [net], (x, y), 100) < 0.3 * left
+
+
+def test_a_fit_to_a_sample_of_rows_ends_on_all_of_them() -> None:
+    x = np.arange(100.0)[:, None]
+
+    def fitted(final_iterations: int) -> tuple[float, list[float]]:
+        guess = torch.nn.Linear(1, 1)
+        guess.weight.data[:] = 0
+
+        def loss(x: torch.Tensor) -> torch.Tensor:
+            value: torch.Tensor = (guess(x) - x.square() / 100).square().mean()
+            return value
+
+        fit = Regression(1e-2, 8, 5, 50, sample=4, final_iterations=final_iterations)
+        curve = fit.minimise(loss, [guess], (x,), np.random.default_rng(0))
+        return float(loss(torch.as_tensor(x, dtype=torch.float32)).item()), curve
+
+    best = np.polyfit(x[:, 0], x[:, 0] ** 2 / 100, 1)
+    least = np.mean((np.polyval(best, x[:, 0]) - x[:, 0] ** 2 / 100) ** 2)
+    sampled, _ = fitted(1)
+    final, curve = fitted(50)
+    assert sampled > 1.01 * least
+    assert final == pytest.approx(least, rel=1e-3) == curve[-1]
+    assert len(curve) == 6
