@@ -66,6 +66,20 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+def bound_memory() -> None:
+    """Called in such a process: more than the machine has left it gets MemoryError for, and where several
+    ask for too much together, the system kills one of them and not the run."""
+    if sys.platform == "linux":
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = psutil.Process().memory_info().data + psutil.virtual_memory().available
+        if most != resource.RLIM_INFINITY:
+            limit = min(limit, most)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
 def _remove_what_killed_runs_left() -> None:
     for folder in Path(tempfile.gettempdir()).glob(f"{FOLDER}*-*"):
         process = folder.name.removeprefix(FOLDER).partition("-")[0]

@@ -22,7 +22,7 @@ from typing import Protocol, cast
 from pebble import ProcessExpired
 from pebble.concurrent import process as in_a_process
 
-from harness.processes import NAME, end_with_parent, fresh_processes
+from harness.processes import NAME, bound_memory, end_with_parent, fresh_processes
 from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions
 from harness.store import LOG, decode, encode
@@ -156,6 +156,7 @@ class Grid:
 def attempt(work: str, task: Task, conditions: Conditions, directory: Path) -> Outcome:
     """Does one task, in its own process; whatever it prints goes to the run's log."""
     end_with_parent()
+    bound_memory()
     try:
         with (directory / LOG).open("a") as log:
             os.dup2(log.fileno(), 1)
@@ -189,4 +190,5 @@ def _describe(error: BaseException) -> str:
     frames = reversed(traceback.extract_tb(error.__traceback__)[-3:])
     where = ", called by ".join(f"{f.name} ({Path(f.filename).name}:{f.lineno})" for f in frames)
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return f"{message.rstrip(': ')}; in {where}"
+    cause = "out of memory: " if isinstance(error, MemoryError) else ""
+    return f"{cause}{message.rstrip(': ')}; in {where}"

@@ -15,6 +15,8 @@ import time
 import types
 from pathlib import Path
 
+import numpy as np
+
 from harness.results import Cell, CellResult, Conditions, Row
 
 
@@ -33,6 +35,10 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         raise ValueError("two\nlines")
     if behaviour == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "hungry":
+        hoard = []
+        while True:  # What is not touched takes no memory, but counts.
+            hoard.append(np.empty(1 << 27))
     if behaviour == "vanish":
         os._exit(0)
     if behaviour == "exit":

@@ -16,6 +16,7 @@ REASONS = {
     "kill": "its process was killed by SIGKILL (out of memory?)",
     "vanish": "its process ended without a result, exit code 0",
     "exit": "SystemExit: gave up; in run_cell",
+    "hungry": "out of memory: MemoryError: Unable to allocate 1.00 GiB",
     "nan": "FloatingPointError: pi_R: return_mean is nan; in ",
     "other": "ValueError: asked for cartpole__other__seed0, got 1 rows of cartpole__bc__seed99",
     "unstorable": "TypeError: Object of type complex is not JSON serializable",
