@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.files import write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
-from harness.results import COLUMNS, LOWER_CONTROLS, PROTOCOLS, REFERENCE, CellResult
-from harness.study import DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.results import COLUMNS, CONTROLS, PROTOCOLS, REFERENCE, CellResult
+from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS = ("cartpole", "pendulum")
 GREEN, YELLOW = "#009e73", "#e69f00"
@@ -36,6 +36,8 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
     frame = pd.DataFrame([dataclasses.asdict(row) for row in rows], columns=list(COLUMNS))
     write_atomic(directory / "scores.csv", frame.to_csv(index=False, lineterminator="\n"))
     entries = [entry for results in runs.values() for entry in leaderboard(scored_rows(results))]
+    order = (*ARMS, *CONTROLS, REFERENCE)
+    entries.sort(key=lambda e: (ENVS.index(e.env), PROTOCOLS.index(e.protocol), order.index(e.method)))
     table = pd.DataFrame([_line(entry) for entry in entries if entry.method != REFERENCE])
     write_atomic(directory / "study.csv", table.to_csv(index=False, lineterminator="\n"))
     write_atomic(directory / "study.md", _markdown(table))
@@ -139,12 +141,9 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
                     linewidth=1.2,
                     **style,
                 )
-        for control in ("control_true", "control_survival", *LOWER_CONTROLS):
-            if entry := found.get((protocol, control, "pi_R")):
-                axes.axhline(entry.score_mean, color="#999999", linewidth=0.8, linestyle=":")
-                axes.text(
-                    1.01, entry.score_mean, control[8:], transform=axes.get_yaxis_transform(), fontsize=7
-                )
+        for level, names in _controls(found, protocol).items():
+            axes.axhline(level, color="#999999", linewidth=0.8, linestyle=":")
+            axes.text(1.01, level, names, transform=axes.get_yaxis_transform(), fontsize=7, va="center")
         axes.set_xscale("log")
         axes.set_xticks(TRAJECTORIES, [str(n) for n in TRAJECTORIES])
         axes.minorticks_off()
@@ -154,3 +153,16 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
     first.set_ylabel("normalized score, 95 % intervals")
     figure.legend(*first.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     return figure
+
+
+def _controls(found: dict[tuple[str, str, str], Entry], protocol: str) -> dict[float, str]:
+    """The controls' scores, and the names of all that are about as high."""
+    scores = {name: found[key].score_mean for name in CONTROLS if (key := (protocol, name, "pi_R")) in found}
+    levels: dict[float, str] = {}
+    for name, score in sorted(scores.items(), key=lambda item: item[1]):
+        near = [level for level in levels if score - level < 0.03]
+        if near:
+            levels[near[0]] += f", {name[8:]}"
+        elif math.isfinite(score):
+            levels[score] = name[8:]
+    return levels

@@ -72,6 +72,9 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
         times = 2 if line["policy"] == "pi_star" else 1
         assert line["score"] == pytest.approx((times * line["trajectories"] + 1) / 500)
         assert line["low"] < line["score"] < line["high"]
+    one = table[(table["env"] == "pendulum") & (table["protocol"] == "native")]
+    assert list(dict.fromkeys(one["reward"])) == ["R*", *CONTROLS]
+    assert one["trajectories"].dropna().is_monotonic_increasing
     assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
     assert "| cartpole | native | R* | 100 | 0" in capsys.readouterr().out
 
