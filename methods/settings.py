@@ -9,6 +9,8 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "gridworld", "*"): {"iterations": 30},
     ("maxmargin", "gridworld", "*"): {"iterations": 30},
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
+    ("maxmargin", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
+    ("maxent", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
