@@ -100,7 +100,7 @@ def best_feedback() -> Array:
     return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
-@pytest.mark.parametrize("method", [Shaped(steps=1000, iterations=200), ShapedML(steps=1000, iterations=200)])
+@pytest.mark.parametrize("method", [Shaped(iterations=200), ShapedML(iterations=200)])
 def test_of_the_best_cart_pole_policy_the_shaped_reward_is_the_advantage(method: Shaped) -> None:
     """What a learned expert leaves of less is its own distance from the best."""
     spec, K = SPECS["cartpole"], best_feedback()

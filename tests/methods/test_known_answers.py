@@ -92,13 +92,13 @@ def test_the_regulators_advantage_is_what_an_action_costs_more_than_the_best() -
 
 def test_cloning_recovers_the_regulators_feedback() -> None:
     demos = REGULATOR.demonstrations(seed=0)
-    learned = BehaviourCloning(steps=1000).fit(demos, WORLD, np.random.default_rng(0))
+    learned = BehaviourCloning(iterations=300).fit(demos, WORLD, np.random.default_rng(0))
     error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
     assert error.mean() < 1e-3
     assert error.max() < 0.05
 
 
-@pytest.mark.parametrize("method", [BehaviourCloning(steps=1000), Shaped(steps=1000)])
+@pytest.mark.parametrize("method", [BehaviourCloning(iterations=300), Shaped(iterations=400)])
 def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning | Shaped) -> None:
     demos = REGULATOR.demonstrations(seed=0)
     small = replace(demos, act=tuple(0.01 * act for act in demos.act))
