@@ -122,7 +122,7 @@ def demonstrations(draw: st.DrawFn) -> tuple[tuple[Any, ...], ...]:
 
 
 def test_demonstrations_of_any_shape_are_taken_or_refused(tried: Tried) -> None:
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=800, deadline=None)
     @given(demonstrations())
     def check(parts: tuple[tuple[Any, ...], ...]) -> None:
         message = ""
@@ -140,7 +140,7 @@ def test_demonstrations_of_any_shape_are_taken_or_refused(tried: Tried) -> None:
 
     counts: Counter[str] = Counter()
     check()
-    assert min(counts["taken"], counts["refused"]) > 20
+    assert min(counts["taken"], counts["refused"]) > 40
     tried("demonstrations", counts)
 
 

@@ -122,10 +122,8 @@ def test_whatever_is_damaged_is_named(whole: Path, damage: str) -> None:
             damaged = run.damaged()
         if file.name == SUMS:  # then no derived file is as it says
             assert damaged
-        elif (
-            file.suffix == ".json" and damage == "delete"
-        ):  # then the cell is one that is still to be computed
-            assert damaged == {}
+        elif file.suffix == ".json" and damage == "delete":
+            assert damaged == {}  # the cell is one that is still to be computed
         else:
             assert set(damaged) == {file}
         file.write_bytes(before)
