@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator, drawings
 from harness.study import ARMS, Arm
 from harness.world import TaskWorld, solver_for, without_rewards
-from methods.base import Array, Episodes, Policy, Reward
+from methods.base import Array, Episodes, Learned, Policy, Reward
 from methods.settings import settings_for
 
 
@@ -36,7 +37,7 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     if cell.method == REFERENCE:
         work.reference()
     elif cell.method in CONTROLS:
-        work.retrain(control_reward(cell.method, work.demos, work.spec.random_actions, work.rng("control")))
+        work.control()
     else:
         work.method()
     return work.result
@@ -88,12 +89,24 @@ class _Work:
                 f"early (at most {self.spec.max_terminated[self.budget]:.0%})"
             )
 
+    def control(self) -> None:
+        def shaped(demos: Episodes) -> Reward | None:
+            return self.fit("shaped", {}, demos, self.world()).reward
+
+        rng = self.rng("control")
+        self.retrain(control_reward(self.cell.method, self.demos, shaped, self.spec.random_actions, rng))
+
+    def world(self) -> TaskWorld:
+        return TaskWorld(self.spec, self.protocol, self.rl)
+
+    def fit(self, method: str, settings: dict[str, Any], demos: Episodes, world: TaskWorld) -> Learned:
+        settings = settings_for(method, self.cell.env, self.budget) | settings
+        return load_method(method)(**settings).fit(demos, world, self.rng("fit"))
+
     def method(self) -> None:
-        settings = settings_for(self.arm.method, self.cell.env, self.budget) | self.arm.settings
-        method = load_method(self.arm.method)(**settings)
-        demos, world = self.demos(), TaskWorld(self.spec, self.protocol, self.rl)
+        demos, world = self.demos(), self.world()
         started = time.perf_counter()
-        learned = method.fit(demos, world, self.rng("fit"))
+        learned = self.fit(self.arm.method, self.arm.settings, demos, world)
         seconds = time.perf_counter() - started
         for name, values in learned.curves.items():
             self.result.curves[name] = [(float(x), float(y)) for x, y in enumerate(values, start=1)]

@@ -25,17 +25,30 @@ class Constant:
 
 
 def control_reward(
-    name: str, demos: Callable[[], Episodes], random_actions: RandomActions, rng: np.random.Generator
+    name: str,
+    demos: Callable[[], Episodes],
+    shaped: Callable[[Episodes], Reward | None],
+    random_actions: RandomActions,
+    rng: np.random.Generator,
 ) -> Reward | None:
-    """The reward of a control row by its name; None is the environment's own."""
+    """The reward of a control row by its name; None is the environment's own. shaped: what the method of
+    that name learns from demonstrations."""
     if name == "control_untrained":
         return untrained(demos(), random_actions, rng)
+    if name == "control_shuffled":
+        return shaped(shuffled(demos(), rng))
     return {
         "control_true": None,
         "control_plus1": Constant(1.0, absorbing=1.0),
         "control_minus1": Constant(-1.0, absorbing=-1.0),
         "control_survival": Constant(0.0, absorbing=-1.0),
     }[name]
+
+
+def shuffled(demos: Episodes, rng: np.random.Generator) -> Episodes:
+    """The same states and the same actions, but which action was taken where is chance."""
+    act = rng.permutation(demos.pairs()[1])
+    return replace(demos, act=tuple(a.copy() for a in np.split(act, np.cumsum(demos.lengths)[:-1])))
 
 
 def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:

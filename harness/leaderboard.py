@@ -16,6 +16,7 @@ _ROLES = {
     REFERENCE: "reference",
     "control_true": "upper control",
     "control_survival": "survival control",
+    "control_shuffled": "shuffled control",
     **dict.fromkeys(LOWER_CONTROLS, "lower control"),
 }
 

@@ -25,8 +25,8 @@ PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
 Library = Literal["sbx", "sb3"]
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 PROTOCOLS = ("absorbing", "native")
-CONTROLS = ("control_true", "control_plus1", "control_minus1", "control_untrained", "control_survival")
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
+CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled")
 REFERENCE = "reference"
 """The method of the rows of the expert and of the random policy."""
 

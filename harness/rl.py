@@ -30,6 +30,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG, DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -144,6 +145,7 @@ class Learner:
         if self._model is None:
             warm_up = min(WARM_UP, steps // 2)  # a multiple of `TRAIN_EVERY`, as `steps` is of twice that
             self._model = self._build(warm_up, seed)
+            self._model.set_logger(Logger(None, []))  # its own would leave a folder behind
             self._model.learn(warm_up)
         else:
             self._model.set_random_seed(seed)

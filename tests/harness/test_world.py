@@ -176,10 +176,10 @@ def demonstrations(terminated: bool = False) -> Episodes:
 
 def control(name: str, demos: Episodes | None = None, seed: int = 0) -> Any:
     def draw() -> Episodes:
-        assert demos is not None, "only the untrained control needs demonstrations"
+        assert demos is not None, "only the untrained and the shuffled control need demonstrations"
         return demos
 
-    return control_reward(name, draw, uniform, rng(seed))
+    return control_reward(name, draw, lambda shuffled: ZERO, uniform, rng(seed))
 
 
 def test_constant_controls() -> None:
@@ -227,11 +227,41 @@ def test_the_untrained_control_of_choices_averages_over_choices() -> None:
     spec, generator = SPECS["gridworld"], rng(5)
     obs = tuple(generator.normal(size=(51, spec.obs_size)) for _ in range(40))
     demos = Episodes(obs, tuple(np.tile(np.eye(5)[2], (50, 1)) for _ in obs), (False,) * 40)
-    reward: Any = control_reward("control_untrained", lambda: demos, spec.random_actions, rng())
+    reward: Any = control_reward("control_untrained", lambda: demos, never, spec.random_actions, rng())
     at = demos.pairs()[0]
     each = np.stack([reward(at, np.tile(choice, (2000, 1)), at) for choice in np.eye(5)])
     assert abs(each.mean() - reward.absorbing) < 4 * each.std(axis=0).mean() / np.sqrt(2000)
     assert abs(each[2].mean() - reward.absorbing) > 8 * each.std(axis=0).mean() / np.sqrt(2000)
+
+
+def never(demos: Episodes) -> Reward:
+    raise AssertionError("this control imitates nobody")
+
+
+def test_the_shuffled_control_imitates_actions_taken_elsewhere() -> None:
+    generator = rng(5)
+    demos = Episodes(
+        tuple(generator.normal(size=(length + 1, 3)) for length in (100, 3, 40)),
+        tuple(generator.uniform(-1, 1, (length, 2)) for length in (100, 3, 40)),
+        (False, True, False),
+    )
+    seen: list[Episodes] = []
+
+    def shaped(shuffled: Episodes) -> Reward:
+        seen.append(shuffled)
+        return ZERO
+
+    for seed in (0, 0, 1):
+        assert control_reward("control_shuffled", lambda: demos, shaped, uniform, rng(seed)) is ZERO
+    one, same, other = (episodes.pairs()[1] for episodes in seen)
+    assert seen[0].obs == demos.obs
+    assert seen[0].terminated == demos.terminated
+    act = demos.pairs()[1]
+    assert (one == act).all(axis=1).mean() < 0.1
+    np.testing.assert_array_equal(np.sort(one, axis=0), np.sort(act, axis=0))
+    assert set(map(tuple, one)) == set(map(tuple, act))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
 
 
 def test_the_untrained_control_differs_by_seed() -> None:
