@@ -186,7 +186,11 @@ class EnvSpec:
 
     def executed(self, act: Array) -> Array:
         """(B, A): what a policy's actions (B, A) amount to; in a discrete environment 1 for the largest
-        entry, the first of equals, and 0 for the others."""
+        entry, the first of equals, and 0 for the others. Raises ValueError for no such actions."""
+        if act.ndim != 2 or act.shape[1] != self.act_size:
+            raise ValueError(f"actions must have the shape (B, {self.act_size}), not {act.shape}")
+        if not (np.isfinite(act).all() if self.discrete else (np.abs(act) <= 1).all()):
+            raise ValueError("actions must be finite and, where they are no choices, lie in [-1, 1]")
         return np.eye(self.act_size)[act.argmax(axis=1)] if self.discrete else act
 
     def native(self, act: Array) -> Any:

@@ -110,6 +110,7 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
     add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
+    add("--deterministic", action="store_true", help="the same instructions on every processor; slower")
     add("--retry-failed", action="store_true", help="compute again what failed before")
 
 
@@ -149,7 +150,8 @@ def _run(args: argparse.Namespace) -> int:
     from harness.store import Request, open_for_run
 
     seeds = args.seeds or (5 if args.budget == "full" else 1)
-    request = Request(methods, envs, seeds, Conditions(args.budget, args.protocol, args.rl))
+    conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic)
+    request = Request(methods, envs, seeds, conditions)
     _let_signals_interrupt()
     with open_for_run(args.out, request) as run:
         results = _compute(run, request, args)
@@ -167,7 +169,8 @@ def _reproduce(args: argparse.Namespace) -> int:
     _let_signals_interrupt()
     found = {}
     for protocol in PROTOCOLS:
-        request = Request(tuple(ARMS), ENVS, args.seeds, Conditions(args.budget, protocol, "sbx"))
+        conditions = Conditions(args.budget, protocol, "sbx", args.deterministic)
+        request = Request(tuple(ARMS), ENVS, args.seeds, conditions)
         with open_for_run(args.out / protocol, request) as run:
             found[protocol] = list(_compute(run, request, args).values())
     write_study(args.out, found)

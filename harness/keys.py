@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.metadata
 import json
+import os
+import platform
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -22,12 +25,39 @@ PACKAGES = (
     *("torch", "numpy", "scipy", "jax", "flax", "optax", "stable-baselines3", "sbx-rl"),
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
+INSTRUCTIONS = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "XLA_FLAGS")
+"""Variables of the environment by which libraries choose among instructions, and so among roundings."""
 ROOT = Path(__file__).parent.parent
 
 
 def key_of(sources: Iterable[str], ingredients: object) -> str:
-    """Of the sources, the packages' versions, and what JSON can hold."""
+    """Of the sources, the packages' versions, the choice of instructions, and what JSON can hold."""
     files = [f for s in sources for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])]
     digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    versions = [importlib.metadata.version(package) for package in PACKAGES]
-    return hashlib.sha256(json.dumps([ingredients, digests, versions]).encode()).hexdigest()[:16]
+    chosen = [os.environ.get(name) for name in INSTRUCTIONS]
+    everything = [ingredients, digests, _versions(), chosen]
+    return hashlib.sha256(json.dumps(everything).encode()).hexdigest()[:16]
+
+
+@functools.cache
+def origin() -> dict[str, str]:
+    """The processor, the system and the versions that this process computes with, for people."""
+    system = f"{platform.system()} {platform.machine()} {' '.join(platform.libc_ver())}".strip()
+    return {
+        "processor": _processor(),
+        "system": system,
+        "python": platform.python_version(),
+        **dict(zip(PACKAGES, _versions(), strict=True)),
+    }
+
+
+def _versions() -> list[str]:
+    return [importlib.metadata.version(package) for package in PACKAGES]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not on Linux
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")

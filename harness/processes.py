@@ -27,12 +27,20 @@ ONE_THREAD = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
 }
 """Environment of processes that run side by side, whose own threads would only fight for the same cores."""
+SAME_INSTRUCTIONS = {
+    "ATEN_CPU_CAPABILITY": "avx2",
+    "MKL_CBWR": "COMPATIBLE",
+    "OPENBLAS_CORETYPE": "Haswell",
+    "XLA_FLAGS": f"{ONE_THREAD['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
+}
+"""Environment in which libraries use, on all processors that have AVX2, the same instructions."""
 
 
 @contextlib.contextmanager
-def fresh_processes(preload: tuple[str, ...]) -> Iterator[context.BaseContext]:
-    """How to start processes; on leaving, none is left. preload: modules to import once for all of them."""
-    os.environ.update(ONE_THREAD)
+def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> Iterator[context.BaseContext]:
+    """How to start processes; on leaving, none is left. preload: modules to import once for all of them.
+    deterministic: with `SAME_INSTRUCTIONS`."""
+    os.environ.update(ONE_THREAD | (SAME_INSTRUCTIONS if deterministic else {}))
     os.environ["PYTHONHASHSEED"] = "0"  # the order in which strings are hashed must not differ between runs
     _remove_what_killed_runs_left()
     with tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-") as compiled:

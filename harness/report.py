@@ -45,6 +45,8 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> None:
     if across:
         parts.append(f"## Across environments\n\n{_markdown(OVERALL_HEADINGS, across)}")
     parts += [f"## {env}\n\n{_markdown(HEADINGS, table)}" for env, table in tables.items()]
+    origins = _origins(results)
+    parts.append("## Computed with\n\n" + "".join(f"- {line}\n" for line in origins))
     write_atomic(directory / "leaderboard.md", "\n".join(parts))
 
     pictures = {}
@@ -68,6 +70,7 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> None:
         pictures=pictures,
         endings=_endings(results),
         warnings=_warnings(results, rows),
+        origins=origins,
         recordings=[
             (path.name, f"rerun {shlex.quote(f'recordings/{path.name}')} --bind 127.0.0.1")
             for path in sorted((directory / "recordings").glob("*.rrd"))
@@ -127,9 +130,17 @@ def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, li
     return table
 
 
+def _origins(results: Sequence[CellResult]) -> list[str]:
+    """The machines and versions that cells were computed with, and how many cells with each."""
+    lines = (", ".join(f"{name} {value}" for name, value in result.origin.items()) for result in results)
+    return [f"{count} cells: {line}" for line, count in sorted(Counter(lines).items())]
+
+
 def _warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
     found = [f"{r.cell.name}: {text}" for r in sorted(results, key=lambda r: r.cell) for text in r.warnings]
     unscored = {(r.env, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
+    if len({tuple(result.origin.items()) for result in results}) > 1:
+        found.append("the cells were computed on different machines or with different versions, see the end")
     for env, seed in sorted(unscored):
         found.append(f"{env}, seed {seed}: no normalized scores, for want of an expert better than random")
     return found

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-FORMAT = 3
+FORMAT = 4
 """Version of the directory layout; a run of another version is refused."""
 
 Status = Literal["ok", "skipped", "failed"]
@@ -39,6 +39,8 @@ class Conditions:
     protocol: str
     rl: Library
     """Whose DDPG learns."""
+    deterministic: bool = False
+    """Whether libraries are kept from choosing their instructions by the processor."""
 
 
 @dataclass(frozen=True, order=True)
@@ -109,6 +111,8 @@ class CellResult:
     """SHA-256 of each recording that was made, by its file's name."""
     key: str = ""
     """Of all that can change it (`harness.keys`); given when it is stored."""
+    origin: dict[str, str] = field(default_factory=dict)
+    """The machine and the versions that it was computed with; given when it is stored."""
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -121,5 +125,5 @@ class CellResult:
             values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
             rows.append(Row(**values))
         curves = {name: [(x, y) for x, y in points] for name, points in data["curves"].items()}
-        rest = [data[name] for name in ("endings", "warnings", "recordings", "key")]
+        rest = [data[name] for name in ("endings", "warnings", "recordings", "key", "origin")]
         return cls(Cell(**data["cell"]), rows, curves, *rest)

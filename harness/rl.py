@@ -55,6 +55,8 @@ REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 FIRST_ACTIONS = 0.01
 """Size of an untrained actor's last weights, of what SBX draws."""
+TORCH_ADAM: dict[str, Any] = {"optimizer_kwargs": {"fused": True}}
+"""Faster than its default, whose square root is another one on each maker's processors."""
 BUFFER = 100_000
 """Transitions that a learner can hold, over all its solves."""
 
@@ -184,14 +186,14 @@ class Learner:
                 target_update_interval=TRAIN_EVERY,
                 exploration_initial_eps=s.noise,
                 exploration_final_eps=s.noise,
-                policy_kwargs=network,
+                policy_kwargs=network | TORCH_ADAM,
             )
         network["n_critics"] = s.critics
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
         if self._library == "sb3":
             # Of SB3's own progress a warm start would begin in the middle.
             common["learning_rate"] = lambda _: self._learning_rate
-            return DDPG(**common, policy_kwargs={**network, "optimizer_kwargs": {"fused": True}})
+            return DDPG(**common, policy_kwargs=network | TORCH_ADAM)
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
         model = sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
         # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.

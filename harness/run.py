@@ -99,7 +99,7 @@ class Grid:
         tasks += [Task(cell.env, cell) for cell in cells]
         tasks.sort(key=lambda task: (task.cell is not None, -task.cost))
         with (
-            fresh_processes(self.preload) as context,
+            fresh_processes(self.preload, self.conditions.deterministic) as context,
             progress_for({task.name: task.cost for task in tasks}, self.workers) as progress,
         ):
             self._run(tasks, context, progress)

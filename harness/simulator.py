@@ -67,6 +67,8 @@ class Simulator:
             places = np.array(sorted(playing))
             now = length[places]
             chosen = spec.executed(policy(obs[places, now]))
+            if len(chosen) != len(places):
+                raise ValueError(f"a policy gave {len(chosen)} actions for {len(places)} observations")
             if leave is not None:
                 episodes = [playing[place] for place in places.tolist()]
                 here = leave[0][episodes] == now

@@ -16,7 +16,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from harness.files import sha256, write_atomic
-from harness.keys import CELL_SOURCES, key_of
+from harness.keys import CELL_SOURCES, key_of, origin
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
 
@@ -59,7 +59,7 @@ class RunDirectory:
 
     def save(self, result: CellResult) -> None:
         """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
-        keyed = dataclasses.replace(result, key=self.key)
+        keyed = dataclasses.replace(result, key=self.key, origin=origin())
         write_atomic(self.path / "cells" / f"{result.cell.name}.json", encode(keyed))
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:

@@ -67,6 +67,17 @@ def test_of_choices_the_largest_acts_and_the_first_of_equals(spec: EnvSpec) -> N
         assert spec.native(act) == spec.native(np.array(its_scores)) == first
 
 
+def test_what_is_no_action_is_refused(spec: EnvSpec) -> None:
+    good = spec.random_actions(3, np.random.default_rng(0))
+    bad = [good[0], good[:, :0], np.concatenate([good, good], axis=1), good[:, :, None]]
+    bad += [np.where(np.arange(3)[:, None] == 1, value, good) for value in (np.nan, np.inf)]
+    if not spec.discrete:
+        bad += [good + 2, good - 2]
+    for act in bad:
+        with pytest.raises(ValueError, match="actions must"):
+            spec.executed(act)
+
+
 def test_random_actions_are_uniform(spec: EnvSpec) -> None:
     count = 20_000
     act = spec.random_actions(count, np.random.default_rng(0))

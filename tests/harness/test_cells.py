@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from envs import SPECS
+from harness import cells
 from harness.cache import CACHE_VARIABLE
 from harness.cells import failed_rows, policies_of, run_cell
 from harness.experts import expert_for
 from harness.results import CONTROLS, Cell, CellResult, Conditions, Row
+from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)
 
@@ -60,6 +63,57 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
+
+
+@dataclasses.dataclass
+class Method:
+    """Finds one policy and one reward, whatever it is given."""
+
+    policy: Policy
+    reward: Reward
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        return Learned(self.policy, self.reward, {})
+
+
+@dataclasses.dataclass
+class Pays:
+    """A reward by what it pays for a batch."""
+
+    pay: Callable[[Array], Array]
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.pay(obs)
+
+
+def still(obs: Array) -> Array:
+    return np.zeros((len(obs), 1))
+
+
+def ones(obs: Array) -> Array:
+    return np.ones(len(obs))
+
+
+@pytest.mark.parametrize(
+    ("policy", "reward", "message"),
+    [
+        (lambda obs: np.full((len(obs), 1), np.nan), Pays(ones), "actions must be finite"),
+        (lambda obs: still(obs) + 1.5, Pays(ones), r"lie in \[-1, 1\]"),
+        (ones, Pays(ones), r"shape \(B, 1\), not \(5,\)"),
+        (lambda obs: np.zeros((len(obs), 2)), Pays(ones), r"shape \(B, 1\), not \(5, 2\)"),
+        (lambda obs: still(obs)[:1], Pays(ones), "1 actions for 5 observations"),
+        (still, Pays(still), "one finite number"),
+        (still, Pays(lambda obs: np.full(len(obs), np.nan)), "one finite number"),
+        (still, Pays(ones, absorbing=math.inf), "one finite number"),
+    ],
+)
+def test_what_breaks_the_contract_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: Policy, reward: Reward, message: str
+) -> None:
+    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Method(policy, reward))
+    with pytest.raises((ValueError, FloatingPointError), match=message):
+        run(Cell("cartpole", "shaped", 1), tmp_path)
 
 
 def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:

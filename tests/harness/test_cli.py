@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import pty
+import re
 import resource
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from harness import cli, registry, store
+from harness.processes import SAME_INSTRUCTIONS
 from harness.results import CONTROLS
 from methods.settings import settings_for
 
@@ -161,13 +163,13 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     run = Path("results/latest")
     code, out, err = main(*SMOKE, "--methods", "bc,bc", "--workers", "2")
     assert code == 0
-    assert "a table of 7 cells" in out
+    assert f"a table of {PER_SEED + 1} cells" in out
     assert err == "WARNING: cartpole: low bar\n"
     assert len(computed(run)) == PER_SEED + 1
     before = scores(run)
     code, out, _ = main(*SMOKE, "--methods", "shaped,bc,maxent_linear", "--seeds", "2")
     assert code == 0
-    assert "11 cells to run, 7 kept" in out
+    assert f"{PER_SEED + 5} cells to run, {PER_SEED + 1} kept" in out
     assert len(computed(run)) == len(set(computed(run))) == 2 * (PER_SEED + 3)
     assert before.items() <= scores(run).items()
     code, _, err = main("run", "--budget", "quick")
@@ -181,7 +183,7 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     faults(tmp_path, cartpole__bc__seed0="raise")
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
-    assert "a table of 7 cells" in out
+    assert f"a table of {PER_SEED + 1} cells" in out
     assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in run_cell (fake_cells.py:" in err
     damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
     damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
@@ -191,20 +193,20 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     (tmp_path / "faults.json").unlink()
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
-    assert "1 cells to run, 6 kept" in out
+    assert f"1 cells to run, {PER_SEED} kept" in out
     assert f"{damaged.name}: its checksum does not match" in err
     assert "FAILED: cartpole__bc__seed0: ValueError" in err
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run", "--retry-failed")
     assert code == 0
-    assert "1 cells to run, 6 kept" in out
-    assert computed(tmp_path / "run")[7:] == ["cartpole__reference__seed0", "cartpole__bc__seed0"]
+    assert f"1 cells to run, {PER_SEED} kept" in out
+    assert computed(tmp_path / "run")[PER_SEED + 1 :] == ["cartpole__reference__seed0", "cartpole__bc__seed0"]
     assert main("report", "run")[0] == 0
 
 
 def test_a_cell_that_hangs_fails_and_is_not_tried_again_unasked(main: Main, tmp_path: Path) -> None:
     faults(tmp_path, cartpole__bc__seed0="sleep")
     hanging = (*SMOKE, "--methods", "bc", "--out", "run", "--cell-timeout", "3")
-    for cells in (7, 0):
+    for cells in (PER_SEED + 1, 0):
         code, out, err = main(*hanging)
         assert code == 1
         assert f"{cells} cells to run" in out
@@ -297,6 +299,43 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
     assert (tmp_path / "run/leaderboard.md").exists()
 
 
+def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
+    tmp_path: Path, unbroken: dict[str, str]
+) -> None:
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+
+    def fill_up() -> None:  # as a full disk does, the system refuses to write on, here after 500 bytes a file
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+
+    full = subprocess.run(
+        command, env=FAKE_ENV, capture_output=True, text=True, check=False, preexec_fn=fill_up
+    )
+    assert full.returncode == 2
+    assert re.fullmatch(r"irl-bench: error: .*: '.*/cells/cartpole__\w+\.json'\n", full.stderr)
+    assert list((tmp_path / "run/cells").iterdir()) == []
+    wait_until_gone(tmp_path)
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    assert scores(tmp_path / "run") == unbroken
+
+
+def test_a_deterministic_run_pins_its_instructions_and_mixes_with_no_other(tmp_path: Path) -> None:
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    for options in ([], ["--deterministic"]):
+        done = subprocess.run([*command, *options], env=FAKE_ENV, capture_output=True, text=True, check=False)
+        told = (tmp_path / "run/run.log").read_text()
+        assert "--xla_cpu_max_isa" not in told
+    assert done.returncode == 2
+    assert "holds a run with deterministic False, not True" in done.stderr
+    command[-1] = str(tmp_path / "other")
+    subprocess.run([*command, "--deterministic"], env=FAKE_ENV, check=True, capture_output=True)
+    told = (tmp_path / "other/run.log").read_text()
+    for name, value in SAME_INSTRUCTIONS.items():
+        assert told.count(f"{name}={value}\n") == PER_SEED + 1
+    assert json.loads((tmp_path / "other/run.json").read_text())["deterministic"] is True
+
+
 def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     faults(tmp_path, cartpole__bc__seed0="raise", cartpole__reference__seed0="slow")
@@ -314,7 +353,8 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     assert process.wait() == 1
     assert b"cartpole__reference__seed0" in shown
     assert b"failed  cartpole__bc__seed0: ValueError" in shown
-    assert b"8 of 8 done, 1 failed" in shown
+    total = PER_SEED + 2  # and the expert
+    assert f"{total} of {total} done, 1 failed".encode() in shown
 
 
 def test_nothing_is_left_behind_in_the_lock(main: Main, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import math
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -117,8 +118,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_warning(results: list[CellResult]) -> list[CellResult]:
+    """The first has a warning, and was computed elsewhere."""
     results[0].warnings.append("expert <misses> its bar")
-    return results
+    machines = [{"processor": "<old>", "torch": "1"}] + [{"processor": "new", "torch": "2"}] * len(results)
+    return [replace(result, origin=machine) for result, machine in zip(results, machines, strict=False)]
 
 
 def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) -> None:
@@ -238,8 +241,11 @@ def test_overall_compares_only_what_every_env_has() -> None:
 
 def test_markdown_tables_are_rectangular(report: Path) -> None:
     tables = (report / "leaderboard.md").read_text().split("## ")[1:]
-    assert [table.split("\n")[0] for table in tables] == ["Across environments", "cartpole", "pendulum"]
-    for table in tables:
+    assert [table.split("\n")[0] for table in tables] == [
+        *("Across environments", "cartpole", "pendulum"),
+        "Computed with",
+    ]
+    for table in tables[:-1]:
         lines = [line.replace(r"\|", "") for line in table.splitlines() if line.startswith("|")]
         assert len({line.count("|") for line in lines}) == 1
 
@@ -255,6 +261,16 @@ def test_page_shows_figures_with_words_endings_warnings_and_recordings(report: P
     assert "rerun recordings/cartpole__shaped__seed0__pi_R.rrd --bind 127.0.0.1" in page.text
     assert "cartpole__reference__seed0: expert <misses> its bar" in page.text
     assert "time limit 210, pole fell 90" in page.text
+    others = len(make_results()) - 1
+    for text in (page.text, (report / "leaderboard.md").read_text()):
+        assert "1 cells: processor <old>, torch 1" in text
+        assert f"{others} cells: processor new, torch 2" in text
+    assert "computed on different machines" in page.text
+
+
+def test_one_machine_is_no_warning(tmp_path: Path) -> None:
+    write_report(tmp_path, make_results())
+    assert "different machines" not in (tmp_path / "report.html").read_text()
 
 
 def test_no_results_make_an_empty_report(tmp_path: Path) -> None:
