@@ -27,7 +27,7 @@ from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.registry import load_method
 from harness.results import Cell, CellResult, Conditions, Library
-from harness.rl import SETTINGS, Learner, Settings
+from harness.rl import SETTINGS, WARM_UP, Learner, Settings
 from harness.run import Grid
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
@@ -36,9 +36,9 @@ from methods.base import Policy
 from methods.settings import settings_for
 
 REPEATS = 5
-EPISODES = 60
-"""Evaluated at once, against one after the other."""
-SOLVE_STEPS = 3000
+EPISODES = 100
+"""Evaluated at once, as cells do, against one after the other."""
+SOLVE_STEPS = 6000
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
 
@@ -83,7 +83,7 @@ def bench() -> Iterator[Measure]:
         bar=3,
     )
     for env, bar in (("cartpole", 10.0), ("pendulum", 3.0), ("highway", None)):
-        spec, policy = SPECS[env], expert_for(env, "smoke", "sbx").policy
+        spec, policy = SPECS[env], expert_for(env, "quick", "sbx").policy
         yield compare(
             f"{env}, {EPISODES} episodes of a policy, against one after the other",
             partial(_together, spec, policy),
@@ -97,6 +97,7 @@ def bench() -> Iterator[Measure]:
                 partial(_solve, env, library),
                 partial(_plain_ddpg, env),
                 bar=3 if library == "sbx" else None,
+                repeats=3,
             )
     yield compare(
         "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=3
@@ -162,7 +163,7 @@ def _plain_ddpg(env: str) -> int:
     DDPG(
         "MlpPolicy",
         SPECS[env].make(),
-        learning_starts=SOLVE_STEPS // 3,
+        learning_starts=WARM_UP,
         batch_size=settings.batch,
         train_freq=1,
         policy_kwargs={"net_arch": list(settings.net)},

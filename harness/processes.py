@@ -43,10 +43,7 @@ def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> It
     os.environ.update(ONE_THREAD | (SAME_INSTRUCTIONS if deterministic else {}))
     os.environ["PYTHONHASHSEED"] = "0"  # the order in which strings are hashed must not differ between runs
     _remove_what_killed_runs_left()
-    with tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-") as compiled:
-        # What JAX compiles in one process, seconds of work, all others of this run may use.
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    with compiled_once():
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             starter = _starter(preload)
@@ -60,6 +57,16 @@ def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> It
                 child.kill()
             for child in left:
                 child.join(1)
+
+
+@contextlib.contextmanager
+def compiled_once() -> Iterator[None]:
+    """What JAX, imported from now on, compiles, seconds of work, it compiles once for this process and all
+    that it starts."""
+    with tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-") as compiled:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        yield
 
 
 def end_with_parent() -> None:

@@ -13,6 +13,7 @@ from envs import SPECS, EnvSpec
 from harness import experts, rl
 from harness.cache import CACHE_VARIABLE, Kept, cache_file, kept, load
 from harness.experts import deviations_for, expert_for
+from harness.processes import SAME_INSTRUCTIONS
 from harness.results import Library
 
 CARTPOLE = SPECS["cartpole"]
@@ -97,6 +98,10 @@ def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch)
     with monkeypatch.context() as changed:
         changed.setattr(importlib.metadata, "version", lambda package: "0")
         keys.append(key())
+    for variable, value in SAME_INSTRUCTIONS.items():
+        with monkeypatch.context() as changed:
+            changed.setenv(variable, value)
+            keys.append(key())
     with monkeypatch.context() as changed:
         changed.setattr(Path, "read_bytes", lambda path: b"pass")
         keys.append(key())
