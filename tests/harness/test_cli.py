@@ -213,10 +213,10 @@ def test_a_cell_that_hangs_fails_and_is_not_tried_again_unasked(main: Main, tmp_
         assert "FAILED: cartpole__bc__seed0: it was stopped after 3 s" in err
 
 
-def start(tmp_path: Path, **options: object) -> subprocess.Popen[str]:
+def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
     """A run whose cell of bc hangs, at the moment when that cell is the last one running."""
     faults(tmp_path, cartpole__bc__seed0="sleep")
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--workers", "2", "--out", str(tmp_path / "run")]
+    command = [*before, *FAKE, *SMOKE, "--methods", "bc", "--workers", "2", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(
         command,
         env=FAKE_ENV,
@@ -277,6 +277,18 @@ def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
     assert scores(tmp_path / "run") == unbroken
     assert computed(tmp_path / "run").count("cartpole__bc__seed0") == 2
     assert len(computed(tmp_path / "run")) == PER_SEED + 2
+
+
+def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path: Path) -> None:
+    process = start(tmp_path, "nohup")
+    os.killpg(process.pid, signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1)
+    process.terminate()
+    _, err = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert "stopped; finished cells are kept" in err
+    wait_until_gone(tmp_path)
 
 
 def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path: Path) -> None:
