@@ -179,13 +179,12 @@ def _reproduce(args: argparse.Namespace) -> int:
 
 
 def _bench(as_json: bool) -> int:
-    from harness.processes import ONE_THREAD, compiled_once
+    from harness.processes import ONE_THREAD, compiled_once, environment
     from harness.progress import say
 
-    os.environ.update(ONE_THREAD)  # before what it is for is imported
     found = []
-    with compiled_once():
-        from harness.bench import bench
+    with environment(ONE_THREAD), compiled_once():
+        from harness.bench import bench  # in that environment
 
         for measure in bench():
             found.append(measure.to_json())

@@ -11,6 +11,8 @@ import platform
 from collections.abc import Iterable
 from pathlib import Path
 
+from harness.processes import SAME_INSTRUCTIONS
+
 EXPERT_SOURCES = (
     *("envs", "harness/advantage.py", "harness/exact.py", "harness/experts.py", "harness/rl.py"),
     *("harness/processes.py", "harness/seeds.py", "harness/simulator.py", "harness/world.py"),
@@ -25,8 +27,6 @@ PACKAGES = (
     *("torch", "numpy", "scipy", "jax", "flax", "optax", "stable-baselines3", "sbx-rl"),
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
-INSTRUCTIONS = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "XLA_FLAGS")
-"""Variables of the environment by which libraries choose among instructions, and so among roundings."""
 ROOT = Path(__file__).parent.parent
 
 
@@ -34,7 +34,7 @@ def key_of(sources: Iterable[str], ingredients: object) -> str:
     """Of the sources, the packages' versions, the choice of instructions, and what JSON can hold."""
     files = [f for s in sources for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])]
     digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    chosen = [os.environ.get(name) for name in INSTRUCTIONS]
+    chosen = [os.environ.get(name) for name in SAME_INSTRUCTIONS]
     everything = [ingredients, digests, _versions(), chosen]
     return hashlib.sha256(json.dumps(everything).encode()).hexdigest()[:16]
 

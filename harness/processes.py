@@ -40,10 +40,10 @@ SAME_INSTRUCTIONS = {
 def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> Iterator[context.BaseContext]:
     """How to start processes; on leaving, none is left. preload: modules to import once for all of them.
     deterministic: with `SAME_INSTRUCTIONS`."""
-    os.environ.update(ONE_THREAD | (SAME_INSTRUCTIONS if deterministic else {}))
-    os.environ["PYTHONHASHSEED"] = "0"  # the order in which strings are hashed must not differ between runs
+    variables = ONE_THREAD | (SAME_INSTRUCTIONS if deterministic else {})
+    variables |= {"PYTHONHASHSEED": "0"}  # the order in which strings are hashed must not differ between runs
     _remove_what_killed_runs_left()
-    with compiled_once():
+    with environment(variables), compiled_once():
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             starter = _starter(preload)
@@ -57,6 +57,20 @@ def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> It
                 child.kill()
             for child in left:
                 child.join(1)
+            if sys.platform == "linux":
+                forkserver._forkserver._stop()  # type: ignore[attr-defined]
+
+
+@contextlib.contextmanager
+def environment(variables: dict[str, str]) -> Iterator[None]:
+    """With these variables, and what is added to them, until the context ends."""
+    before = os.environ.copy()
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @contextlib.contextmanager

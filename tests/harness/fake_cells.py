@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.keys import INSTRUCTIONS
+from harness.processes import SAME_INSTRUCTIONS
 from harness.results import Cell, CellResult, Conditions, Row
 
 
@@ -30,7 +30,7 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     with (directory / "computed.txt").open("a") as file:
         file.write(f"{cell.name} {os.getpid()}\n")
     print("a cell speaks; pytest here:", "pytest" in sys.modules)
-    for name in INSTRUCTIONS:
+    for name in SAME_INSTRUCTIONS:
         print(f"{name}={os.environ.get(name)}")
     faults = directory.parent / "faults.json"
     behaviour = json.loads(faults.read_text()).get(cell.name, "") if faults.exists() else cell.method

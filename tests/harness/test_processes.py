@@ -1,10 +1,16 @@
 """The processes that cells run in."""
 
+import json
+import os
 import signal
 import threading
+from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 
-from harness.processes import NAME, fresh_processes
+import psutil
+
+from harness.processes import NAME, ONE_THREAD, SAME_INSTRUCTIONS, fresh_processes
 
 WATCHERS = 8
 
@@ -15,6 +21,33 @@ def test_whoever_asks_is_told_how_a_process_ended() -> None:
             process = context.Process(name=NAME, target=signal.raise_signal, args=(signal.SIGKILL,))  # type: ignore[attr-defined]
             process.start()
             assert _exit_codes(process) == {-signal.SIGKILL}
+
+
+def test_nothing_of_them_is_left(tmp_path: Path) -> None:
+    before = os.environ.copy()
+    folders = set()
+    for deterministic in (True, False):
+        with fresh_processes((), deterministic) as context:
+            process = context.Process(name=NAME, target=_tell, args=(tmp_path / "told",))  # type: ignore[attr-defined]
+            process.start()
+            process.join()
+            told = json.loads((tmp_path / "told").read_text())
+            assert told["XLA_FLAGS"] == (SAME_INSTRUCTIONS if deterministic else ONE_THREAD)["XLA_FLAGS"]
+            folders.add(told["JAX_COMPILATION_CACHE_DIR"])
+            assert Path(told["JAX_COMPILATION_CACHE_DIR"]).is_dir()
+        assert psutil.Process().children(recursive=True) == [_resource_tracker()]
+        assert os.environ == before
+    assert len(folders) == 2
+    assert not any(map(os.path.exists, folders))
+
+
+def _tell(file: Path) -> None:
+    file.write_text(json.dumps(dict(os.environ)))
+
+
+def _resource_tracker() -> psutil.Process:
+    """Python's own; one for the whole life of a process."""
+    return psutil.Process(resource_tracker._resource_tracker._pid)  # type: ignore[attr-defined]
 
 
 def _exit_codes(process: BaseProcess) -> set[int | None]:
