@@ -27,7 +27,8 @@ from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.registry import load_method
 from harness.results import Cell, CellResult, Conditions, Library
-from harness.rl import SETTINGS, WARM_UP, Learner, Settings
+from harness.rl import WARM_UP, Learner
+from harness.rl_settings import rl_settings_for
 from harness.run import Grid
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
@@ -159,7 +160,7 @@ def _solve(env: str, library: Library) -> int:
 
 def _plain_ddpg(env: str) -> int:
     """As its documentation has it, with our networks, batch and one gradient step a step; no checkpoints."""
-    settings = SETTINGS.get(env, Settings())
+    settings = rl_settings_for(env)
     DDPG(
         "MlpPolicy",
         SPECS[env].make(),

@@ -16,10 +16,10 @@ import safetensors.numpy
 from safetensors import safe_open
 
 from envs import EnvSpec
-from harness import rl
 from harness.files import write_atomic
 from harness.keys import EXPERT_SOURCES, key_of
 from harness.results import Library
+from harness.rl_settings import rl_settings_for
 from methods.base import Array
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
@@ -59,7 +59,7 @@ def load(path: Path) -> Kept | None:
 
 def cache_file(name: str, spec: EnvSpec, budget: str, library: Library) -> Path:
     """Where something of this environment's expert is kept."""
-    settings = rl.SETTINGS.get(spec.name, rl.Settings())
+    settings = rl_settings_for(spec.name)
     ingredients = [library, spec.name, spec.rl_steps[budget], dataclasses.asdict(settings)]
     key = key_of(EXPERT_SOURCES, ingredients)
     folder = Path(os.environ.get(CACHE_VARIABLE, DEFAULT_CACHE))

@@ -14,9 +14,9 @@ from pathlib import Path
 from harness.processes import SAME_INSTRUCTIONS
 
 EXPERT_SOURCES = (
-    *("envs", "harness/advantage.py", "harness/exact.py", "harness/experts.py", "harness/rl.py"),
-    *("harness/processes.py", "harness/seeds.py", "harness/simulator.py", "harness/world.py"),
-    "methods/network.py",
+    *("envs", "harness/advantage.py", "harness/exact.py", "harness/experts.py", "harness/processes.py"),
+    *("harness/rl.py", "harness/rl_settings.py", "harness/seeds.py", "harness/simulator.py"),
+    *("harness/world.py", "methods/network.py"),
 )
 CELL_SOURCES = (
     *EXPERT_SOURCES,

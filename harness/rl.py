@@ -36,18 +36,17 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
 from harness.results import Library
+from harness.rl_settings import TRAIN_EVERY, rl_settings_for
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, copies_of
 from methods.base import Array, Policy, Reward
-from methods.network import Network
+from methods.network import ADAM, Network
 
 ABSORBING_STEPS = 5
 """Steps in the absorbing state before the episode is truncated."""
 NOT_ABSORBED = -1
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
-TRAIN_EVERY = 10
-"""Environment steps between bouts of learning."""
 STEP_UNIT = 2 * TRAIN_EVERY
 STEPS_PER_CHECK_EPISODE = 75
 """A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
@@ -55,52 +54,8 @@ REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 FIRST_ACTIONS = 0.01
 """Size of an untrained actor's last weights, of what SBX draws."""
-TORCH_ADAM: dict[str, Any] = {"optimizer_kwargs": {"fused": True}}
-"""Faster than its default, whose square root is another one on each maker's processors."""
 BUFFER = 100_000
 """Transitions that a learner can hold, over all its solves."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Hyper-parameters of DDPG or DQN: the same for the expert, inner loops and pi_R in one environment."""
-
-    net: tuple[int, ...] = (64, 64)
-    learning_rate: float = 1e-3
-    final_learning_rate: float = 1e-3
-    """Reached linearly at the end of each solve."""
-    tau: float = 0.02
-    batch: int = 128
-    critics: int = 1
-    """Of several, the smallest value counts (Fujimoto et al. 2018, TD3)."""
-    n_steps: int = 3
-    noise: float = 0.3
-    """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
-    actions."""
-    gradient_steps: int = 10
-    """Gradient steps after every `TRAIN_EVERY` environment steps."""
-    copies: int = 10
-    """Environments that an agent acts in side by side; a divisor of `TRAIN_EVERY`."""
-    checkpoint_every: int = 500
-    """Steps between checkpoints."""
-    check_episodes: int = 20
-    """Episodes that a checkpoint is judged by, at most."""
-
-
-SETTINGS: dict[str, Settings] = {
-    # Its episodes are long, and begin alike.
-    "pendulum": Settings(checkpoint_every=2000, check_episodes=5),
-    "highway": Settings(
-        final_learning_rate=5e-5,
-        tau=0.005,
-        batch=256,
-        critics=2,
-        noise=0.15,
-        checkpoint_every=4000,
-        check_episodes=40,
-    ),
-}
-"""By environment; the defaults elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +81,7 @@ class Learner:
         self._spec = spec
         self._rng = rng
         self._library = library
-        self.settings = SETTINGS.get(spec.name, Settings())
+        self.settings = rl_settings_for(spec.name)
         self._env = _TrainingEnv(spec, protocol, rng, self.settings.copies)
         self._checks = Simulator(spec)
         self._model: sbx.DDPG | DDPG | DQN | None = None
@@ -186,14 +141,14 @@ class Learner:
                 target_update_interval=TRAIN_EVERY,
                 exploration_initial_eps=s.noise,
                 exploration_final_eps=s.noise,
-                policy_kwargs=network | TORCH_ADAM,
+                policy_kwargs=network | {"optimizer_kwargs": ADAM},
             )
         network["n_critics"] = s.critics
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
         if self._library == "sb3":
             # Of SB3's own progress a warm start would begin in the middle.
             common["learning_rate"] = lambda _: self._learning_rate
-            return DDPG(**common, policy_kwargs=network | TORCH_ADAM)
+            return DDPG(**common, policy_kwargs=network | {"optimizer_kwargs": ADAM})
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
         model = sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
         # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.

@@ -23,7 +23,7 @@ import torch
 
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, Policy, World
-from methods.network import Network, mlp, standardiser
+from methods.network import ADAM, Network, mlp, standardiser
 from methods.tabular import finite_soft_value_iteration, state_visitations
 
 
@@ -58,7 +58,7 @@ class MaxEnt:
         mean, std = standardiser(model.obs)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         network = mlp(world.obs_size, *self.layers, 1, generator=generator)  # 1
-        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, fused=True)
+        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
         features = torch.as_tensor((model.obs - mean) / std, dtype=torch.float32)
         mu_demo = demonstrated(demos, model)
         likelihoods: list[float] = []
@@ -82,7 +82,7 @@ class MaxEnt:
         mean, std = standardiser(np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited]))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         network = mlp(world.obs_size + world.act_size + 1, *self.layers, 1, generator=generator)
-        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, fused=True)
+        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
         visits_demo = visitations(demos, world.horizon, mean, std)
         visits_policy: list[Array] = []
         gaps: list[float] = []

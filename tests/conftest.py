@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -97,6 +97,21 @@ def steady() -> EnvSpec:
 def fragile() -> EnvSpec:
     """The task that terminates on a miss of more than 0.5."""
     return target_spec("Fragile", 0.5)
+
+
+@pytest.fixture
+def fused_adam() -> Iterator[None]:
+    """Fails a step of torch's default Adam, which not all processors round alike."""
+    # Not before `pytest_configure`, which says how many threads torch may have.
+    import torch
+    from torch.optim.optimizer import register_optimizer_step_pre_hook
+
+    def check(optimizer: torch.optim.Optimizer, *_: object) -> None:
+        assert not isinstance(optimizer, torch.optim.Adam) or optimizer.defaults["fused"]
+
+    handle = register_optimizer_step_pre_hook(check)
+    yield
+    handle.remove()
 
 
 @pytest.fixture

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from envs import SPECS, EnvSpec
-from harness import experts, rl
+from harness import experts
 from harness.cache import CACHE_VARIABLE, Kept, cache_file, kept, load
 from harness.experts import deviations_for, expert_for
 from harness.processes import SAME_INSTRUCTIONS
 from harness.results import Library
+from harness.rl_settings import SETTINGS, Settings
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})
@@ -93,7 +94,7 @@ def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch)
     keys = [key(), key("other"), key(spec=SPECS["pendulum"]), key(budget="quick"), key(library="sbx")]
     keys.append(key(spec=longer))
     with monkeypatch.context() as changed:
-        changed.setitem(rl.SETTINGS, "cartpole", rl.Settings(noise=0.5))
+        changed.setitem(SETTINGS, "cartpole", Settings(noise=0.5))
         keys.append(key())
     with monkeypatch.context() as changed:
         changed.setattr(importlib.metadata, "version", lambda package: "0")

@@ -120,8 +120,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def with_warning(results: list[CellResult]) -> list[CellResult]:
     """The first has a warning, and was computed elsewhere."""
     results[0].warnings.append("expert <misses> its bar")
-    machines = [{"processor": "<old>", "torch": "1"}] + [{"processor": "new", "torch": "2"}] * len(results)
-    return [replace(result, origin=machine) for result, machine in zip(results, machines, strict=False)]
+    old, new = ({"processor": "<old>", "torch": "1"}, {"processor": "new", "torch": "2"})
+    return [replace(result, origin=new if i else old) for i, result in enumerate(results)]
 
 
 def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) -> None:

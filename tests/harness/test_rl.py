@@ -15,14 +15,15 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import EnvSpec
-from harness import rl
 from harness.controls import Constant
 from harness.results import LIBRARIES, Library
-from harness.rl import SETTINGS, Learner, Settings, Solution
+from harness.rl import Learner, Solution
+from harness.rl_settings import SETTINGS, Settings
 from methods.base import Array
 from methods.network import Network
 from tests.harness.rewards import Seek
 
+pytestmark = pytest.mark.usefixtures("fused_adam")
 STEPS = 1500
 OBS = np.linspace(-0.8, 0.8, 33)[:, None]
 
@@ -187,7 +188,7 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     disturbed: list[float],
     kept: int,
 ) -> None:
-    monkeypatch.setitem(SETTINGS, steady.name, rl.Settings(checkpoint_every=100))
+    monkeypatch.setitem(SETTINGS, steady.name, Settings(checkpoint_every=100))
     scores, truth = iter(returns + disturbed), (-value for value in returns + disturbed)
     monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), next(truth), 1))
     solution = solve(steady, Seek(), steps=800)
@@ -212,7 +213,7 @@ def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) ->
 def test_the_learning_rate_falls_within_each_solve(
     steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library
 ) -> None:
-    settings = rl.Settings(learning_rate=1e-3, final_learning_rate=1e-4)
+    settings = Settings(learning_rate=1e-3, final_learning_rate=1e-4)
     monkeypatch.setitem(SETTINGS, steady.name, settings)
     rates: list[float] = []
     solver: Any = sbx.DDPG if library == "sbx" else stable_baselines3.DDPG

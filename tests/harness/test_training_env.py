@@ -9,7 +9,8 @@ import pytest
 
 from envs import EnvSpec
 from harness import rl
-from harness.rl import ABSORBING_STEPS, REWARD_SIZE, SETTINGS, Learner
+from harness.rl import ABSORBING_STEPS, REWARD_SIZE, Learner
+from harness.rl_settings import SETTINGS, Settings
 from methods.base import Array
 from tests.harness.rewards import Seek
 
@@ -92,7 +93,7 @@ def experience(learner: Learner) -> dict[str, Array]:
 def test_which_transitions_are_terminal(
     fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str, copies: int
 ) -> None:
-    monkeypatch.setitem(SETTINGS, fragile.name, rl.Settings(copies=copies))
+    monkeypatch.setitem(SETTINGS, fragile.name, Settings(copies=copies))
     learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
     learner.solve(Seek(), 300)
     seen = experience(learner)

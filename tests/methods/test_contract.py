@@ -15,6 +15,7 @@ from methods.maxmargin import MaxMargin
 from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML
 
+pytestmark = pytest.mark.usefixtures("fused_adam")
 METHODS: dict[str, Method] = {
     "shaped": Shaped(steps=40, iterations=10),
     "shaped_ml": ShapedML(steps=40, iterations=10),
