@@ -45,8 +45,8 @@ CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure, in each repeat. unit: 'times' as fast, or 's' for the seconds of a whole command.
-    bar: what is wanted, at least of ratios and at most of seconds; None where nothing is."""
+    """One figure, in each repeat. unit: 'times' as fast, 's' for seconds, or 'MB' of memory.
+    bar: what is wanted, at least of ratios and at most of the others; None where nothing is."""
 
     name: str
     unit: str
@@ -111,16 +111,16 @@ def bench() -> Iterator[Measure]:
     )
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
-        _command(cached)
+        command(cached)
         for name, arguments, bar in (
             ("--help", ["--help"], 0.5),
             ("list", ["list"], 0.5),
             ("a run that has nothing left to do", cached, 5.0),
         ):
-            yield Measure(name, "s", [_command(arguments) for _ in range(REPEATS)], bar)
+            yield Measure(name, "s", [command(arguments) for _ in range(REPEATS)], bar)
 
 
-def _command(arguments: list[str]) -> float:
+def command(arguments: list[str]) -> float:
     """Seconds that `python -m harness` takes with these arguments, in a process of its own."""
     started = time.perf_counter()
     subprocess.run([sys.executable, "-m", "harness", *arguments], check=True, capture_output=True)
@@ -174,10 +174,17 @@ def _plain_ddpg(env: str) -> int:
 
 
 def _grid(workers: int) -> int:
-    cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
+    return compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers)
+
+
+def compute(cells: list[Cell], conditions: Conditions, workers: int) -> int:
+    """How many cells were computed, as `run` does it. Raises RuntimeError where one failed."""
     done: list[CellResult] = []
     with tempfile.TemporaryDirectory() as directory, contextlib.redirect_stdout(io.StringIO()):
-        Grid(CONDITIONS, Path(directory), workers, done.append).run(cells)
+        Grid(conditions, Path(directory), workers, done.append).run(cells)
+    reasons = [row.reason for result in done for row in result.rows if row.status == "failed"]
+    if reasons:
+        raise RuntimeError(f"a cell failed: {reasons[0]}")
     return len(done)
 
 

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -185,8 +186,9 @@ def _bench(as_json: bool) -> int:
     found = []
     with environment(ONE_THREAD), compiled_once():
         from harness.bench import bench  # in that environment
+        from harness.growth import growth
 
-        for measure in bench():
+        for measure in chain(bench(), growth()):
             found.append(measure.to_json())
             if not as_json:
                 say("{name}: {median:.3g} {unit} ({low:.3g} to {high:.3g}), bar {bar}".format(**found[-1]))

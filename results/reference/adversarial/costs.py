@@ -1,0 +1,116 @@
+"""What GAIL (Ho & Ermon 2016) and AIRL (Fu et al. 2018) of the library `imitation` cost, until their policy
+scores 0.95 of the expert or a million environment steps were taken, on the demonstrations that the
+benchmark's methods get.
+
+Not part of the package, for that library asks for older ones. In a virtual environment of its own, from the
+repository's root; prints one line of costs.csv:
+
+    pip install -c constraints.txt -e .
+    pip install --no-deps imitation==1.0.1 \\
+        tensorboard datasets huggingface_sb3 huggingface_hub seals sacred tqdm
+    python results/reference/adversarial/costs.py cartpole gail 0
+
+Hyper-parameters are those of the library's examples, the policy and its features those of its tuned
+configurations. Episodes end as the environment ends them, which helps GAIL, whose reward is positive, to stay
+alive. The policy is evaluated after each round; that is not counted.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+import torch
+from imitation.algorithms.adversarial.airl import AIRL
+from imitation.algorithms.adversarial.gail import GAIL
+from imitation.data.types import Trajectory
+from imitation.data.wrappers import RolloutInfoWrapper
+from imitation.policies.base import FeedForward32Policy, NormalizeFeaturesExtractor
+from imitation.rewards.reward_nets import BasicRewardNet, BasicShapedRewardNet
+from imitation.util import logger
+from imitation.util.networks import RunningNorm
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from envs import SPECS
+from harness.evaluation import evaluate
+from harness.experts import expert_for
+from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
+from harness.simulator import Simulator
+from methods.base import Array
+
+BUDGET = "full"
+COPIES = 8
+LIMIT = 1_000_000
+"""Environment steps after which a run gives up."""
+TRAINERS = {
+    "gail": (GAIL, BasicRewardNet, 4e-4, {"demo_batch_size": 1024, "n_disc_updates_per_round": 8}),
+    "airl": (AIRL, BasicShapedRewardNet, 5e-4, {"demo_batch_size": 2048, "n_disc_updates_per_round": 16}),
+}
+
+
+def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
+    """Whether 0.95 was reached, the seconds and environment steps until then, and the score at last."""
+    torch.manual_seed(seed)
+    spec, trainer, network, learning_rate, options = SPECS[env], *TRAINERS[method]
+    expert = expert_for(env, BUDGET, "sbx").policy
+    demos = Simulator(spec).run(expert, demonstration_seeds(seed, spec.demo_episodes[BUDGET]))
+    rng = rng_for(seed, env, method)
+    judged = evaluation_seeds(seed, spec.eval_episodes[BUDGET])
+
+    def returned(policy: object) -> float:
+        return float(evaluate(spec, policy, judged).returns.mean())
+
+    best, worst = returned(expert), returned(lambda obs: spec.random_actions(len(obs), rng))
+    started = time.perf_counter()
+    copies = DummyVecEnv([lambda: RolloutInfoWrapper(spec.make())] * COPIES)
+    copies.seed(seed)
+    learner = PPO(
+        FeedForward32Policy,
+        copies,
+        batch_size=64,
+        ent_coef=0.0,
+        learning_rate=learning_rate,
+        gamma=spec.gamma,
+        clip_range=0.1,
+        vf_coef=0.1,
+        n_epochs=5,
+        seed=seed,
+        device="cpu",
+        policy_kwargs={
+            "features_extractor_class": NormalizeFeaturesExtractor,
+            "features_extractor_kwargs": {"normalize_class": RunningNorm},
+        },
+    )
+    rounds = trainer(
+        demonstrations=[
+            Trajectory(d.obs.astype(np.float32), d.act.astype(np.float32), None, terminal=d.terminated)
+            for d in demos
+        ],
+        gen_replay_buffer_capacity=512,
+        venv=copies,
+        gen_algo=learner,
+        reward_net=network(copies.observation_space, copies.action_space, normalize_input_layer=RunningNorm),
+        custom_logger=logger.configure(None, []),
+        allow_variable_horizon=True,
+        **options,
+    )
+
+    def act(obs: Array) -> Array:
+        return np.clip(learner.predict(obs.astype(np.float32), deterministic=True)[0], -1, 1).astype(float)
+
+    seconds, score = time.perf_counter() - started, -np.inf
+    while score < 0.95 and learner.num_timesteps < LIMIT:
+        started = time.perf_counter()
+        rounds.train(rounds.gen_train_timesteps)
+        seconds += time.perf_counter() - started
+        score = (returned(act) - worst) / (best - worst)
+        print(f"{learner.num_timesteps} steps, {seconds:.0f} s: {score:.3f}", file=sys.stderr)
+    return score >= 0.95, seconds, learner.num_timesteps, score
+
+
+if __name__ == "__main__":
+    env, method, seed = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    reached, seconds, steps, score = cost(env, method, seed)
+    print(f"{env},{method},{seed},{reached},{seconds:.0f},{steps},{score:.3f}")
