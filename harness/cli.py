@@ -235,7 +235,7 @@ def _verify(directory: Path) -> int:
     from harness.progress import say
     from harness.store import open_for_report
 
-    with open_for_report(directory) as run:
+    with open_for_report(directory, to_write=False) as run:
         damaged = run.damaged()
     for path, reason in sorted(damaged.items()):
         say(f"{path}: {reason}")

@@ -8,7 +8,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,11 +140,14 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
 
 
 @contextmanager
-def open_for_report(path: Path) -> Iterator[RunDirectory]:
-    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
+def open_for_report(path: Path, to_write: bool = True) -> Iterator[RunDirectory]:
+    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`.
+
+    to_write: where not, what cannot be written to, such as an archive, is read without being held.
+    """
     if _read_request(path) is None:
         raise BadInput(f"{path} holds no run (no run.json)")
-    with _held(path):
+    with _held(path) if to_write or os.access(path, os.W_OK) else nullcontext():
         yield RunDirectory(path)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import errno
 import importlib.metadata
 import json
 import math
@@ -131,6 +132,18 @@ def test_whatever_is_damaged_is_named(whole: Path, damage: str) -> None:
         assert run.damaged() == {}
 
 
+def test_what_nobody_can_write_to_is_read_all_the_same(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(store.FileLock, "acquire", refuse)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    with open_for_report(whole, to_write=False) as run:
+        assert run.damaged() == {}
+    with pytest.raises(BadInput, match="cannot write to"), open_for_report(whole):
+        pass
+
+
 @pytest.mark.parametrize("damage", ["flip", "truncate", "empty"])
 def test_a_damaged_request_is_refused(whole: Path, damage: str) -> None:
     file = whole / "run.json"
@@ -161,8 +174,18 @@ def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it
     assert set(ROOT.glob("envs/*.py")) | set(ROOT.glob("methods/*.py")) <= covered
     others = {file.stem for file in set(ROOT.glob("harness/*.py")) - covered}
     assert others == {
-        *("__init__", "__main__", "bench", "cache", "cli", "figures", "files", "keys", "leaderboard"),
-        *("progress", "recordings", "registry", "report", "reproduce", "results", "run", "statistics"),
+        *("__init__", "__main__", "bench", "cache", "cli", "figures", "files", "growth", "keys"),
+        *(
+            "leaderboard",
+            "progress",
+            "recordings",
+            "registry",
+            "report",
+            "reproduce",
+            "results",
+            "run",
+            "statistics",
+        ),
         "store",
     }
 
