@@ -3,12 +3,12 @@ scores 0.95 of the expert or a million environment steps were taken, on the demo
 benchmark's methods get.
 
 Not part of the package, for that library asks for older ones. In a virtual environment of its own, from the
-repository's root; prints one line of costs.csv:
+repository's root; prints one line of adversarial.csv:
 
     pip install -c constraints.txt -e .
     pip install --no-deps imitation==1.0.1 \\
         tensorboard datasets huggingface_sb3 huggingface_hub seals sacred tqdm
-    python results/reference/adversarial/costs.py cartpole gail 0
+    python results/reference/costs/adversarial.py cartpole gail 0
 
 Hyper-parameters are those of the library's examples, the policy and its features those of its tuned
 configurations. Episodes end as the environment ends them, which helps GAIL, whose reward is positive, to stay
