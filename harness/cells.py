@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from envs import SPECS, EnvSpec
-from harness import recordings
 from harness.advantage import known_correlation, sampled_correlation
 from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
@@ -178,6 +177,8 @@ class _Work:
             )
         )
         if cell.seed == 0:
+            from harness import recordings  # 30 MB, which other seeds do without
+
             path = self.directory / "recordings" / f"{cell.name}__{name}.rrd"
             learned = None if reward is None else _above_absorbing(reward, scored.first.obs, scored.first.act)
             frames = drawings(self.spec, self.seeds[0], scored.first.act)

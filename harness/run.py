@@ -91,7 +91,7 @@ class Grid:
     save: Callable[[CellResult], None]
     timeout: float | None = None
     work: str = "harness.cells"
-    preload: tuple[str, ...] = ("harness.run", "harness.world", "torch._dynamo")
+    preload: tuple[str, ...] = ("harness.run", "harness.world", "harness.advantage", "torch._dynamo")
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""
