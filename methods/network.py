@@ -162,7 +162,7 @@ def converge(
 @dataclass(frozen=True)
 class Regression:
     """Hyper-parameters of fits to demonstrations: Adam; then L-BFGS on some rows, for the last percent of the
-    error decides where a cloned balancer drifts to; then a little of it on all rows."""
+    error decides where a cloned balancer drifts to; then a little of it on all rows, or a great many."""
 
     learning_rate: float = 3e-3
     batch: int = 256
@@ -173,7 +173,9 @@ class Regression:
     sample: int = 8192
     """Rows that L-BFGS sees, but for its last iterations."""
     final_iterations: int = 50
-    """Of L-BFGS on all rows, where they are more."""
+    """Of L-BFGS on more rows, where there are more."""
+    final_sample: int = 131_072
+    """Rows that those see, at most."""
 
     def minimise(
         self,
@@ -189,5 +191,8 @@ class Regression:
         rows = rng.choice(count, min(self.sample, count), replace=False)
         final = converge(loss, networks, [array[rows] for array in data], self.iterations)
         if count > self.sample:
+            if count > self.final_sample:
+                rows = rng.choice(count, self.final_sample, replace=False)
+                data = [array[rows] for array in data]
             final = converge(loss, networks, data, self.final_iterations)
         return [*curve, final]

@@ -162,3 +162,21 @@ def test_a_fit_to_a_sample_of_rows_ends_on_all_of_them() -> None:
     assert sampled > 1.01 * least
     assert final == pytest.approx(least, rel=1e-3) == curve[-1]
     assert len(curve) == 6
+
+
+def test_however_many_rows_there_are_no_step_of_a_fit_sees_more_than_it_is_told() -> None:
+    x = np.arange(300.0)[:, None]
+    guess = torch.nn.Linear(1, 1)
+    seen: list[torch.Tensor] = []
+
+    def loss(x: torch.Tensor) -> torch.Tensor:
+        seen.append(x)
+        value: torch.Tensor = (guess(x) - 1).square().mean()
+        return value
+
+    fit = Regression(1e-3, 8, 3, 2, sample=20, final_iterations=2, final_sample=50)
+    fit.minimise(loss, [guess], (x,), np.random.default_rng(0))
+    sizes = [len(rows) for rows in seen]
+    assert sizes == sorted(sizes)
+    assert set(sizes) == {8, 20, 50}
+    assert len(seen[-1].unique()) == 50
