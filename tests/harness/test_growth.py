@@ -25,7 +25,7 @@ def test_the_peak_of_a_process_is_seen_after_its_end() -> None:
         assert growth.apart(hold, 1) == 1
         least = peak.largest
         assert growth.apart(hold, 300) == 300
-    assert idle.largest == 0
+    assert idle.largest < least  # Python's own helpers of earlier tests
     assert 250 < peak.largest - least < 350
     assert peak.total > 300
 
