@@ -34,7 +34,7 @@ LOOK_EVERY = 0.2
 
 
 def growth() -> Iterator[Measure]:
-    """Every figure, as it is measured, once each: about twenty minutes on two cores."""
+    """Every figure, as it is measured, once each."""
     for env in ("pendulum", "highway"):
         conditions = Conditions("full", "absorbing", "sbx")
         expert_for(env, conditions.budget, conditions.rl)

@@ -38,7 +38,7 @@ from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
-from methods.base import Array
+from methods.base import Array, Policy
 
 BUDGET = "full"
 COPIES = 8
@@ -59,7 +59,7 @@ def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
     rng = rng_for(seed, env, method)
     judged = evaluation_seeds(seed, spec.eval_episodes[BUDGET])
 
-    def returned(policy: object) -> float:
+    def returned(policy: Policy) -> float:
         return float(evaluate(spec, policy, judged).returns.mean())
 
     best, worst = returned(expert), returned(lambda obs: spec.random_actions(len(obs), rng))

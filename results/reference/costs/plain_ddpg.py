@@ -1,6 +1,6 @@
-"""What Stable-Baselines3's DDPG scores by itself, as `bench` times it: our networks, batch, steps and one
-gradient step a step, the noise of its documentation's example, but neither n-step returns nor checkpoints nor
-anything else of `harness/rl.py`.
+"""What Stable-Baselines3's DDPG scores by itself, as `bench` times it, but with the noise of its
+documentation's example: our networks, batch, steps and one gradient step a step; neither n-step returns nor
+checkpoints nor anything else of `harness/rl.py`.
 
 From the repository's root; prints one line of plain_ddpg.csv:
 
