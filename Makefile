@@ -1,6 +1,12 @@
 # make run: the main job, from a fresh clone.   make test: every check.   make lock: pin what is installed.
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALL := $(BIN)/uv pip install --quiet --python $(BIN)/python --compile-bytecode
+# uv reads none of pip's settings: what it may need of them.
+export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)
+ifdef PIP_INDEX_URL
+export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
+endif
 
 .PHONY: run test lock
 
@@ -14,17 +20,18 @@ test: .venv/installed-dev
 	$(BIN)/pytest -q -n auto --dist worksteal
 
 # Local labels such as +cpu name a build, not a version that an index offers.
-lock: $(BIN)/python
-	$(BIN)/pip install --upgrade --upgrade-strategy eager -e '.[dev]'
+lock: $(BIN)/uv
+	$(INSTALL) --upgrade uv -e '.[dev]'
 	$(BIN)/pip freeze --exclude-editable | sed -E 's/\+[A-Za-z0-9.]+$$//' > constraints.txt
 
-$(BIN)/python:
+$(BIN)/uv:
 	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet -c constraints.txt uv
 
-.venv/installed: pyproject.toml constraints.txt | $(BIN)/python
-	$(BIN)/pip install --quiet -c constraints.txt -e .
+.venv/installed: pyproject.toml constraints.txt | $(BIN)/uv
+	$(INSTALL) -c constraints.txt -e .
 	touch $@
 
-.venv/installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+.venv/installed-dev: pyproject.toml constraints.txt | $(BIN)/uv
+	$(INSTALL) -c constraints.txt -e '.[dev]'
 	touch $@ .venv/installed

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from highway_env.envs.highway_env import HighwayEnvFast
 from stable_baselines3 import DDPG
+from stable_baselines3.common.noise import NormalActionNoise
 
 from envs import SPECS, EnvSpec
 from envs.highway import CONFIG, HORIZON
@@ -96,7 +97,7 @@ def bench() -> Iterator[Measure]:
             yield compare(
                 f"{env}, RL steps with {library}, against Stable-Baselines3's DDPG by itself",
                 partial(_solve, env, library),
-                partial(_plain_ddpg, env),
+                partial(_solve_plainly, env),
                 bar=3 if library == "sbx" else None,
                 repeats=3,
             )
@@ -158,19 +159,27 @@ def _solve(env: str, library: Library) -> int:
     return SOLVE_STEPS
 
 
-def _plain_ddpg(env: str) -> int:
-    """As its documentation has it, with our networks, batch and one gradient step a step; no checkpoints."""
-    settings = rl_settings_for(env)
-    DDPG(
+def _solve_plainly(env: str) -> int:
+    plain_ddpg(env, SOLVE_STEPS, seed=0)
+    return SOLVE_STEPS
+
+
+def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
+    """What Stable-Baselines3's DDPG learns in so many steps by itself, used as its documentation has it, with
+    our networks, batch and one gradient step a step; no checkpoints, nor anything else of `harness/rl.py`."""
+    spec, settings = SPECS[env], rl_settings_for(env)
+    model = DDPG(
         "MlpPolicy",
-        SPECS[env].make(),
+        spec.make(),
         learning_starts=WARM_UP,
         batch_size=settings.batch,
         train_freq=1,
+        action_noise=NormalActionNoise(np.zeros(spec.act_size), np.full(spec.act_size, 0.1)),
         policy_kwargs={"net_arch": list(settings.net)},
+        seed=seed,
         device="cpu",
-    ).learn(SOLVE_STEPS)
-    return SOLVE_STEPS
+    )
+    return model.learn(steps)
 
 
 def _grid(workers: int) -> int:

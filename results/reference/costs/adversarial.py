@@ -8,11 +8,13 @@ repository's root; prints one line of adversarial.csv:
     pip install -c constraints.txt -e .
     pip install --no-deps imitation==1.0.1 \\
         tensorboard datasets huggingface_sb3 huggingface_hub seals sacred tqdm
-    python results/reference/costs/adversarial.py cartpole gail 0
+    python results/reference/costs/adversarial.py cartpole gail native 0
 
 Hyper-parameters are those of the library's examples, the policy and its features those of its tuned
-configurations. Episodes end as the environment ends them, which helps GAIL, whose reward is positive, to stay
-alive. The policy is evaluated after each round; that is not counted.
+configurations. Under `native` episodes end as the environment ends them, which teaches GAIL, whose reward is
+positive, to stay alive, and AIRL to die. Under `absorbing` what would terminate goes to an absorbing state
+that observations mark, and every episode lasts to the horizon. The policy is evaluated after each round; that
+is not counted.
 """
 
 from __future__ import annotations
@@ -20,8 +22,10 @@ from __future__ import annotations
 import sys
 import time
 
+import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.wrappers import TimeLimit, TransformObservation
 from imitation.algorithms.adversarial.airl import AIRL
 from imitation.algorithms.adversarial.gail import GAIL
 from imitation.data.types import Trajectory
@@ -30,10 +34,11 @@ from imitation.policies.base import FeedForward32Policy, NormalizeFeaturesExtrac
 from imitation.rewards.reward_nets import BasicRewardNet, BasicShapedRewardNet
 from imitation.util import logger
 from imitation.util.networks import RunningNorm
+from seals.util import AbsorbAfterDoneWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from envs import SPECS
+from envs import SPECS, EnvSpec
 from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
@@ -50,7 +55,22 @@ TRAINERS = {
 }
 
 
-def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
+def alive(obs: Array) -> Array:
+    """(..., O) observations with the indicator of the absorbing state, 0: (..., O + 1)."""
+    return np.concatenate([obs, np.zeros((*obs.shape[:-1], 1))], axis=-1).astype(np.float32)
+
+
+def copy_of(spec: EnvSpec, protocol: str) -> gym.Env:
+    """The environment, its observations with the indicator; the absorbing state is all 0 but for that."""
+    space = gym.spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32)
+    absorbed = np.eye(spec.obs_size + 1, dtype=np.float32)[-1]
+    env: gym.Env = TransformObservation(spec.make(), alive, space)
+    if protocol == "absorbing":
+        env = TimeLimit(AbsorbAfterDoneWrapper(env, absorb_obs=absorbed), spec.horizon)
+    return RolloutInfoWrapper(env)
+
+
+def cost(env: str, method: str, protocol: str, seed: int) -> tuple[bool, float, int, float]:
     """Whether 0.95 was reached, the seconds and environment steps until then, and the score at last."""
     torch.manual_seed(seed)
     spec, trainer, network, learning_rate, options = SPECS[env], *TRAINERS[method]
@@ -64,7 +84,7 @@ def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
 
     best, worst = returned(expert), returned(lambda obs: spec.random_actions(len(obs), rng))
     started = time.perf_counter()
-    copies = DummyVecEnv([lambda: RolloutInfoWrapper(spec.make())] * COPIES)
+    copies = DummyVecEnv([lambda: copy_of(spec, protocol)] * COPIES)
     copies.seed(seed)
     learner = PPO(
         FeedForward32Policy,
@@ -85,20 +105,19 @@ def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
     )
     rounds = trainer(
         demonstrations=[
-            Trajectory(d.obs.astype(np.float32), d.act.astype(np.float32), None, terminal=d.terminated)
-            for d in demos
+            Trajectory(alive(d.obs), d.act.astype(np.float32), None, terminal=d.terminated) for d in demos
         ],
         gen_replay_buffer_capacity=512,
         venv=copies,
         gen_algo=learner,
         reward_net=network(copies.observation_space, copies.action_space, normalize_input_layer=RunningNorm),
+        allow_variable_horizon=protocol == "native",
         custom_logger=logger.configure(None, []),
-        allow_variable_horizon=True,
         **options,
     )
 
     def act(obs: Array) -> Array:
-        return np.clip(learner.predict(obs.astype(np.float32), deterministic=True)[0], -1, 1).astype(float)
+        return np.clip(learner.predict(alive(obs), deterministic=True)[0], -1, 1).astype(float)
 
     seconds, score = time.perf_counter() - started, -np.inf
     while score < 0.95 and learner.num_timesteps < LIMIT:
@@ -111,6 +130,6 @@ def cost(env: str, method: str, seed: int) -> tuple[bool, float, int, float]:
 
 
 if __name__ == "__main__":
-    env, method, seed = sys.argv[1], sys.argv[2], int(sys.argv[3])
-    reached, seconds, steps, score = cost(env, method, seed)
-    print(f"{env},{method},{seed},{reached},{seconds:.0f},{steps},{score:.3f}")
+    env, method, protocol, seed = sys.argv[1:]
+    reached, seconds, steps, score = cost(env, method, protocol, int(seed))
+    print(f"{env},{method},{protocol},{seed},{reached},{seconds:.0f},{steps},{score:.3f}")
