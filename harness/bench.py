@@ -59,6 +59,10 @@ class Measure:
         spread = {"median": statistics.median(self.values), "low": min(self.values), "high": max(self.values)}
         return {"name": self.name, "unit": self.unit, **spread, "bar": self.bar}
 
+    def __str__(self) -> str:
+        spread = "{name}: {median:.4g} {unit} ({low:.4g} to {high:.4g})".format(**self.to_json())
+        return spread if self.bar is None else f"{spread}, bar {self.bar:g}"
+
 
 def compare(
     name: str, ours: Callable[[], int], theirs: Callable[[], int], bar: float | None, repeats: int = REPEATS

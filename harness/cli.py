@@ -102,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
-    add.add_argument("--json", action="store_true", help="as JSON, when all is measured")
+    add.add_argument("--json", action="store_true", help="as JSON, at the end")
     commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     return parser
 
@@ -183,17 +183,20 @@ def _bench(as_json: bool) -> int:
     from harness.processes import ONE_THREAD, compiled_once, environment
     from harness.progress import say
 
-    found = []
+    measures = []
     with environment(ONE_THREAD), compiled_once():
         from harness.bench import bench  # in that environment
         from harness.growth import growth
+        from harness.keys import origin
 
         for measure in chain(bench(), growth()):
-            found.append(measure.to_json())
-            if not as_json:
-                say("{name}: {median:.3g} {unit} ({low:.3g} to {high:.3g}), bar {bar}".format(**found[-1]))
-    if as_json:
-        say(json.dumps(found, indent=1))
+            measures.append(measure.to_json())
+            if as_json:
+                print(measure, file=sys.stderr, flush=True)
+            else:
+                say(str(measure))
+        if as_json:
+            say(json.dumps({"cores": os.cpu_count(), **origin(), "measures": measures}, indent=1))
     return 0
 
 

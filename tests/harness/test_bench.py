@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 import pytest
 
 from envs import SPECS
 from envs.highway_fast import FastHighwayEnv
-from harness import bench
+from harness import bench, cli, growth
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -35,3 +36,22 @@ def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPat
     assert 20 <= bench._together(spec, idle) <= 20 * spec.horizon
     assert 2 <= bench._one_by_one(spec, idle) <= 2 * spec.horizon
     assert 3 <= bench._drive(FastHighwayEnv) <= 3 * spec.horizon
+
+
+def test_figures_are_told_one_by_one_and_as_json_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ratio = bench.Measure("RL", "times", [3, 1, 2.5], 3)
+    memory = bench.Measure("a worker", "MB", [1043.2], None)
+    monkeypatch.setattr(bench, "bench", lambda: iter([ratio]))
+    monkeypatch.setattr(growth, "growth", lambda: iter([memory]))
+    lines = "RL: 2.5 times (1 to 3), bar 3\na worker: 1043 MB (1043 to 1043)\n"
+    assert cli.main(["bench"]) == 0
+    assert capsys.readouterr().out == lines
+    assert cli.main(["bench", "--json"]) == 0
+    told = capsys.readouterr()
+    assert told.err == lines
+    everything = json.loads(told.out)
+    assert everything["measures"] == [ratio.to_json(), memory.to_json()]
+    assert everything["cores"] >= 1
+    assert everything["numpy"]
