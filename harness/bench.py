@@ -27,7 +27,7 @@ from harness.cells import run_cell
 from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.registry import load_method
-from harness.results import Cell, CellResult, Conditions, Library
+from harness.results import Cell, CellResult, Conditions
 from harness.rl import WARM_UP, Learner
 from harness.rl_settings import rl_settings_for
 from harness.run import Grid
@@ -81,7 +81,7 @@ def _rate(work: Callable[[], int]) -> float:
 
 
 def bench() -> Iterator[Measure]:
-    """Every comparison, as it is made: about twenty minutes on two cores."""
+    """Every comparison, as it is made."""
     yield compare(
         "highway-env's scenes, ours against its own",
         partial(_drive, FastHighwayEnv),
@@ -97,14 +97,13 @@ def bench() -> Iterator[Measure]:
             bar,
         )
     for env in ("cartpole", "pendulum"):
-        for library in ("sbx", "sb3"):
-            yield compare(
-                f"{env}, RL steps with {library}, against Stable-Baselines3's DDPG by itself",
-                partial(_solve, env, library),
-                partial(_solve_plainly, env),
-                bar=3 if library == "sbx" else None,
-                repeats=3,
-            )
+        yield compare(
+            f"{env}, RL steps, against Stable-Baselines3's DDPG by itself",
+            partial(_solve, env),
+            partial(_solve_plainly, env),
+            bar=3,
+            repeats=3,
+        )
     yield compare(
         "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=3
     )
@@ -158,8 +157,8 @@ def _one_by_one(spec: EnvSpec, policy: Policy) -> int:
     return steps
 
 
-def _solve(env: str, library: Library) -> int:
-    Learner(SPECS[env], "absorbing", np.random.default_rng(0), library).solve(None, SOLVE_STEPS)
+def _solve(env: str) -> int:
+    Learner(SPECS[env], "absorbing", np.random.default_rng(0), "sbx").solve(None, SOLVE_STEPS)
     return SOLVE_STEPS
 
 

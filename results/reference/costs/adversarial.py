@@ -34,18 +34,14 @@ from imitation.policies.base import FeedForward32Policy, NormalizeFeaturesExtrac
 from imitation.rewards.reward_nets import BasicRewardNet, BasicShapedRewardNet
 from imitation.util import logger
 from imitation.util.networks import RunningNorm
+from judging import ENOUGH, Judge
 from seals.util import AbsorbAfterDoneWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from envs import SPECS, EnvSpec
-from harness.evaluation import evaluate
-from harness.experts import expert_for
-from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
-from harness.simulator import Simulator
-from methods.base import Array, Policy
+from envs import EnvSpec
+from methods.base import Array
 
-BUDGET = "full"
 COPIES = 8
 LIMIT = 1_000_000
 """Environment steps after which a run gives up."""
@@ -73,16 +69,9 @@ def copy_of(spec: EnvSpec, protocol: str) -> gym.Env:
 def cost(env: str, method: str, protocol: str, seed: int) -> tuple[bool, float, int, float]:
     """Whether 0.95 was reached, the seconds and environment steps until then, and the score at last."""
     torch.manual_seed(seed)
-    spec, trainer, network, learning_rate, options = SPECS[env], *TRAINERS[method]
-    expert = expert_for(env, BUDGET, "sbx").policy
-    demos = Simulator(spec).run(expert, demonstration_seeds(seed, spec.demo_episodes[BUDGET]))
-    rng = rng_for(seed, env, method)
-    judged = evaluation_seeds(seed, spec.eval_episodes[BUDGET])
-
-    def returned(policy: Policy) -> float:
-        return float(evaluate(spec, policy, judged).returns.mean())
-
-    best, worst = returned(expert), returned(lambda obs: spec.random_actions(len(obs), rng))
+    judge = Judge(env, seed)
+    spec, trainer, network, learning_rate, options = judge.spec, *TRAINERS[method]
+    demos = judge.demonstrations()
     started = time.perf_counter()
     copies = DummyVecEnv([lambda: copy_of(spec, protocol)] * COPIES)
     copies.seed(seed)
@@ -120,13 +109,13 @@ def cost(env: str, method: str, protocol: str, seed: int) -> tuple[bool, float, 
         return np.clip(learner.predict(alive(obs), deterministic=True)[0], -1, 1).astype(float)
 
     seconds, score = time.perf_counter() - started, -np.inf
-    while score < 0.95 and learner.num_timesteps < LIMIT:
+    while score < ENOUGH and learner.num_timesteps < LIMIT:
         started = time.perf_counter()
         rounds.train(rounds.gen_train_timesteps)
         seconds += time.perf_counter() - started
-        score = (returned(act) - worst) / (best - worst)
+        score = judge.score(act)
         print(f"{learner.num_timesteps} steps, {seconds:.0f} s: {score:.3f}", file=sys.stderr)
-    return score >= 0.95, seconds, learner.num_timesteps, score
+    return score >= ENOUGH, seconds, learner.num_timesteps, score
 
 
 if __name__ == "__main__":
