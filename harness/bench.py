@@ -41,7 +41,7 @@ REPEATS = 5
 EPISODES = 100
 """Evaluated at once, as cells do, against one after the other."""
 SOLVE_STEPS = 6000
-CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+CONDITIONS = Conditions("quick", "absorbing", "sbx")
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,14 @@ def bench() -> Iterator[Measure]:
             repeats=3,
         )
     yield compare(
-        "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=3
+        "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=2
     )
     yield compare(
         "a cell of cart-pole, against its library calls alone",
         _cell,
         _bare_cell,
         bar=0.97,
+        repeats=3,
     )
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]

@@ -15,7 +15,7 @@ from typing import TypeVar
 import psutil
 
 from envs import SPECS
-from harness.bench import CONDITIONS, Measure, command, compute
+from harness.bench import Measure, command, compute
 from harness.cells import run_cell
 from harness.experts import expert_for
 from harness.registry import ENVS
@@ -28,6 +28,7 @@ from methods.shaped import Shaped
 T = TypeVar("T")
 DEMONSTRATIONS = (1, 10, 100, 1000, 10_000)
 CELLS = 20
+SMOKE = Conditions("smoke", "absorbing", "sbx")
 MEGABYTE = 1 << 20
 LOOK_EVERY = 0.2
 """Seconds between looks at processes' memory."""
@@ -113,6 +114,6 @@ def _cells_in_a_row(count: int) -> list[float]:
     sizes = []
     with tempfile.TemporaryDirectory() as directory:
         for _ in range(count):
-            run_cell(Cell("cartpole", "shaped", 1), CONDITIONS, Path(directory))
+            run_cell(Cell("cartpole", "shaped", 1), SMOKE, Path(directory))
             sizes.append(psutil.Process().memory_info().rss / MEGABYTE)
     return sizes

@@ -95,6 +95,8 @@ class Grid:
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""
+        if not cells:
+            return
         tasks = [Task(env) for env in {cell.env: None for cell in cells}]
         tasks += [Task(cell.env, cell) for cell in cells]
         tasks.sort(key=lambda task: (task.cell is not None, -task.cost))

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from harness import growth
-from harness.bench import CONDITIONS, compute
+from harness.bench import compute
 from harness.results import Cell
 
 
@@ -38,4 +38,4 @@ def test_cells_of_one_process_are_measured_one_by_one() -> None:
 
 def test_a_cell_that_fails_is_not_measured() -> None:
     with pytest.raises(RuntimeError, match="no method named 'nothing'"):
-        compute([Cell("gridworld", "nothing", 0)], CONDITIONS, workers=1)
+        compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, workers=1)

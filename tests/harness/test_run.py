@@ -99,6 +99,11 @@ def test_the_longest_tasks_come_first_and_experts_before_all(
     assert started[2:] == sorted(costs, key=lambda name: -costs[name])
 
 
+def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harness.run.fresh_processes", None)
+    assert run(directory, [], workers=2) == {}
+
+
 def test_every_process_is_fresh(directory: Path) -> None:
     cells = [Cell("cartpole", "good", seed) for seed in range(3)]
     run(directory, cells, workers=1)
