@@ -249,11 +249,13 @@ def _verify(directory: Path) -> int:
 
 def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
     from harness.progress import say
-    from harness.report import write_report
 
     directory = run.path
-    write_report(directory, results)
-    run.seal()
+    if not run.is_sealed(results):
+        from harness.report import write_report
+
+        write_report(directory, results)
+        run.seal(results)
     say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))
     for name in ("scores.csv", "report.html", "recordings"):
         say(f"{name:11} {directory / name}")

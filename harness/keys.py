@@ -23,6 +23,9 @@ CELL_SOURCES = (
     *("methods", "harness/cells.py", "harness/controls.py", "harness/evaluation.py", "harness/study.py"),
 )
 """Files, and folders of them, that decide what an expert or a cell computes."""
+REPORT_SOURCES = ("harness", "harness/report.html.j2")
+REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
+"""What decides, besides, how cells are reported."""
 PACKAGES = (
     *("torch", "numpy", "scipy", "jax", "flax", "optax", "stable-baselines3", "sbx-rl"),
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
@@ -35,7 +38,7 @@ def key_of(sources: Iterable[str], ingredients: object) -> str:
     files = [f for s in sources for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])]
     digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     chosen = [os.environ.get(name) for name in SAME_INSTRUCTIONS]
-    everything = [ingredients, digests, _versions(), chosen]
+    everything = [ingredients, digests, versions(PACKAGES), chosen]
     return hashlib.sha256(json.dumps(everything).encode()).hexdigest()[:16]
 
 
@@ -47,12 +50,13 @@ def origin() -> dict[str, str]:
         "processor": _processor(),
         "system": system,
         "python": platform.python_version(),
-        **dict(zip(PACKAGES, _versions(), strict=True)),
+        **dict(zip(PACKAGES, versions(PACKAGES), strict=True)),
     }
 
 
-def _versions() -> list[str]:
-    return [importlib.metadata.version(package) for package in PACKAGES]
+def versions(packages: Iterable[str]) -> list[str]:
+    """Of those installed."""
+    return [importlib.metadata.version(package) for package in packages]
 
 
 def _processor() -> str:

@@ -5,6 +5,7 @@ DIR/cells/*.json           one file a finished cell; everything below is rebuilt
 DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
+DIR/report.key             from which cells, and by which version of the program, those were rebuilt
 DIR/recordings/*.rrd       rerun recordings
 DIR/SHA256SUMS             checksums of the tables, the report and its figures, as of sha256sum
 DIR/run.log                what the cells' processes print, full tracebacks included

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from harness.files import sha256, write_atomic
-from harness.keys import CELL_SOURCES, key_of, origin
+from harness.keys import CELL_SOURCES, REPORT_PACKAGES, REPORT_SOURCES, key_of, origin, versions
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
 
@@ -24,7 +24,8 @@ LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
 
 SUMS = "SHA256SUMS"
-DERIVED = ("scores.csv", "leaderboard.*", "report.html", "figures/*.png")
+REPORT_KEY = "report.key"
+DERIVED = ("scores.csv", "leaderboard.*", "report.html", "figures/*.png", REPORT_KEY)
 """What is rebuilt from cells, and has its checksums in `SUMS`."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
@@ -79,10 +80,18 @@ class RunDirectory:
                 unusable[path] = str(error)
         return dict(sorted(results.items())), unusable
 
-    def seal(self) -> None:
-        """Notes the checksums of what was rebuilt from cells."""
-        lines = [f"{sha256(file)}  {file.relative_to(self.path).as_posix()}\n" for file in self._derived()]
-        write_atomic(self.path / SUMS, "".join(lines))
+    def seal(self, results: Sequence[CellResult]) -> None:
+        """Notes from which cells all that is rebuilt from cells was, and its checksums."""
+        write_atomic(self.path / REPORT_KEY, _report_key(results))
+        write_atomic(self.path / SUMS, self._sums())
+
+    def is_sealed(self, results: Sequence[CellResult]) -> bool:
+        """Whether all that is rebuilt from cells is as it was written, from these and by this version."""
+        try:
+            written = (self.path / REPORT_KEY).read_text(), (self.path / SUMS).read_text()
+        except (OSError, ValueError):
+            return False
+        return written == (_report_key(results), self._sums())
 
     def damaged(self) -> dict[Path, str]:
         """What is not as it was written, and why."""
@@ -105,6 +114,10 @@ class RunDirectory:
             elif noted.get(name) != sha256(there[name]):
                 damaged[there[name]] = "its checksum does not match"
         return damaged
+
+    def _sums(self) -> str:
+        lines = [f"{sha256(file)}  {file.relative_to(self.path).as_posix()}\n" for file in self._derived()]
+        return "".join(lines)
 
     def _derived(self) -> list[Path]:
         return sorted(file for pattern in DERIVED for file in self.path.glob(pattern))
@@ -167,6 +180,10 @@ def decode(data: bytes | str) -> CellResult:
         return CellResult.from_json(_nan_for_none(payload))
     except (KeyError, TypeError, AttributeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
         raise ValueError("it is no stored cell") from error
+
+
+def _report_key(results: Sequence[CellResult]) -> str:
+    return key_of(REPORT_SOURCES, [*versions(REPORT_PACKAGES), *map(encode, results)])
 
 
 def _checksum(payload: Any) -> str:

@@ -19,7 +19,7 @@ import pytest
 
 from harness import cli, registry, store
 from harness.processes import SAME_INSTRUCTIONS
-from harness.results import CONTROLS
+from harness.results import CONTROLS, CellResult
 from methods.settings import settings_for
 
 HERE = Path(__file__).parent
@@ -367,6 +367,29 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     assert b"failed  cartpole__bc__seed0: ValueError" in shown
     total = PER_SEED + 2  # and the expert
     assert f"{total} of {total} done, 1 failed".encode() in shown
+
+
+def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
+    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    built: list[int] = []
+    write_report = sys.modules["harness.report"].write_report
+
+    def count(directory: Path, results: list[CellResult]) -> None:
+        built.append(len(results))
+        write_report(directory, results)
+
+    monkeypatch.setattr(sys.modules["harness.report"], "write_report", count)
+    out = ("--out", "run")
+    for _ in range(2):
+        assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
+    assert built == [1 + PER_SEED]
+    assert "a table of" in main(*SMOKE, "--methods", "bc", *out)[1]
+    (tmp_path / "run/leaderboard.md").write_text("something else\n")
+    assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
+    assert main(*SMOKE, "--methods", "bc,maxent", *out)[0] == 0
+    assert built == [1 + PER_SEED, 1 + PER_SEED, 2 + PER_SEED]
+    assert main("verify", "run")[0] == 0
 
 
 def test_nothing_is_left_behind_in_the_lock(main: Main, tmp_path: Path) -> None:
