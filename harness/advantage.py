@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from envs import EnvSpec
 from envs.spec import Tabular
@@ -76,8 +77,6 @@ def known_correlation(reward: Reward | None, tabular: Tabular, gamma: float) -> 
 
 
 def _spearman(paid: Array, advantage: Array) -> float:
-    from scipy.stats import spearmanr
-
     if np.ptp(paid) == 0 or np.ptp(advantage) == 0:
         return math.nan
     return float(spearmanr(paid, advantage).statistic)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,13 @@ from stable_baselines3.common.noise import NormalActionNoise
 from envs import SPECS, EnvSpec
 from envs.highway import CONFIG, HORIZON
 from envs.highway_fast import FastHighwayEnv
-from harness.cells import run_cell
-from harness.evaluation import evaluate
-from harness.experts import expert_for
-from harness.registry import load_method
+from harness.experts import deviations_for, expert_for
 from harness.results import Cell, CellResult, Conditions
 from harness.rl import WARM_UP, Learner
 from harness.rl_settings import rl_settings_for
 from harness.run import Grid
-from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator
-from harness.world import TaskWorld, without_rewards
 from methods.base import Policy
-from methods.settings import settings_for
 
 REPEATS = 5
 EPISODES = 100
@@ -46,7 +41,7 @@ CONDITIONS = Conditions("quick", "absorbing", "sbx")
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure, in each repeat. unit: 'times' as fast, 's' for seconds, or 'MB' of memory.
+    """One figure, in each repeat. unit: 'times' as fast, 's' for seconds, '%' or 'MB' of memory.
     bar: what is wanted, at least of ratios and at most of the others; None where nothing is."""
 
     name: str
@@ -107,13 +102,7 @@ def bench() -> Iterator[Measure]:
     yield compare(
         "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=2
     )
-    yield compare(
-        "a cell of cart-pole, against its library calls alone",
-        _cell,
-        _bare_cell,
-        bar=0.97,
-        repeats=3,
-    )
+    yield Measure("cells of cart-pole, share of time beside fit and RL", "%", _beside_the_work(), bar=3)
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
         command(cached)
@@ -187,37 +176,31 @@ def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
 
 
 def _grid(workers: int) -> int:
-    return compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers)
+    return len(compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers))
 
 
-def compute(cells: list[Cell], conditions: Conditions, workers: int) -> int:
-    """How many cells were computed, as `run` does it. Raises RuntimeError where one failed."""
-    done: list[CellResult] = []
+def _beside_the_work() -> list[float]:
+    """Of what each cell adds to a run, its process and its evaluation included. What a run computes once for
+    all methods is there before; the first cell compiles, and does not count."""
+    cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
+    for cell in cells:
+        deviations_for(cell.env, CONDITIONS.budget, CONDITIONS.rl, cell.seed)
+    done = compute(cells, CONDITIONS, workers=1)
+    work = [sum(row.fit_seconds for row in result.rows) for _, result in done]
+    took = [ended - before for (before, _), (ended, _) in pairwise(done)]
+    return [100 * (1 - inside / whole) for inside, whole in zip(work[1:], took, strict=True)]
+
+
+def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[tuple[float, CellResult]]:
+    """Cells as `run` computes them, each with when it came (s). Raises RuntimeError where one failed."""
+    done: list[tuple[float, CellResult]] = []
+
+    def save(result: CellResult) -> None:
+        done.append((time.perf_counter(), result))
+
     with tempfile.TemporaryDirectory() as directory, contextlib.redirect_stdout(io.StringIO()):
-        Grid(conditions, Path(directory), workers, done.append).run(cells)
-    reasons = [row.reason for result in done for row in result.rows if row.status == "failed"]
+        Grid(conditions, Path(directory), workers, save).run(cells)
+    reasons = [row.reason for _, result in done for row in result.rows if row.status == "failed"]
     if reasons:
         raise RuntimeError(f"a cell failed: {reasons[0]}")
-    return len(done)
-
-
-def _cell() -> int:
-    with tempfile.TemporaryDirectory() as directory:
-        run_cell(Cell("cartpole", "shaped", 1), CONDITIONS, Path(directory))
-    return 1
-
-
-def _bare_cell() -> int:
-    """What that cell calls of libraries, environments and methods."""
-    spec, budget = SPECS["cartpole"], CONDITIONS.budget
-    expert = expert_for("cartpole", budget, "sbx")
-    demos = without_rewards(
-        Simulator(spec).run(expert.policy, demonstration_seeds(1, spec.demo_episodes[budget]))
-    )
-    method = load_method("shaped")(**settings_for("shaped", "cartpole", budget))
-    learned = method.fit(demos, TaskWorld(spec, "absorbing", "sbx"), rng_for(1, "cartpole", "shaped", "fit"))
-    rng = rng_for(1, "cartpole", "shaped", "pi_R")
-    solved = Learner(spec, "absorbing", rng, "sbx").solve(learned.reward, spec.rl_steps[budget])
-    for policy in (learned.policy, solved.policy):
-        evaluate(spec, policy, evaluation_seeds(1, spec.eval_episodes[budget]))
-    return 1
+    return done

@@ -10,6 +10,7 @@ import pytest
 from envs import SPECS
 from envs.highway_fast import FastHighwayEnv
 from harness import bench, cli, growth
+from harness.results import Cell, CellResult, Conditions, Row
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -36,6 +37,21 @@ def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPat
     assert 20 <= bench._together(spec, idle) <= 20 * spec.horizon
     assert 2 <= bench._one_by_one(spec, idle) <= 2 * spec.horizon
     assert 3 <= bench._drive(FastHighwayEnv) <= 3 * spec.horizon
+
+
+def test_a_share_is_of_the_time_between_one_cell_and_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    def done(cell: Cell, seconds: float) -> CellResult:
+        name = {"env": cell.env, "method": cell.method, "seed": cell.seed, "protocol": "absorbing"}
+        return CellResult(cell, [Row(**name, policy=p, fit_seconds=seconds) for p in ("pi_star", "pi_R")])
+
+    def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[tuple[float, CellResult]]:
+        assert workers == 1
+        return [(100 + 10 * i, done(cell, 5.0 - i)) for i, cell in enumerate(cells)]
+
+    monkeypatch.setattr(bench, "REPEATS", 2)
+    monkeypatch.setattr(bench, "compute", compute)
+    monkeypatch.setattr(bench, "deviations_for", lambda *asked: None)
+    assert bench._beside_the_work() == pytest.approx([20, 40])
 
 
 def test_figures_are_told_one_by_one_and_as_json_at_the_end(
