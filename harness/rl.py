@@ -36,7 +36,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
 from harness.results import Library
-from harness.rl_settings import TRAIN_EVERY, rl_settings_for
+from harness.rl_settings import TRAIN_EVERY, Settings, rl_settings_for
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, copies_of
 from methods.base import Array, Policy, Reward
@@ -56,6 +56,9 @@ FIRST_ACTIONS = 0.01
 """Size of an untrained actor's last weights, of what SBX draws."""
 BUFFER = 100_000
 """Transitions that a learner can hold, over all its solves."""
+_FUNCTIONS: dict[tuple[Settings, int], list[tuple[Any, Any]]] = {}
+"""Networks' and optimizers' functions, of the first agent with these settings and size of actions. What JAX
+compiles for a function it keeps; each agent's own would be compiled, and kept, again."""
 
 
 @dataclass(frozen=True)
@@ -151,13 +154,19 @@ class Learner:
             return DDPG(**common, policy_kwargs=network | {"optimizer_kwargs": ADAM})
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
         model = sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
+        states = (model.policy.actor_state, model.policy.qf_state)
+        functions = _FUNCTIONS.setdefault((s, size), [(state.apply_fn, state.tx) for state in states])
+        actor, critics = (
+            state.replace(apply_fn=apply, tx=optimizer)
+            for state, (apply, optimizer) in zip(states, functions, strict=True)
+        )
         # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.
-        actor = model.policy.actor_state
         last = f"Dense_{len(s.net)}"
         params = {**actor.params["params"]}
         params[last] = {**params[last], "kernel": FIRST_ACTIONS * params[last]["kernel"]}
         start = {"params": params}
         model.policy.actor_state = actor.replace(params=start, target_params=start)
+        model.policy.qf_state = critics
         return model
 
     @property

@@ -18,6 +18,8 @@ torch.set_num_threads(1)
 ADAM: dict[str, Any] = {"fused": True}
 """Options of torch's Adam. Its default is slower, and takes square roots that each maker's processors round
 otherwise."""
+ROWS = 131_072
+"""That a network answers at a time: of millions, one layer's activations alone are gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Network:
     tanh: bool = False
 
     def __call__(self, x: Array, /) -> Array:
+        if len(x) > ROWS:
+            return np.concatenate([self(x[start : start + ROWS]) for start in range(0, len(x), ROWS)])
         x = (x - self.mean) / self.std
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = np.maximum(x @ weight + bias, 0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
+import jax
 import numpy as np
 import pytest
 import sbx
@@ -262,6 +263,17 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
     one = solve(fragile, Seek(absorbing=-0.5), steps=500)
     other = solve(fragile, Shifted(absorbing=63.5), steps=500)
     np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
+
+
+def test_what_one_agent_compiled_serves_the_next(steady: EnvSpec, caplog: pytest.LogCaptureFixture) -> None:
+    def compiled() -> int:
+        caplog.clear()
+        with jax.log_compiles():
+            solve(steady, Seek(), steps=200, library="sbx")
+        return caplog.text.count("Compiling jit(_train)")
+
+    jax.clear_caches()
+    assert [compiled() > 0, compiled()] == [True, 0]
 
 
 @both_libraries

@@ -28,6 +28,17 @@ def test_it_equals_the_torch_layers_it_came_from(tanh: bool) -> None:
     np.testing.assert_allclose(network(tanh)(x), expected.numpy(), rtol=1e-12, atol=1e-14)
 
 
+def test_many_rows_are_answered_a_part_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.random.default_rng(0).normal(size=(50, 3))
+    whole = network()(x)
+    asked: list[int] = []
+    relu = np.maximum
+    monkeypatch.setattr(np, "maximum", lambda a, b: asked.append(len(a)) or relu(a, b))
+    monkeypatch.setattr("methods.network.ROWS", 20)
+    np.testing.assert_allclose(network()(x), whole, rtol=1e-12, atol=1e-14)
+    assert asked == [20, 20, 20, 20, 10, 10]
+
+
 def test_it_keeps_its_numbers_when_the_torch_layers_learn_on() -> None:
     torch_layers = layers()
     kept = Network.from_torch(torch_layers, np.zeros(3), np.ones(3))
