@@ -99,9 +99,14 @@ def bench() -> Iterator[Measure]:
             bar=3,
             repeats=3,
         )
-    yield compare(
-        "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=2
-    )
+    for method in ("control_true", "shaped"):
+        yield compare(
+            f"8 equal cells of {method}, 2 workers against 1",
+            partial(_grid, method, 2),
+            partial(_grid, method, 1),
+            bar=1.8,
+            repeats=2,
+        )
     yield Measure("cells of cart-pole, share of time beside fit and RL", "%", _beside_the_work(), bar=3)
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
@@ -175,8 +180,8 @@ def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
     return model.learn(steps)
 
 
-def _grid(workers: int) -> int:
-    return len(compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers))
+def _grid(method: str, workers: int) -> int:
+    return len(compute([Cell("cartpole", method, seed) for seed in range(8)], CONDITIONS, workers))
 
 
 def _beside_the_work() -> list[float]:
