@@ -99,14 +99,12 @@ def bench() -> Iterator[Measure]:
             bar=3,
             repeats=3,
         )
-    for method in ("control_true", "shaped"):
-        yield compare(
-            f"8 equal cells of {method}, 2 workers against 1",
-            partial(_grid, method, 2),
-            partial(_grid, method, 1),
-            bar=1.8,
-            repeats=2,
-        )
+    yield compare(
+        "two bare Python loops at once, against one", partial(_loops, 2), partial(_loops, 1), bar=None
+    )
+    yield compare(
+        "8 equal cells, 2 workers against 1", partial(_grid, 2), partial(_grid, 1), bar=1.8, repeats=2
+    )
     yield Measure("cells of cart-pole, share of time beside fit and RL", "%", _beside_the_work(), bar=3)
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
@@ -180,8 +178,16 @@ def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
     return model.learn(steps)
 
 
-def _grid(method: str, workers: int) -> int:
-    return len(compute([Cell("cartpole", method, seed) for seed in range(8)], CONDITIONS, workers))
+def _loops(count: int) -> int:
+    """What the machine itself gives processes that share nothing."""
+    loop = [sys.executable, "-c", "for _ in range(10**8): pass"]
+    for process in [subprocess.Popen(loop) for _ in range(count)]:
+        process.wait()
+    return count
+
+
+def _grid(workers: int) -> int:
+    return len(compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers))
 
 
 def _beside_the_work() -> list[float]:
