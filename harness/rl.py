@@ -36,7 +36,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
 from harness.results import Library
-from harness.rl_settings import TRAIN_EVERY, Settings, rl_settings_for
+from harness.rl_settings import Settings, rl_settings_for
 from harness.seeds import training_seeds
 from harness.simulator import Simulator, copies_of
 from methods.base import Array, Policy, Reward
@@ -47,7 +47,6 @@ ABSORBING_STEPS = 5
 NOT_ABSORBED = -1
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
-STEP_UNIT = 2 * TRAIN_EVERY
 STEPS_PER_CHECK_EPISODE = 75
 """A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
 REWARD_SIZE = 0.1
@@ -94,16 +93,19 @@ class Learner:
         """Learn for `steps` environment steps under the reward; None is the environment's own, for the
         expert and the control that learns from the truth.
 
-        Raises ValueError unless `steps` is a positive multiple of `STEP_UNIT`, FloatingPointError on
-        rewards that are not finite.
+        Raises ValueError unless `steps` is a multiple of the settings' copies, twice that at least;
+        FloatingPointError on rewards that are not finite.
         """
-        if steps <= 0 or steps % STEP_UNIT:
-            raise ValueError(f"a solve takes a positive multiple of {STEP_UNIT} steps, not {steps}")
+        copies = self.settings.copies
+        if steps < 2 * copies or steps % copies:
+            raise ValueError(
+                f"a solve takes a multiple of {copies} steps, at least {2 * copies}, not {steps}"
+            )
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
         warm_up = 0
         if self._model is None:
-            warm_up = min(WARM_UP, steps // 2)  # a multiple of `TRAIN_EVERY`, as `steps` is of twice that
+            warm_up = min(WARM_UP, steps // 2) // copies * copies
             self._model = self._build(warm_up, seed)
             self._model.set_logger(Logger(None, []))  # its own would leave a folder behind
             self._model.learn(warm_up)
@@ -131,7 +133,7 @@ class Learner:
             "tau": s.tau,
             "gamma": self._spec.gamma,
             "n_steps": s.n_steps,
-            "train_freq": TRAIN_EVERY // s.copies,
+            "train_freq": 1,
             "gradient_steps": s.gradient_steps,
             "seed": seed,
             "device": "cpu",
@@ -141,7 +143,7 @@ class Learner:
             # It moves its target network with every bout of learning, not with every gradient step.
             return DQN(
                 **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
-                target_update_interval=TRAIN_EVERY,
+                target_update_interval=s.copies,
                 exploration_initial_eps=s.noise,
                 exploration_final_eps=s.noise,
                 policy_kwargs=network | {"optimizer_kwargs": ADAM},

@@ -21,18 +21,16 @@ class Settings:
     noise: float = 0.3
     """Scale of DDPG's Ornstein-Uhlenbeck exploration noise, of actions in [-1, 1]; DQN's share of random
     actions."""
-    gradient_steps: int = 10
-    """Gradient steps after every `TRAIN_EVERY` environment steps."""
     copies: int = 10
-    """Environments that an agent acts in side by side; a divisor of `TRAIN_EVERY`."""
+    """Environments that an agent acts in side by side."""
+    gradient_steps: int = 10
+    """Gradient steps after each step of all copies."""
     checkpoint_every: int = 500
-    """Steps between checkpoints."""
+    """Steps between checkpoints; a multiple of `copies`."""
     check_episodes: int = 20
     """Episodes that a checkpoint is judged by, at most."""
 
 
-TRAIN_EVERY = 10
-"""Environment steps between bouts of learning."""
 SETTINGS: dict[str, Settings] = {
     # Its episodes are long, and begin alike.
     "pendulum": Settings(checkpoint_every=2000, check_episodes=5),
@@ -42,6 +40,8 @@ SETTINGS: dict[str, Settings] = {
         batch=256,
         critics=2,
         noise=0.15,
+        copies=40,
+        gradient_steps=20,
         checkpoint_every=4000,
         check_episodes=40,
     ),

@@ -27,7 +27,7 @@ from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions
 from harness.store import LOG, decode, encode
 
-ENV_COST = {"cartpole": 1.0, "pendulum": 2.0, "highway": 5.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
+ENV_COST = {"cartpole": 1.0, "pendulum": 2.0, "highway": 3.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
 METHOD_COST = {
     REFERENCE: 0.2,
     "bc": 0.8,

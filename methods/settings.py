@@ -14,10 +14,10 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
-    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
-    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
-    ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3, "reward_steps": 100},
-    ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 300, "rollouts": 3},
+    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
+    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
+    ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3, "reward_steps": 100},
+    ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
 

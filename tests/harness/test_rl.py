@@ -15,13 +15,15 @@ import sbx
 import stable_baselines3
 from gymnasium import spaces
 
-from envs import EnvSpec
+from envs import SPECS, EnvSpec
 from harness.controls import Constant
+from harness.registry import BUDGETS, METHODS, VARIANTS, load_method
 from harness.results import LIBRARIES, Library
 from harness.rl import Learner, Solution
-from harness.rl_settings import SETTINGS, Settings
+from harness.rl_settings import SETTINGS, Settings, rl_settings_for
 from methods.base import Array
 from methods.network import Network
+from methods.settings import settings_for
 from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -67,6 +69,25 @@ def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
     assert short.env_steps == 300 + len(short.curve) * 4 * 10
     shortest = solve(steady, Seek(), steps=20)
     assert shortest.env_steps == 20 + len(shortest.curve) * 1 * 10
+
+
+@pytest.mark.parametrize("steps", [-10, 0, 10, 25])
+def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, steps: int) -> None:
+    with pytest.raises(ValueError, match=f"multiple of 10 steps, at least 20, not {steps}"):
+        solve(steady, Seek(), steps=steps)
+
+
+@pytest.mark.parametrize(
+    "spec", [spec for spec in SPECS.values() if not spec.tabular], ids=lambda spec: spec.name
+)
+def test_every_solve_that_runs_ask_for_suits_the_copies(spec: EnvSpec) -> None:
+    settings = rl_settings_for(spec.name)
+    asked = [*spec.rl_steps.values(), settings.checkpoint_every]
+    for name in METHODS | VARIANTS:
+        for budget in BUDGETS:
+            method = load_method(name)(**settings_for(name, spec.name, budget))
+            asked.append(getattr(method, "rl_steps", settings.checkpoint_every))
+    assert all(steps >= 2 * settings.copies and steps % settings.copies == 0 for steps in asked)
 
 
 def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
