@@ -79,7 +79,8 @@ class _Work:
         )
         self.result.curves["expert"] = expert.curve
         self.score("random", lambda obs: self.spec.random_actions(len(obs), rng), None)
-        terminated = 1 - scored.endings.get("time limit", 0) / len(scored.returns)
+        episodes = len(scored.returns)
+        terminated = (episodes - scored.endings.get("time limit", 0)) / episodes
         bar = self.spec.bar(self.seeds)
         if scored.returns.mean() < bar or terminated > self.spec.max_terminated[self.budget]:
             self.result.warnings.append(

@@ -14,6 +14,7 @@ from envs import SPECS
 from harness import cells
 from harness.cache import CACHE_VARIABLE
 from harness.cells import failed_rows, policies_of, run_cell
+from harness.evaluation import evaluate
 from harness.experts import expert_for
 from harness.results import CONTROLS, Cell, CellResult, Conditions, Row
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
@@ -143,6 +144,20 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert "at least 501.00" in warning
     assert f"{expert.return_mean:.2f}" in warning
     assert recordings(tmp_path) == [f"cartpole__reference__seed0__{p}.rrd" for p in ("expert", "random")]
+
+
+@pytest.mark.parametrize(("early", "warnings"), [(2, 0), (3, 1)])
+def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, early: int, warnings: int
+) -> None:
+    allowed = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 0.0, max_terminated={"smoke": 0.02})
+    monkeypatch.setitem(SPECS, "cartpole", allowed)
+    scored = evaluate(allowed, lambda obs: np.zeros((len(obs), 1)), range(1))
+    scored = dataclasses.replace(
+        scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
+    )
+    monkeypatch.setattr(cells, "evaluate", lambda spec, policy, seeds: scored)
+    assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
 
 
 def test_a_control_has_pi_r_alone(tmp_path: Path) -> None:
