@@ -1,8 +1,43 @@
 """`python -m harness`."""
 
+import os
+import signal
 import sys
+import warnings
+from types import FrameType
 
-from harness.cli import main
+
+def start() -> int:
+    """Does what the command line asks for; returns the exit code. For a process of its own."""
+    interruptible = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if interruptible:  # Nothing is begun yet that would have to be told or cleaned up.
+        signal.signal(signal.SIGINT, _leave)
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how cells' processes end.
+    if sys.warnoptions:  # -W and PYTHONWARNINGS could make errors of the libraries' warnings.
+        sys.warnoptions.clear()
+        warnings.resetwarnings()
+        warnings.simplefilter("ignore")
+
+    from harness import streams
+    from harness.cli import main
+
+    streams.install()
+    if interruptible:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    code = main()
+    if interruptible:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.stdout.flush()
+    if why := streams.output_was_lost():
+        print(f"irl-bench: error: standard output was cut short: {why}", file=sys.stderr)
+        return code or 1
+    return code
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os._exit(128 + number)
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(start())

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,12 @@ import safetensors.numpy
 from safetensors import safe_open
 
 from envs import EnvSpec
-from harness.files import write_atomic
+from harness.environment import cache_folder
+from harness.files import opened, write_atomic
 from harness.keys import EXPERT_SOURCES, key_of
 from harness.results import Library
 from harness.rl_settings import rl_settings_for
 from methods.base import Array
-
-CACHE_VARIABLE = "IRL_BENCH_CACHE"
-DEFAULT_CACHE = Path("results") / "cache"
 
 
 @dataclass(frozen=True)
@@ -35,25 +33,39 @@ class Kept:
 
 
 def kept(name: str, spec: EnvSpec, budget: str, library: Library, compute: Callable[[], Kept]) -> Kept:
-    """What an earlier call with the same arguments computed, or what `compute` returns now."""
+    """What an earlier call with the same arguments computed, or what `compute` returns now. Where the cache
+    cannot be written to, that is kept with the run's temporary files."""
     path = cache_file(name, spec, budget, library)
-    if (found := load(path)) is None:
-        found = compute()
-        facts = json.dumps(found.facts)
-        metadata = {"facts": facts, "checksum": _checksum(found.arrays, facts)}
-        write_atomic(path, safetensors.numpy.save(found.arrays, metadata))
-    return found
+    spare = Path(tempfile.gettempdir()) / "cache" / path.name
+    if found := load(path) or load(spare):
+        return found
+    computed = compute()
+    facts = json.dumps(computed.facts)
+    metadata = {"facts": facts, "checksum": _checksum(computed.arrays, facts)}
+    data = safetensors.numpy.save(computed.arrays, metadata)
+    try:
+        _write(path, data)
+    except OSError:
+        _write(spare, data)
+    return computed
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, data)
 
 
 def load(path: Path) -> Kept | None:
     """None where there is no such file or it is not as it was written."""
     try:
+        with opened(path):  # raises for what would block
+            pass
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata()
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         facts = metadata["facts"]
         return Kept(arrays, json.loads(facts)) if metadata["checksum"] == _checksum(arrays, facts) else None
-    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError):
+    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError, RecursionError):
         return None
 
 
@@ -62,8 +74,7 @@ def cache_file(name: str, spec: EnvSpec, budget: str, library: Library) -> Path:
     settings = rl_settings_for(spec.name)
     ingredients = [library, spec.name, spec.rl_steps[budget], dataclasses.asdict(settings)]
     key = key_of(EXPERT_SOURCES, ingredients)
-    folder = Path(os.environ.get(CACHE_VARIABLE, DEFAULT_CACHE))
-    return folder / f"{name}__{spec.name}__{budget}__{key}.safetensors"
+    return cache_folder() / f"{name}__{spec.name}__{budget}__{key}.safetensors"
 
 
 def _checksum(arrays: dict[str, Array], facts: str) -> str:

@@ -42,19 +42,6 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     return work.result
 
 
-def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
-    """The rows of a cell that failed."""
-    rows = [Row(cell.env, cell.method, cell.seed, p, protocol, "failed", reason) for p in policies_of(cell)]
-    return CellResult(cell, rows)
-
-
-def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
-    """The policies that a cell scores."""
-    if cell.method == REFERENCE:
-        return ("expert", "random")
-    return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
-
-
 class _Work:
     def __init__(self, cell: Cell, conditions: Conditions, directory: Path) -> None:
         self.cell, self.directory = cell, directory

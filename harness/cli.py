@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import io
+import importlib.util
 import json
 import os
 import shlex
@@ -15,10 +15,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from harness.registry import BUDGETS, ENVS, METHODS, VARIANTS, BadInput, choose
-from harness.results import LIBRARIES, PROTOCOLS, Cell, CellResult, Conditions
+from harness.registry import BUDGETS, ENVS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
 
 if TYPE_CHECKING:
+    from harness.results import Cell, CellResult
     from harness.store import Request, RunDirectory
 
 MOST = 1000
@@ -35,24 +35,16 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Does what `argv` (default: the command line) asks for; returns the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
     try:
-        code = _dispatch(argv)
-        if sys.stdout is not None:
-            sys.stdout.flush()
-        return code
-    except BadInput as error:
-        print(f"irl-bench: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        # Python flushes standard output once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        print(f"irl-bench: error: {error}", file=sys.stderr)
+        return _dispatch(argv)
+    except (BadInput, OSError) as error:
+        from harness.codec import printable
+
+        print(f"irl-bench: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         again = shlex.join(["python", "-m", "harness", *argv])
         print(
             f"\nstopped; finished cells are kept. To go on, run the same again:\n  {again}", file=sys.stderr
@@ -67,6 +59,7 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     if args.command == "list":
         return _list()
+    _check_nothing_hides_us()
     if args.command == "report":
         return _report(args.directory)
     if args.command == "verify":
@@ -76,6 +69,15 @@ def _dispatch(argv: list[str]) -> int:
     if args.command == "reproduce":
         return _reproduce(args)
     return _run(args)
+
+
+def _check_nothing_hides_us() -> None:
+    """Python looks for packages in the current folder first."""
+    for name in ("envs", "methods"):
+        spec = importlib.util.find_spec(name)
+        found = Path(spec.origin).parent if spec and spec.origin else Path(name).absolute()
+        if found.resolve() != Path(__file__).resolve().parent.with_name(name):
+            raise BadInput(f"{found} hides this program's package {name!r}; run it from another folder")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -95,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
-    add.add_argument("--out", default=Path("results/reference/thesis"), type=Path, metavar="DIR")
+    add.add_argument("--out", default=Path("results/reproduce"), type=Path, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
@@ -148,12 +150,15 @@ def _run(args: argparse.Namespace) -> int:
     methods = choose("method", args.methods, METHODS, VARIANTS)
     envs = choose("env", args.envs, ENVS)
     # Imported here, for `--help` and `list` to answer at once.
+    from harness.results import Conditions
+    from harness.scratch import base
     from harness.store import Request, open_for_run
 
+    base()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
     conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic)
     request = Request(methods, envs, seeds, conditions)
-    _let_signals_interrupt()
+    _handle_signals()
     with open_for_run(args.out, request) as run:
         results = _compute(run, request, args)
         _write_report(run, list(results.values()))
@@ -163,28 +168,32 @@ def _run(args: argparse.Namespace) -> int:
 
 def _reproduce(args: argparse.Namespace) -> int:
     from harness.progress import say
-    from harness.reproduce import ENVS, write_study
+    from harness.reproduce import ENVS, open_study, write_study
+    from harness.results import Conditions
+    from harness.scratch import base
     from harness.store import Request, open_for_run
     from harness.study import ARMS
 
-    _let_signals_interrupt()
+    base()
+    _handle_signals()
     found = {}
-    for protocol in PROTOCOLS:
-        conditions = Conditions(args.budget, protocol, "sbx", args.deterministic)
-        request = Request(tuple(ARMS), ENVS, args.seeds, conditions)
-        with open_for_run(args.out / protocol, request) as run:
-            found[protocol] = list(_compute(run, request, args).values())
-    write_study(args.out, found)
-    say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
+    with open_study(args.out):
+        for protocol in PROTOCOLS:
+            conditions = Conditions(args.budget, protocol, "sbx", args.deterministic)
+            request = Request(tuple(ARMS), ENVS, args.seeds, conditions)
+            with open_for_run(args.out / protocol, request) as run:
+                found[protocol] = list(_compute(run, request, args).values())
+        write_study(args.out, found)
+        say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
 
 
 def _bench(as_json: bool) -> int:
-    from harness.processes import ONE_THREAD, compiled_once, environment
-    from harness.progress import say
+    from harness.processes import as_in_cells
+    from harness.progress import say, tell
 
     measures = []
-    with environment(ONE_THREAD), compiled_once():
+    with as_in_cells():
         from harness.bench import bench  # in that environment
         from harness.growth import growth
         from harness.keys import origin
@@ -192,7 +201,7 @@ def _bench(as_json: bool) -> int:
         for measure in chain(bench(), growth()):
             measures.append(measure.to_json())
             if as_json:
-                print(measure, file=sys.stderr, flush=True)
+                tell(str(measure))
             else:
                 say(str(measure))
         if as_json:
@@ -202,7 +211,9 @@ def _bench(as_json: bool) -> int:
 
 def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then."""
-    from harness.progress import say
+    from harness.environment import cache_folder
+    from harness.files import can_write
+    from harness.progress import say, tell
     from harness.run import Grid
     from harness.store import LOG
 
@@ -214,10 +225,20 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
     workers = args.workers or _cores()
-    Grid(conditions, run.path.absolute(), workers, run.save, timeout=args.cell_timeout).run(cells)
+    if cells and not can_write(cache_folder()):
+        tell(f"the cache {cache_folder()} cannot be written to: experts are trained for this run alone")
+    grid = Grid(conditions, run.path.absolute(), workers, run.save, timeout=args.cell_timeout)
+    grid.run(cells)
     results, _ = run.load()
+    if lost := [cell for cell in request.cells if cell not in results]:
+        tell(f"lost or damaged while the run went on, computed again: {lost[0].name}, {len(lost)} in all")
+        grid.run(lost)
+        results, unusable = run.load()
+        if lost := [cell for cell in request.cells if cell not in results]:
+            reason = unusable.get(run.path / "cells" / f"{lost[0].name}.json", "it is gone")
+            raise BadInput(f"{run.path}: cannot use the stored cell {lost[0].name}: {reason}")
     if any(_has_failed(results[cell]) for cell in request.cells):
-        print(f"tracebacks are in {run.path / LOG}; --retry-failed tries again", file=sys.stderr)
+        tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
     return results
 
 
@@ -235,15 +256,16 @@ def _report(directory: Path) -> int:
 
 
 def _verify(directory: Path) -> int:
+    from harness.codec import printable
     from harness.progress import say
-    from harness.store import open_for_report
+    from harness.store import open_to_verify
 
-    with open_for_report(directory, to_write=False) as run:
+    with open_to_verify(directory) as run:
         damaged = run.damaged()
     for path, reason in sorted(damaged.items()):
-        say(f"{path}: {reason}")
+        say(f"{printable(str(path))}: {reason}")
     if not damaged:
-        say(f"{directory}: every file is as it was written")
+        say(f"{printable(str(directory))}: every file is as it was written")
     return int(bool(damaged))
 
 
@@ -254,8 +276,7 @@ def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
     if not run.is_sealed(results):
         from harness.report import write_report
 
-        write_report(directory, results)
-        run.seal(results)
+        run.seal(results, write_report(directory, results))
     say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))
     for name in ("scores.csv", "report.html", "recordings"):
         say(f"{name:11} {directory / name}")
@@ -263,21 +284,26 @@ def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
 
 def _tell_troubles(results: list[CellResult]) -> bool:
     """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
+    from harness.progress import tell
+
     for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
-        print(f"WARNING: {warning}", file=sys.stderr)
+        tell(f"WARNING: {warning}")
     failed = [result for result in results if _has_failed(result)]
     for result in failed:
         reason = next(row.reason for row in result.rows if row.status == "failed")
-        print(f"FAILED: {result.cell.name}: {reason}", file=sys.stderr)
+        tell(f"FAILED: {result.cell.name}: {reason}")
     return bool(failed)
 
 
 def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
     """A line for each reason."""
+    from harness.codec import printable
+    from harness.progress import tell
+
     for reason in sorted(set(files.values())):
         first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
         more = f" and {len(others)} more" if others else ""
-        print(f"{what_happens}: {first}{more}: {reason}", file=sys.stderr)
+        tell(f"{what_happens}: {printable(str(first))}{more}: {reason}")
 
 
 def _has_failed(result: CellResult) -> bool:
@@ -288,9 +314,13 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _let_signals_interrupt() -> None:
-    """Makes being terminated, or losing the terminal, a clean stop like Ctrl-C; under nohup it is none."""
+def _handle_signals() -> None:
+    """Makes being terminated, or losing the terminal, a clean stop like Ctrl-C; under nohup it is none.
+    Ctrl-Z suspends all."""
+    from harness.processes import let_cells_sleep
+
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, signal.default_int_handler)
+        let_cells_sleep()

@@ -1,38 +1,51 @@
-"""Files that are either whole or absent, however the process ends."""
+"""Files that are either whole or absent, however the process ends; and reading that nothing can block."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
-import tempfile
+import re
+import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
+from typing import BinaryIO
+
+LARGEST = 1 << 24
+"""Bytes of a file that is read whole, at most."""
+_ODD = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags for opening: a link is refused, and a pipe without a writer does not block."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path in `path`'s folder to write to; on leaving, it is synced to disk and becomes `path`.
 
-    Creates the folder. On an exception the temporary file is removed and `path` stays as it was; an OSError,
-    such as of a full disk, names `path`.
+    Creates the folder, but not the folder's own. On an exception the temporary file is removed and `path`
+    stays as it was; an OSError, such as of a full disk, names `path`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    path.parent.mkdir(exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
-        temporary.chmod(0o644)
         _sync(temporary)
         temporary.replace(path)
         _sync(path.parent)
     except OSError as error:
-        if error.errno is None or error.filename is not None:
+        if error.errno is None or error.filename not in (None, str(temporary)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def unfinished(folder: Path) -> list[Path]:
+    """What `replacing` left in the folder where it was killed."""
+    return [path for path in folder.glob(".*") if re.fullmatch(r"\..+\.[0-9a-f]{16}\.tmp", path.name)]
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
@@ -41,10 +54,57 @@ def write_atomic(path: Path, data: bytes | str) -> None:
         temporary.write_bytes(data.encode() if isinstance(data, str) else data)
 
 
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """The regular file at `path`, to be read. Raises OSError for all else, be it a link, a pipe or a
+    folder."""
+    handle = _open(path, os.O_RDONLY)
+    with open(handle, "rb") as file:
+        yield file
+
+
+@contextmanager
+def appending(path: Path) -> Iterator[FileIO]:
+    """The regular file at `path`, made if it is not there, to be written to at its end, each write at once.
+    Raises OSError as `opened` does."""
+    handle = _open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    with open(handle, "ab", buffering=0) as file:
+        yield file
+
+
+def read(path: Path) -> bytes:
+    """What is in the regular file at `path`. Raises OSError as `opened` does, and for more than `LARGEST`."""
+    with opened(path) as file:
+        data = file.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise OSError(errno.EFBIG, f"it is larger than {LARGEST >> 20} MiB", str(path))
+    return data
+
+
 def sha256(path: Path) -> str:
-    """Of the file's content, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Of the regular file's content, in hexadecimal. Raises OSError as `opened` does."""
+    with opened(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it has readinto
+
+
+def can_write(folder: Path) -> bool:
+    """Whether files can be put into the folder, which need not be there yet."""
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _open(path: Path, flags: int) -> int:
+    try:
+        handle = os.open(path, flags | _ODD, 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OSError(error.errno, "it is a link", str(path)) from error
+        raise
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    return handle
 
 
 def _sync(path: Path) -> None:

@@ -1,104 +1,125 @@
-"""Processes for cells: each fresh, one thread each, deaf to Ctrl-C, gone when the run is gone."""
+"""Processes for cells: each fresh, of one reading of the program, alone in its session, gone when the run is
+gone, and so is whatever it started."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
-import tempfile
 import threading
+import time
 from collections.abc import Iterator
-from multiprocessing import connection, context, forkserver, popen_forkserver
+from contextlib import contextmanager
+from multiprocessing import connection, context, forkserver, popen_forkserver, resource_tracker
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import psutil
 
+from harness.environment import for_cells
+from harness.keys import write_program
+from harness.registry import BadInput
+from harness.scratch import scratch_folder
+
 NAME = "irl-bench cell"
-FOLDER = "irl-bench-"
-"""Start of a temporary folder's name; then comes its process."""
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
-}
-"""Environment of processes that run side by side, whose own threads would only fight for the same cores."""
-SAME_INSTRUCTIONS = {
-    "ATEN_CPU_CAPABILITY": "avx2",
-    "MKL_CBWR": "COMPATIBLE",
-    "OPENBLAS_CORETYPE": "Haswell",
-    "XLA_FLAGS": f"{ONE_THREAD['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
-}
-"""Environment in which libraries use, on all processors that have AVX2, the same instructions."""
+SERVER_DIED = 255
+"""The exit code of a process whose forkserver died."""
+PATIENCE = 5.0
+"""Seconds for killed processes to be gone."""
+_LINUX = sys.platform == "linux"
+_SET_CHILD_SUBREAPER, _GET_CHILD_SUBREAPER = 36, 37
+"""Of prctl(2)."""
 
 
-@contextlib.contextmanager
-def fresh_processes(preload: tuple[str, ...], deterministic: bool = False) -> Iterator[context.BaseContext]:
-    """How to start processes; on leaving, none is left. preload: modules to import once for all of them.
-    deterministic: with `SAME_INSTRUCTIONS`."""
-    variables = ONE_THREAD | (SAME_INSTRUCTIONS if deterministic else {})
-    variables |= {"PYTHONHASHSEED": "0"}  # the order in which strings are hashed must not differ between runs
-    _remove_what_killed_runs_left()
-    with environment(variables), compiled_once():
+@contextmanager
+def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[context.BaseContext]:
+    """How to start processes; on leaving, none is left. preload: a module to import once for all of them.
+    deterministic: with the same instructions on every processor. Raises BadInput where none can be
+    started."""
+    with (
+        as_in_cells(deterministic) as scratch,
+        _program_first(scratch / "program"),
+        _sockets_in(scratch),
+        _adopting(),
+    ):
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             starter = _starter(preload)
+        except OSError as error:
+            raise BadInput(f"no process can be started: {error.strerror}") from error
         finally:
             signal.signal(signal.SIGINT, before)
         try:
             yield starter
         finally:
-            left = [p for p in multiprocessing.active_children() if p.name == NAME]
-            for child in left:
+            for child in _cells():
                 child.kill()
-            for child in left:
-                child.join(1)
-            if sys.platform == "linux":
-                forkserver._forkserver._stop()  # type: ignore[attr-defined]
+            if _LINUX:
+                _stop_server()
+            deadline = time.monotonic() + PATIENCE
+            while (_cells() or kill_orphans()) and time.monotonic() < deadline:
+                time.sleep(0.01)
 
 
-@contextlib.contextmanager
-def environment(variables: dict[str, str]) -> Iterator[None]:
-    """With these variables, and what is added to them, until the context ends."""
-    before = os.environ.copy()
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+@contextmanager
+def as_in_cells(deterministic: bool = False) -> Iterator[Path]:
+    """In the environment of cells, with a folder for temporary files that goes with the context; what JAX,
+    imported from now on, compiles, seconds of work, it compiles once for this process and all that it
+    starts."""
+    with scratch_folder() as scratch:
+        (scratch / "tmp").mkdir()
+        more = {
+            "TMPDIR": str(scratch / "tmp"),
+            "JAX_COMPILATION_CACHE_DIR": str(scratch / "jax"),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+        with for_cells(deterministic, more):
+            yield scratch
 
 
-@contextlib.contextmanager
-def compiled_once() -> Iterator[None]:
-    """What JAX, imported from now on, compiles, seconds of work, it compiles once for this process and all
-    that it starts."""
-    with tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-") as compiled:
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-        yield
-
-
-def end_with_parent() -> None:
-    """Called in such a process: without it, one whose run was killed would go on for minutes."""
+def begin_cell() -> None:
+    """Called first in a cell's process: alone in its session, so that signals to its group are its own; its
+    descendants stay its descendants; and without its run it ends, instead of going on for minutes."""
+    if hasattr(os, "setsid"):
+        os.setsid()
+    _adopt(True)
 
     def watch() -> None:
         parent = multiprocessing.parent_process()
         if parent is not None:
             parent.join()
+            end_descendants()
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
+def end_descendants() -> None:
+    """Kills every process that this one started, and those that they started."""
+    deadline = time.monotonic() + PATIENCE
+    while (found := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
+        _kill(found)
+
+
+def kill_orphans() -> int:
+    """Kills what cells' processes that ended have left, which on Linux the system gives to this process.
+    Returns how many there were."""
+    if not _LINUX or not _adopted:
+        return 0
+    orphans = [child for child in psutil.Process().children() if child.pid not in _not_orphans()]
+    _kill([*orphans, *(p for orphan in orphans for p in _descendants(orphan))])
+    return len(orphans)
+
+
 def bound_memory() -> None:
-    """Called in such a process: more than the machine has left it gets MemoryError for, and where several
+    """Called in a cell's process: more than the machine has left it gets MemoryError for, and where several
     ask for too much together, the system kills one of them and not the run."""
-    if sys.platform == "linux":
+    if _LINUX:
         import resource
 
         _, most = resource.getrlimit(resource.RLIMIT_DATA)
@@ -107,22 +128,123 @@ def bound_memory() -> None:
             limit = min(limit, most)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
         with contextlib.suppress(OSError):  # where containers forbid it
-            Path("/proc/self/oom_score_adj").write_text("1000")
+            Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
-def _remove_what_killed_runs_left() -> None:
-    for folder in Path(tempfile.gettempdir()).glob(f"{FOLDER}*-*"):
-        process = folder.name.removeprefix(FOLDER).partition("-")[0]
-        if process.isdecimal() and not psutil.pid_exists(int(process)):
-            shutil.rmtree(folder, ignore_errors=True)
+def let_cells_sleep() -> None:
+    """Ctrl-Z suspends the cells as well, which are in sessions of their own, until this process goes on."""
+    if not hasattr(signal, "SIGTSTP") or signal.getsignal(signal.SIGTSTP) != signal.SIG_DFL:
+        return
+
+    def suspend(number: int, frame: FrameType | None) -> None:
+        _signal_cells(signal.SIGSTOP)
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+        signal.signal(number, suspend)
+        _signal_cells(signal.SIGCONT)
+
+    signal.signal(signal.SIGTSTP, suspend)
 
 
-def _starter(preload: tuple[str, ...]) -> context.BaseContext:
+def _signal_cells(number: int) -> None:
+    for cell in _cells():
+        with contextlib.suppress(OSError):
+            os.killpg(cell.pid or 0, number)
+
+
+def _cells() -> list[BaseProcess]:
+    return [process for process in multiprocessing.active_children() if process.name == NAME]
+
+
+@contextmanager
+def _program_first(folder: Path) -> Iterator[None]:
+    """Cells' processes import the program from the folder, into which it is written."""
+    write_program(folder)
+    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "PYTHONSAFEPATH": "1"}
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+
+
+@contextmanager
+def _sockets_in(folder: Path) -> Iterator[None]:
+    """Where multiprocessing puts its own, instead of into a folder that it would make."""
+    config = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    before = config.get("tempdir")
+    config["tempdir"] = str(folder)
+    try:
+        yield
+    finally:
+        config["tempdir"] = before
+
+
+_adopted: set[int] = set()
+"""This process's children when it began to take in orphans, and itself; empty while it does not."""
+
+
+@contextmanager
+def _adopting() -> Iterator[None]:
+    """Descendants whose parents end become this process's children, where the system can do that."""
+    if _adopted:
+        yield
+        return
+    before = _adopt(True)
+    _adopted.update([os.getpid(), *(child.pid for child in psutil.Process().children())])
+    try:
+        yield
+    finally:
+        _adopt(before)
+        _adopted.clear()
+
+
+def _adopt(wanted: bool) -> bool:
+    """Whether this process took in orphans before."""
+    before = ctypes.c_int(0)
+    if _LINUX:
+        prctl = ctypes.CDLL(None).prctl
+        prctl(_GET_CHILD_SUBREAPER, ctypes.byref(before), 0, 0, 0)
+        prctl(_SET_CHILD_SUBREAPER, int(wanted), 0, 0, 0)
+    return bool(before.value)
+
+
+def _not_orphans() -> set[int | None]:
+    servers = (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid)  # type: ignore[attr-defined]
+    return {*_adopted, *servers}
+
+
+def _descendants(process: psutil.Process) -> list[psutil.Process]:
+    try:
+        return process.children(recursive=True)
+    except psutil.Error:
+        return []
+
+
+def _kill(processes: list[psutil.Process]) -> None:
+    for process in processes:
+        with contextlib.suppress(psutil.Error):
+            process.kill()
+    psutil.wait_procs(processes, timeout=1)
+
+
+def _stop_server() -> None:
+    """At once: it would wait for all whom cells started."""
+    if server := forkserver._forkserver._forkserver_pid:  # type: ignore[attr-defined]
+        with contextlib.suppress(OSError):
+            os.kill(server, signal.SIGKILL)
+        with contextlib.suppress(OSError):
+            forkserver._forkserver._stop()  # type: ignore[attr-defined]
+        forkserver._forkserver._forkserver_pid = None  # type: ignore[attr-defined]
+
+
+def _starter(preload: str) -> context.BaseContext:
     # Elsewhere, forking after the preloaded libraries were imported is not safe.
-    if sys.platform != "linux":
+    if not _LINUX:
         return multiprocessing.get_context("spawn")
     starter = _Context()
-    starter.set_forkserver_preload(list(preload))
+    starter.set_forkserver_preload([preload])
     forkserver.ensure_running()
     return starter
 

@@ -36,11 +36,13 @@ def progress_for(costs: dict[str, float], workers: int) -> Progress:
 
 
 def say(text: str) -> None:
-    """Prints a line. A reader that has gone away (`| head`) ends the printing, not the run."""
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Prints a line on standard output, at once."""
+    print(text, flush=True)
+
+
+def tell(text: str) -> None:
+    """Prints a line on standard error: what must not be overlooked."""
+    print(text, file=sys.stderr, flush=True)
 
 
 class _Tally:

@@ -14,6 +14,7 @@ Open one with `rerun FILE --bind 127.0.0.1`. This is the one file that imports t
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ import rerun.blueprint as rrb
 
 from envs import EnvSpec
 from envs.spec import Array, Shape
-from harness.files import replacing
+from harness.files import write_atomic
 from harness.results import Cell
 from harness.simulator import Trajectory
 
@@ -61,8 +62,10 @@ def record(
     )
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    with replacing(path) as temporary:
-        stream.save(temporary, _blueprint(spec, trajectory, frames, learned_reward))
+    # rerun writes to no path that is not UTF-8, and where it was told not to, by RERUN=off, writes nothing.
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "episode.rrd"
+        stream.save(file, _blueprint(spec, trajectory, frames, learned_reward))
         _send_facts(stream, cell, policy, trajectory, dt)
         for name in frames[0]:
             _send_shape(stream, f"scene/{name}", [frame[name] for frame in frames], dt)
@@ -77,6 +80,9 @@ def record(
         _send_scalars(stream, "return/true", "return so far", total, dt)
         stream.flush()
         stream.disconnect()
+        if not file.exists() or not (recording := file.read_bytes()):
+            raise OSError(f"rerun wrote nothing to {path.name}")
+        write_atomic(path, recording)
 
 
 def _times(first: int, count: int, dt: float) -> list[rr.TimeColumn]:

@@ -8,9 +8,12 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
+    from harness.results import Library
     from methods.base import Method
 
 BUDGETS = ("smoke", "quick", "full")
+LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
+PROTOCOLS = ("absorbing", "native")
 
 
 class BadInput(Exception):

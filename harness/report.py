@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import shlex
 from collections import Counter
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from jinja2 import Environment, StrictUndefined
 
 from harness import figures
 from harness.files import write_atomic
+from harness.keys import program
 from harness.leaderboard import Entry, leaderboard, overall, scored_rows
 from harness.results import COLUMNS, CellResult, Row
 
@@ -25,15 +27,18 @@ HEADINGS = (
 OVERALL_HEADINGS = ("Method", "Policy", "Environments", "Runs", "Interquartile mean [95 %]")
 
 
-def write_report(directory: Path, results: Sequence[CellResult]) -> None:
-    """Writes scores.csv, leaderboard.csv, leaderboard.md, figures/*.png and report.html into `directory`.
+def write_report(directory: Path, results: Sequence[CellResult]) -> list[Path]:
+    """Writes scores.csv, leaderboard.csv, leaderboard.md, figures/*.png and report.html into `directory`, and
+    returns their paths.
 
     A run may be partial: what is not known is an empty field, 'n/a' in tables for people.
     """
     rows = scored_rows(results)
     entries = leaderboard(rows)
-    write_atomic(directory / "scores.csv", _csv(rows, COLUMNS))
-    write_atomic(directory / "leaderboard.csv", _csv(entries, [f.name for f in dataclasses.fields(Entry)]))
+    files: dict[str, bytes | str] = {
+        "scores.csv": _csv(rows, COLUMNS),
+        "leaderboard.csv": _csv(entries, [f.name for f in dataclasses.fields(Entry)]),
+    }
 
     envs = list(dict.fromkeys(entry.env for entry in entries))
     tables = {env: [_cells(entry) for entry in entries if entry.env == env] for env in envs}
@@ -46,23 +51,21 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> None:
         parts.append(f"## Across environments\n\n{_markdown(OVERALL_HEADINGS, across)}")
     parts += [f"## {env}\n\n{_markdown(HEADINGS, table)}" for env, table in tables.items()]
     origins = _origins(results)
-    parts.append("## Computed with\n\n" + "".join(f"- {line}\n" for line in origins))
-    write_atomic(directory / "leaderboard.md", "\n".join(parts))
+    parts.append("## Computed with\n\n" + "".join(f"- {_escaped(line)}\n" for line in origins))
+    files["leaderboard.md"] = "\n".join(parts)
 
     pictures = {}
     for env in envs:
-        drawn = figures.draw(
+        pictures[env] = figures.draw(
             env,
             [entry for entry in entries if entry.env == env],
             [row for row in rows if row.env == env],
             [result for result in results if result.cell.env == env],
         )
-        for picture in drawn:
-            write_atomic(directory / "figures" / picture.file, picture.png)
-        pictures[env] = drawn
+        files |= {f"figures/{picture.file}": picture.png for picture in pictures[env]}
 
     template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page = template.from_string(Path(__file__).with_name("report.html.j2").read_text()).render(
+    files["report.html"] = template.from_string(program()["harness/report.html.j2"].decode()).render(
         headings=HEADINGS,
         tables=tables,
         overall_headings=OVERALL_HEADINGS,
@@ -72,15 +75,20 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> None:
         warnings=_warnings(results, rows),
         origins=origins,
         recordings=[
-            (path.name, f"rerun {shlex.quote(f'recordings/{path.name}')} --bind 127.0.0.1")
-            for path in sorted((directory / "recordings").glob("*.rrd"))
+            (name, f"rerun {shlex.quote(f'recordings/{name}')} --bind 127.0.0.1")
+            for name in sorted(name for result in results for name in result.recordings)
         ],
     )
-    write_atomic(directory / "report.html", page)
+    for name, content in files.items():
+        write_atomic(directory / name, content)
+    return [directory / name for name in files]
 
 
 def _csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
     frame = pd.DataFrame([dataclasses.asdict(item) for item in items], columns=list(columns))
+    for name in ("reason", "note"):
+        if name in frame:  # A spreadsheet would compute what begins like this.
+            frame[name] = ["'" + text if text.startswith(tuple("=+-@")) else text for text in frame[name]]
     return frame.to_csv(index=False, lineterminator="\n")
 
 
@@ -113,15 +121,20 @@ def _cells(entry: Entry) -> list[str]:
 
 def _markdown(headings: Sequence[str], table: Sequence[Sequence[str]]) -> str:
     lines = [headings, ["---"] * len(headings), *table]
-    return "".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |\n" for line in lines)
+    return "".join("| " + " | ".join(map(_escaped, line)) + " |\n" for line in lines)
+
+
+def _escaped(text: str) -> str:
+    """For Markdown, in which it is neither table nor HTML nor link."""
+    return re.sub(r"([\\|<>&`]|(?<=\])\()", r"\\\1", text)
 
 
 def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, list[tuple[str, int]]]]]:
     """For each env: method, policy, and how many evaluation episodes ended how, over all seeds."""
     counts: dict[tuple[str, str, str], Counter[str]] = {}
     for result in results:
-        for policy, endings in result.endings.items():
-            counts.setdefault((result.cell.env, result.cell.method, policy), Counter()).update(endings)
+        for name, endings in result.endings.items():
+            counts.setdefault((result.cell.env, result.cell.method, name), Counter()).update(endings)
     table: dict[str, list[tuple[str, str, list[tuple[str, int]]]]] = {}
     for (env, method, policy), counter in sorted(counts.items()):
         table.setdefault(env, []).append(

@@ -1,6 +1,7 @@
 """The thesis's evaluation (sections 5.1 to 5.3) once more, and the study that its open question asks for:
 why does RL on R* fail where pi* succeeds? What is written:
 
+DIR/study.json              marks the directory
 DIR/native, DIR/absorbing       a run's directory for each protocol
 DIR/scores.csv                  their scores
 DIR/study.csv, .md              the same over seeds, with 95 % intervals
@@ -12,7 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +24,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.files import write_atomic
+from harness.files import read, write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
-from harness.results import COLUMNS, CONTROLS, PROTOCOLS, REFERENCE, CellResult
+from harness.registry import PROTOCOLS, BadInput
+from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
+from harness.store import LOCK, held
 from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS = ("cartpole", "pendulum")
 GREEN, YELLOW = "#009e73", "#e69f00"
+MARKER, MARK = "study.json", b'{"study": "thesis", "format": 1}\n'
+
+
+@contextmanager
+def open_study(path: Path) -> Iterator[None]:
+    """Starts a study in `path`, which is made, or continues the one there; held until the context ends.
+    Raises BadInput, having changed nothing, where `path` is anything else, or cannot be written."""
+    try:
+        new = not os.path.lexists(path) or set(os.listdir(path)) <= {LOCK}
+        if not new and read(path / MARKER) != MARK:
+            raise BadInput(f"{path / MARKER} is damaged")
+        path.mkdir(parents=True, exist_ok=True)
+    except FileNotFoundError as error:
+        raise BadInput(f"{path} is not empty and holds no study (no {MARKER})") from error
+    except (OSError, ValueError) as error:
+        raise BadInput(f"cannot use {path}: {getattr(error, 'strerror', None) or error}") from error
+    with held(path):
+        write_atomic(path / MARKER, MARK)
+        yield
 
 
 def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:

@@ -7,8 +7,11 @@ DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
 DIR/report.key             from which cells, and by which version of the program, those were rebuilt
 DIR/recordings/*.rrd       rerun recordings
-DIR/SHA256SUMS             checksums of the tables, the report and its figures, as of sha256sum
+DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
+                           a file is listed twice, the last line counts
 DIR/run.log                what the cells' processes print, full tracebacks included
+
+Types say what a directory may hold that a stranger made; `harness.codec` checks them.
 """
 
 from __future__ import annotations
@@ -16,16 +19,29 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-FORMAT = 4
+from msgspec import Meta
+
+FORMAT = 5
 """Version of the directory layout; a run of another version is refused."""
+
+CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+"""In a regular expression's brackets: what changes how text is shown, or cannot be written."""
+MOST_CURVES, MOST_POINTS, LONGEST_TEXT = 30, 2000, 1000
+"""Of a cell; of a curve; characters."""
+Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=60)]
+"""Of a method or an environment; a part of files' names."""
+FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=200)]
+Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
+"""One line for people."""
+Seed = Annotated[int, Meta(ge=0, lt=1000)]
+Count = Annotated[int, Meta(ge=0, le=10**15)]
+Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
 Library = Literal["sbx", "sb3"]
-LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
-PROTOCOLS = ("absorbing", "native")
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled")
 REFERENCE = "reference"
@@ -36,8 +52,8 @@ REFERENCE = "reference"
 class Conditions:
     """What all cells of a run are computed under."""
 
-    budget: str
-    protocol: str
+    budget: Name
+    protocol: Name
     rl: Library
     """Whose DDPG learns."""
     deterministic: bool = False
@@ -48,9 +64,9 @@ class Conditions:
 class Cell:
     """One unit of work: a method (or control, or the reference) in an env under a seed."""
 
-    env: str
-    method: str
-    seed: int
+    env: Name
+    method: Name
+    seed: Seed
 
     @property
     def name(self) -> str:
@@ -61,15 +77,15 @@ class Cell:
 class Row:
     """One row of scores.csv. Numbers are NaN unless status is 'ok'."""
 
-    env: str
-    method: str
-    seed: int
+    env: Name
+    method: Name
+    seed: Seed
     policy: PolicyName
-    protocol: str
+    protocol: Name
     status: Status = "ok"
-    reason: str = ""
+    reason: Text = ""
     """Why it was skipped or failed."""
-    episodes: int = 0
+    episodes: Count = 0
     return_mean: float = math.nan
     """Undiscounted true return over the evaluation episodes: mean and standard deviation."""
     return_std: float = math.nan
@@ -84,11 +100,11 @@ class Row:
     """Of pi_R rows: Spearman's, of the reward with the true advantage (`harness.advantage`)."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
-    env_steps: int = 0
+    env_steps: Count = 0
     """Environment steps that it took, rollouts and checkpoint selection included."""
-    rl_steps: int = 0
+    rl_steps: Count = 0
     """Those among them that RL learned from."""
-    rl_solves: int = 0
+    rl_solves: Count = 0
 
 
 COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
@@ -99,32 +115,37 @@ class CellResult:
     """What one cell found."""
 
     cell: Cell
-    rows: list[Row]
-    curves: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    rows: Annotated[list[Row], Meta(min_length=1, max_length=2)]
+    curves: Annotated[dict[Text, Curve], Meta(max_length=MOST_CURVES)] = field(default_factory=dict)
     """Training curves by name, as (x, y) points. 'pi_R' and 'expert' are RL learning curves:
     x environment steps, y mean return under the reward that was learned from, at each checkpoint; 'pi_R_true'
     is the true return of the same episodes."""
-    endings: dict[str, dict[str, int]] = field(default_factory=dict)
+    endings: dict[PolicyName, Annotated[dict[Text, Count], Meta(max_length=100)]] = field(
+        default_factory=dict
+    )
     """For each policy, how many evaluation episodes ended for which reason."""
-    warnings: list[str] = field(default_factory=list)
+    warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
-    recordings: dict[str, str] = field(default_factory=dict)
+    recordings: Annotated[dict[FileName, Text], Meta(max_length=2)] = field(default_factory=dict)
     """SHA-256 of each recording that was made, by its file's name."""
-    key: str = ""
+    key: Text = ""
     """Of all that can change it (`harness.keys`); given when it is stored."""
-    origin: dict[str, str] = field(default_factory=dict)
+    origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
     """The machine and the versions that it was computed with; given when it is stored."""
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
 
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> CellResult:
-        """Raises KeyError or TypeError where `data` is not such a result."""
-        rows = []
-        for row in data["rows"]:
-            values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
-            rows.append(Row(**values))
-        curves = {name: [(x, y) for x, y in points] for name, points in data["curves"].items()}
-        rest = [data[name] for name in ("endings", "warnings", "recordings", "key", "origin")]
-        return cls(Cell(**data["cell"]), rows, curves, *rest)
+
+def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
+    """The rows of a cell that failed."""
+    reason = reason[:LONGEST_TEXT]
+    rows = [Row(cell.env, cell.method, cell.seed, p, protocol, "failed", reason) for p in policies_of(cell)]
+    return CellResult(cell, rows)
+
+
+def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
+    """The policies that a cell scores."""
+    if cell.method == REFERENCE:
+        return ("expert", "random")
+    return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")

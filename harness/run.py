@@ -5,6 +5,8 @@ A cell that raises, dies or yields NaN becomes `failed` rows with the reason; th
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import faulthandler
 import importlib
 import math
@@ -13,6 +15,7 @@ import os
 import signal
 import sys
 import traceback
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
@@ -22,10 +25,22 @@ from typing import Protocol, cast
 from pebble import ProcessExpired
 from pebble.concurrent import process as in_a_process
 
-from harness.processes import NAME, bound_memory, end_with_parent, fresh_processes
+from harness.codec import decode, encode, printable
+from harness.environment import numeric, of_this_process
+from harness.files import appending
+from harness.keys import cell_key
+from harness.processes import (
+    NAME,
+    SERVER_DIED,
+    begin_cell,
+    bound_memory,
+    end_descendants,
+    fresh_processes,
+    kill_orphans,
+)
 from harness.progress import Progress, progress_for
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions
-from harness.store import LOG, decode, encode
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, failed_rows
+from harness.store import LOG
 
 ENV_COST = {"cartpole": 1.0, "pendulum": 2.0, "highway": 3.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
 METHOD_COST = {
@@ -38,6 +53,10 @@ METHOD_COST = {
 }
 EXPERT_COST = 1.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
+LOOK_EVERY = 1.0
+"""Seconds between looks for processes that cells left behind."""
+TRIES = 2
+"""For a task that was lost through no doing of its own."""
 
 
 class Work(Protocol):
@@ -46,8 +65,6 @@ class Work(Protocol):
     def train_expert(self, env: str, conditions: Conditions) -> None: ...
 
     def run_cell(self, cell: Cell, conditions: Conditions, directory: Path) -> CellResult: ...
-
-    def failed_rows(self, cell: Cell, protocol: str, reason: str) -> CellResult: ...
 
 
 @dataclass(frozen=True)
@@ -69,10 +86,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came back from a task's process: the encoded result, or why there is none."""
+    """What came back from a task's process: the encoded result, or why there is none.
+    lost: whether that is no doing of the task, as far as can be told."""
 
     result: str = ""
     error: str = ""
+    lost: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,9 +99,8 @@ class Grid:
     """What to do with cells: under which conditions, where, with how many processes at a time.
 
     save: called in this process with each result as soon as it is there. timeout: seconds after which a task
-    is stopped and has failed; None for never.
-    work: name of the `Work` module. preload: modules that are slow to import, imported once for all cells;
-    torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
+    is stopped; None for never. work: the module that knows how. preload: what to import once for all
+    processes.
     """
 
     conditions: Conditions
@@ -91,7 +109,7 @@ class Grid:
     save: Callable[[CellResult], None]
     timeout: float | None = None
     work: str = "harness.cells"
-    preload: tuple[str, ...] = ("harness.run", "harness.world", "harness.advantage", "torch._dynamo")
+    preload: str = "harness.preload"
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""
@@ -112,18 +130,23 @@ class Grid:
         # pebble's stubs call this argument mp_context, its code context.
         options = {"name": NAME, "context": context, "timeout": self.timeout}
         launch = in_a_process(**options)(attempt)  # type: ignore[call-overload]
+        key = cell_key(dataclasses.asdict(self.conditions), numeric(self.conditions.deterministic))
         running: dict[Future[Outcome], Task] = {}
         trained: set[str] = set()
+        tried: Counter[Task] = Counter()
         while waiting or running:
             ready = [task for task in waiting if task.cell is None or task.env in trained]
             for task in ready[: self.workers - len(running)]:
                 waiting.remove(task)
                 progress.started(task.name)
-                running[launch(self.work, task, self.conditions, self.directory)] = task
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                running[_launched(launch, self.work, task, self.conditions, self.directory, key)] = task
+            for future in wait(running, LOOK_EVERY, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 outcome = self._outcome(future)
-                if task.cell:
+                tried[task] += 1
+                if outcome.lost and tried[task] < TRIES:
+                    waiting.insert(0, task)
+                elif task.cell:
                     self._keep(task.cell, outcome, progress)
                 elif not outcome.error:
                     trained.add(task.env)
@@ -133,6 +156,7 @@ class Grid:
                     for orphan in [t.cell for t in waiting if t.env == task.env and t.cell]:
                         self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
                     waiting[:] = [t for t in waiting if t.env != task.env]
+            kill_orphans()
 
     def _outcome(self, future: Future[Outcome]) -> Outcome:
         try:
@@ -145,37 +169,66 @@ class Grid:
                 name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
                 hint = " (out of memory?)" if -code == signal.SIGKILL else ""
                 return Outcome(error=f"its process was killed by {name}{hint}")
-            return Outcome(error=f"its process ended without a result, exit code {code}")
+            reason = f"its process ended without a result, exit code {code}"
+            return Outcome(error=reason, lost=code == SERVER_DIED)
+        except Exception as error:
+            return Outcome(error=f"its process could not be started: {_describe(error)}", lost=True)
 
     def _keep(self, cell: Cell, outcome: Outcome, progress: Progress) -> None:
-        if outcome.error:
-            work = cast(Work, importlib.import_module(self.work))
-            self.save(work.failed_rows(cell, self.conditions.protocol, outcome.error))
+        error = outcome.error
+        if error:
+            self.save(failed_rows(cell, self.conditions.protocol, error))
         else:
             self.save(decode(outcome.result))
-        progress.finished(cell.name, "failed" if outcome.error else "ok", outcome.error)
+        progress.finished(cell.name, "failed" if error else "ok", error)
 
 
-def attempt(work: str, task: Task, conditions: Conditions, directory: Path) -> Outcome:
-    """Does one task, in its own process; whatever it prints goes to the run's log."""
-    end_with_parent()
+def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Future[Outcome]:
+    """The future of a process that starts, or of one that cannot."""
+    try:
+        return launch(*arguments)
+    except (OSError, EOFError, RuntimeError) as error:
+        future: Future[Outcome] = Future()
+        future.set_exception(error)
+        return future
+
+
+def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key: str) -> Outcome:
+    """Does one task, in its own process; whatever it prints goes to the run's log.
+    key: what it must be computed under, before and after."""
+    begin_cell()
     bound_memory()
     try:
-        with (directory / LOG).open("a") as log:
+        with appending(directory / LOG) as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
         faulthandler.enable()
+        _check_key(key, conditions)
         module = cast(Work, importlib.import_module(work))
         if task.cell is None:
             module.train_expert(task.env, conditions)
             return Outcome()
         result = module.run_cell(task.cell, conditions, directory)
         _check(result, task.cell)
-        return Outcome(result=encode(result))
-    except (Exception, SystemExit) as error:
-        print(f"\n{task.name}:", file=sys.stderr)
-        traceback.print_exc()
+        encoded = encode(result)
+        decode(encoded)
+        _check_key(key, conditions)
+        return Outcome(result=encoded)
+    except BaseException as error:
+        with contextlib.suppress(BaseException):
+            print(f"\n{task.name}:", file=sys.stderr)
+            traceback.print_exc()
         return Outcome(error=_describe(error))
+    finally:
+        end_descendants()
+
+
+def _check_key(key: str, conditions: Conditions) -> None:
+    if cell_key(dataclasses.asdict(conditions), of_this_process()) != key:
+        raise RuntimeError(
+            "the program, its packages or its environment are not those that the run began with; "
+            "were packages changed, or was Python started with -E or -I?"
+        )
 
 
 def _check(result: CellResult, cell: Cell) -> None:
@@ -192,6 +245,10 @@ def _describe(error: BaseException) -> str:
     """One line: what was raised, and the three innermost places."""
     frames = reversed(traceback.extract_tb(error.__traceback__)[-3:])
     where = ", called by ".join(f"{f.name} ({Path(f.filename).name}:{f.lineno})" for f in frames)
-    message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    try:
+        message = str(error)
+    except BaseException as another:
+        message = f"(its message raises {type(another).__name__})"
+    message = " ".join(f"{type(error).__name__}: {message}".split())[:300]
     cause = "out of memory: " if isinstance(error, MemoryError) else ""
-    return f"{cause}{message.rstrip(': ')}; in {where}"
+    return printable(f"{cause}{message.rstrip(': ')}; in {where}")

@@ -3,40 +3,43 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
+import errno
 import json
-import math
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from filelock import FileLock, Timeout
+from filelock import FileLock, Timeout, lock_descriptor
+from msgspec import Meta
 
-from harness.files import sha256, write_atomic
-from harness.keys import CELL_SOURCES, REPORT_PACKAGES, REPORT_SOURCES, key_of, origin, versions
+from harness.codec import checked, checksum, decode, encode, printable
+from harness.environment import numeric
+from harness.files import appending, opened, read, sha256, unfinished, write_atomic
+from harness.keys import REPORT_PACKAGES, REPORT_SOURCES, cell_key, key_of, origin, versions
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
-from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions
+from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions, Name
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
-
+LOCK = ".lock"
+REQUEST = "run.json"
 SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
-DERIVED = ("scores.csv", "leaderboard.*", "report.html", "figures/*.png", REPORT_KEY)
-"""What is rebuilt from cells, and has its checksums in `SUMS`."""
+FOLDERS = ("cells", "recordings", "figures")
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
+Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
 
 
 @dataclass(frozen=True)
 class Request:
     """What a run computes; seeds is how many, from 0."""
 
-    methods: tuple[str, ...]
-    envs: tuple[str, ...]
-    seeds: int
+    methods: Names
+    envs: Names
+    seeds: Annotated[int, Meta(ge=1, le=1000)]
     conditions: Conditions
 
     @property
@@ -45,89 +48,123 @@ class Request:
         methods = (REFERENCE, *CONTROLS, *self.methods)
         return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
 
+    def asks_for(self, cell: Cell) -> bool:
+        """Whether the cell is one of `cells`."""
+        known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
+        return known and cell.env in self.envs and cell.seed < self.seeds
+
 
 class RunDirectory:
-    """A run's directory, held by this process alone. Made by `open_for_run` and `open_for_report`.
+    """A run's directory. Made by `open_for_run`, `open_for_report` and `open_to_verify`.
 
-    key: what cells must have been computed under to count; '' where all do.
+    request: what its run.json says. key: what cells must have been computed under to count; '' where all do.
     """
 
-    def __init__(self, path: Path, key: str = "") -> None:
-        self.path, self.key = path, key
-        for folder in (path, path / "cells", path / "recordings", path / "figures"):
-            for left_by_a_killed_run in folder.glob(".*.tmp"):
-                left_by_a_killed_run.unlink()
+    def __init__(self, path: Path, request: Request, key: str = "") -> None:
+        self.path, self.request, self.key = path, request, key
 
     def save(self, result: CellResult) -> None:
         """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
+        if not (self.path / REQUEST).is_file():
+            raise OSError(errno.ENOENT, f"moved or deleted; cannot store {result.cell.name}", str(self.path))
         keyed = dataclasses.replace(result, key=self.key, origin=origin())
-        write_atomic(self.path / "cells" / f"{result.cell.name}.json", encode(keyed))
+        name = f"cells/{result.cell.name}.json"
+        write_atomic(self.path / name, encode(keyed))
+        noted = [(sha256(self.path / name), name)]
+        noted += [(digest, f"recordings/{file}") for file, digest in result.recordings.items()]
+        with appending(self.path / SUMS) as sums:
+            sums.write(_lines(noted).encode())
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
         """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
-        results, unusable = {}, {}
-        for path in (self.path / "cells").glob("[!.]*.json"):
+        results: dict[Cell, CellResult] = {}
+        unusable: dict[Path, str] = {}
+        for path in self._cell_files():
             try:
-                result = decode(path.read_bytes())
-                if path.stem != result.cell.name:
-                    raise ValueError(f"holds the cell {result.cell.name}")
-                if self.key not in ("", result.key):
-                    raise ValueError("computed by another version of the program or its packages")
-                if self.key and (damaged := self._damaged_recordings(result)):
-                    raise ValueError(next(iter(damaged.values())))
+                result = self._load(path)
                 results[result.cell] = result
             except (ValueError, OSError) as error:
-                unusable[path] = str(error)
+                unusable[path] = _reason(error)
         return dict(sorted(results.items())), unusable
 
-    def seal(self, results: Sequence[CellResult]) -> None:
-        """Notes from which cells all that is rebuilt from cells was, and its checksums."""
+    def seal(self, results: Sequence[CellResult], files: Iterable[Path]) -> None:
+        """Notes what the run holds: these results and `files`, rebuilt from them by this version."""
         write_atomic(self.path / REPORT_KEY, _report_key(results))
-        write_atomic(self.path / SUMS, self._sums())
+        cells = [self.path / "cells" / f"{result.cell.name}.json" for result in results]
+        recordings = [self.path / "recordings" / name for result in results for name in result.recordings]
+        written = [self.path / REPORT_KEY, *files, *cells, *filter(Path.is_file, recordings)]
+        names = sorted(file.relative_to(self.path).as_posix() for file in written)
+        write_atomic(self.path / SUMS, _lines((sha256(self.path / name), name) for name in names))
 
     def is_sealed(self, results: Sequence[CellResult]) -> bool:
         """Whether all that is rebuilt from cells is as it was written, from these and by this version."""
         try:
-            written = (self.path / REPORT_KEY).read_text(), (self.path / SUMS).read_text()
+            noted = self._noted()
+            derived = [name for name in noted if not name.startswith(("cells/", "recordings/"))]
+            return (
+                REPORT_KEY in derived
+                and read(self.path / REPORT_KEY).decode() == _report_key(results)
+                and all(sha256(self.path / name) == noted[name] for name in derived)
+            )
         except (OSError, ValueError):
             return False
-        return written == (_report_key(results), self._sums())
 
     def damaged(self) -> dict[Path, str]:
-        """What is not as it was written, and why."""
+        """What is not as it was written, and why. What the run did not write is nobody's damage."""
         results, damaged = self.load()
         for result in results.values():
             damaged |= self._damaged_recordings(result)
-        noted: dict[str, str] = {}
         try:
-            for line in (self.path / SUMS).read_text().splitlines():
-                digest, name = line.split("  ", 1)
-                noted[name] = digest
-        except FileNotFoundError:  # no report yet
-            pass
-        except (OSError, ValueError):
-            damaged[self.path / SUMS] = "damaged"
-        there = {file.relative_to(self.path).as_posix(): file for file in self._derived()}
-        for name in sorted(noted.keys() | there.keys()):
-            if name not in there:
-                damaged[self.path / name] = "missing"
-            elif noted.get(name) != sha256(there[name]):
-                damaged[there[name]] = "its checksum does not match"
+            noted = self._noted()
+        except (OSError, ValueError) as error:
+            damaged[self.path / SUMS] = _reason(error)
+            noted = {}
+        for name, digest in noted.items():
+            file = self.path / name
+            if file not in damaged and (reason := _damage(file, digest)):
+                damaged[file] = reason
         return damaged
 
-    def _sums(self) -> str:
-        lines = [f"{sha256(file)}  {file.relative_to(self.path).as_posix()}\n" for file in self._derived()]
-        return "".join(lines)
+    def _cell_files(self) -> list[Path]:
+        folder = self.path / "cells"
+        try:
+            names = os.listdir(folder)
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise BadInput(f"cannot read {folder}: {error.strerror}") from error
+        return sorted(folder / name for name in names if name.endswith(".json") and not name.startswith("."))
 
-    def _derived(self) -> list[Path]:
-        return sorted(file for pattern in DERIVED for file in self.path.glob(pattern))
+    def _load(self, path: Path) -> CellResult:
+        """Raises ValueError or OSError where the file holds no cell of this run."""
+        result = decode(read(path))
+        if path.stem != result.cell.name:
+            raise ValueError(f"holds the cell {result.cell.name}")
+        if not self.request.asks_for(result.cell):
+            raise ValueError("this run was not asked for it")
+        if self.key not in ("", result.key):
+            raise ValueError("computed by another version of the program or its packages")
+        if self.key and (damaged := self._damaged_recordings(result)):
+            raise ValueError(next(iter(damaged.values())))
+        return result
+
+    def _noted(self) -> dict[str, str]:
+        """Checksums of files by their names. Raises ValueError for anything but such a list."""
+        noted = {}
+        for line in read(self.path / SUMS).decode().splitlines():
+            digest, _, name = line.partition("  ")
+            folder, _, file = name.rpartition("/")
+            if len(digest) != 64 or folder not in ("", *FOLDERS) or file in ("", ".", ".."):
+                raise ValueError("damaged")
+            noted[name] = digest
+        return noted
 
     def _damaged_recordings(self, result: CellResult) -> dict[Path, str]:
         folder = self.path / "recordings"
         return {
             folder / name: f"the recording {name} is missing or damaged"
             for name, digest in result.recordings.items()
-            if "/" in name or not (folder / name).is_file() or sha256(folder / name) != digest
+            if _damage(folder / name, digest)
         }
 
 
@@ -143,85 +180,105 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"cannot write to {path}: {error.strerror}") from error
-    with _held(path):
+    with held(path):
         merged = _merged(path, request)
+        for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
+            _check_can_append(file)
+        for folder in (path, *(path / name for name in FOLDERS)):
+            for left_by_a_killed_run in unfinished(folder):
+                left_by_a_killed_run.unlink()
         data = {"format": FORMAT, **dataclasses.asdict(merged)}
         data |= data.pop("conditions")
-        sealed = {"sha256": _checksum(data), **data}
-        write_atomic(path / "run.json", json.dumps(sealed, indent=2) + "\n")
-        yield RunDirectory(path, key_of(CELL_SOURCES, dataclasses.asdict(merged.conditions)))
+        write_atomic(path / REQUEST, json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n")
+        with appending(path / SUMS):  # which is there from now on
+            pass
+        conditions = merged.conditions
+        key = cell_key(dataclasses.asdict(conditions), numeric(conditions.deterministic))
+        yield RunDirectory(path, merged, key)
 
 
 @contextmanager
-def open_for_report(path: Path, to_write: bool = True) -> Iterator[RunDirectory]:
-    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`.
-
-    to_write: where not, what cannot be written to, such as an archive, is read without being held.
-    """
-    if _read_request(path) is None:
-        raise BadInput(f"{path} holds no run (no run.json)")
-    with _held(path) if to_write or os.access(path, os.W_OK) else nullcontext():
-        yield RunDirectory(path)
+def open_for_report(path: Path) -> Iterator[RunDirectory]:
+    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
+    request = _existing(path)
+    with held(path):
+        yield RunDirectory(path, request)
 
 
-def encode(result: CellResult) -> str:
-    """JSON of the result and its checksum; what is not finite becomes null. Raises TypeError for no JSON."""
-    payload = _plain(result.to_json())
-    return json.dumps({"sha256": _checksum(payload), "result": payload}, indent=1) + "\n"
+@contextmanager
+def open_to_verify(path: Path) -> Iterator[RunDirectory]:
+    """The run in `path`, where nothing is written, not even a lock, but held where a lock is there and can be
+    read. Raises BadInput like `open_for_run`."""
+    request = _existing(path)
+    with ExitStack() as stack:
+        with suppress(OSError):
+            lock = stack.enter_context(opened(path / LOCK))
+            if not lock_descriptor(lock.fileno(), blocking=False):
+                raise BadInput(_in_use(path))
+        yield RunDirectory(path, request)
 
 
-def decode(data: bytes | str) -> CellResult:
-    """The inverse of `encode`. Raises ValueError for anything that it did not write."""
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """This process alone has the directory until the context ends. Raises BadInput where another has it."""
+    lock = FileLock(path / LOCK)
     try:
-        stored = json.loads(data)
-        payload = stored["result"]
-        if stored["sha256"] != _checksum(payload):
-            raise ValueError("its checksum does not match")
-        return CellResult.from_json(_nan_for_none(payload))
-    except (KeyError, TypeError, AttributeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
-        raise ValueError("it is no stored cell") from error
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise BadInput(_in_use(path)) from error
+    except OSError as error:
+        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
+    try:
+        with suppress(OSError):
+            (path / LOCK).write_text(str(os.getpid()), encoding="ascii")
+        yield
+    finally:
+        lock.release()
+
+
+def _in_use(path: Path) -> str:
+    holder = "?"
+    with suppress(OSError):
+        holder = printable(read(path / LOCK)[:20].decode(errors="replace").strip()) or "?"
+    return f"{path} is in use by another run (process {holder})"
+
+
+def _lines(noted: Iterable[tuple[str, str]]) -> str:
+    return "".join(f"{digest}  {name}\n" for digest, name in noted)
+
+
+def _damage(file: Path, digest: str) -> str:
+    """Why it is not as it was written, '' where it is."""
+    try:
+        return "" if sha256(file) == digest else "its checksum does not match"
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return _reason(error)
+
+
+def _reason(error: Exception) -> str:
+    return printable(getattr(error, "strerror", None) or str(error))
 
 
 def _report_key(results: Sequence[CellResult]) -> str:
     return key_of(REPORT_SOURCES, [*versions(REPORT_PACKAGES), *map(encode, results)])
 
 
-def _checksum(payload: Any) -> str:
-    return hashlib.sha256(json.dumps(payload, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _nan_for_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _nan_for_none(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_nan_for_none(item) for item in value]
-    return math.nan if value is None else value
-
-
-@contextmanager
-def _held(path: Path) -> Iterator[None]:
-    file = path / ".lock"
-    lock = FileLock(file)
+def _check_can_append(file: Path) -> None:
     try:
-        lock.acquire(timeout=0)
-    except Timeout as error:
-        holder = file.read_text().strip() or "?"
-        raise BadInput(f"{path} is in use by another run (process {holder})") from error
+        with appending(file):
+            pass
     except OSError as error:
-        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
-    try:
-        file.write_text(str(os.getpid()))
-        yield
-    finally:
-        lock.release()
+        raise BadInput(f"cannot write to {file}: {error.strerror}") from error
+
+
+def _existing(path: Path) -> Request:
+    """Raises BadInput where `path` holds no run."""
+    request = _read_request(path)
+    if request is None:
+        raise BadInput(f"{path} holds no run (no run.json)")
+    return request
 
 
 def _merged(path: Path, request: Request) -> Request:
@@ -248,11 +305,15 @@ def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
 
 def _read_request(path: Path) -> Request | None:
     """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
+    file = path / REQUEST
     try:
         # A run that was killed before its first file was whole leaves these.
-        if all(file.name.startswith((".lock", ".run.json.")) for file in path.iterdir()):
+        if all(there.name == LOCK or there.name.startswith(f".{REQUEST}.") for there in path.iterdir()):
             return None
-        text = (path / "run.json").read_bytes()
+        text = read(file)
+        for folder in FOLDERS:
+            if (path / folder).is_symlink() or ((path / folder).exists() and not (path / folder).is_dir()):
+                raise BadInput(f"cannot use {path}: its {folder} is no folder of its own")
     except FileNotFoundError as error:
         if not os.path.lexists(path):
             return None
@@ -265,10 +326,10 @@ def _read_request(path: Path) -> Request | None:
         data = json.loads(text)
         version = data["format"]
         if version == FORMAT:
-            if data.pop("sha256") != _checksum(data):
+            if data.pop("sha256") != checksum(data):
                 raise ValueError
-            methods, envs = (tuple(map(str, data[key])) for key in ("methods", "envs"))
-            return Request(methods, envs, int(data["seeds"]), Conditions(**{key: data[key] for key in KEYS}))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"{path / 'run.json'} is damaged") from error
-    raise BadInput(f"{path} has format {version!r}; this version reads format {FORMAT}")
+            conditions = {key: data.pop(key) for key in KEYS}
+            return checked({**data, "conditions": conditions}, Request)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadInput(f"{file} is damaged") from error
+    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")

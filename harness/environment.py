@@ -1,0 +1,73 @@
+"""Environment variables: where the cache is, and those of processes that compute cells: what their numbers
+depend on is set here, and of all others only those are passed on that no number depends on."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+CACHE_VARIABLE = "IRL_BENCH_CACHE"
+DEFAULT_CACHE = Path("results") / "cache"
+
+PASSED = {
+    *("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "TZ", "TMPDIR"),
+    *("LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"),
+    *("PYTHONPATH", "PYTHONHOME", "PYTHONUSERBASE", "PYTHONNOUSERSITE", "PYTHONDONTWRITEBYTECODE"),
+    *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "SYSTEMROOT", "TEMP", "TMP"),
+}
+PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
+CHOSEN = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")
+"""Numbers depend on these; the user may set them, for some processors need it, and they are part of every
+key."""
+FIXED = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "JAX_PLATFORMS": "cpu",
+    "PYTHONHASHSEED": "0",
+}
+"""One thread, for processes that run side by side would only fight for the same cores; the processor,
+whatever else there is; and one order of hashed strings."""
+SAME_INSTRUCTIONS = {
+    "ATEN_CPU_CAPABILITY": "avx2",
+    "MKL_CBWR": "COMPATIBLE",
+    "OPENBLAS_CORETYPE": "Haswell",
+    "XLA_FLAGS": f"{FIXED['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
+}
+"""With these, libraries use the same instructions on all processors that have AVX2."""
+TEXT = {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
+
+
+def cache_folder() -> Path:
+    """For what is computed once and kept for other runs."""
+    return Path(os.environ.get(CACHE_VARIABLE) or DEFAULT_CACHE)
+
+
+def numeric(deterministic: bool) -> dict[str, str]:
+    """The variables that numbers depend on, as cells' processes have them."""
+    chosen = {name: os.environ[name] for name in CHOSEN if name in os.environ}
+    return chosen | FIXED | (SAME_INSTRUCTIONS if deterministic else {})
+
+
+def of_this_process() -> dict[str, str]:
+    """Those that this process has."""
+    return {name: os.environ[name] for name in sorted({*CHOSEN, *FIXED}) if name in os.environ}
+
+
+@contextlib.contextmanager
+def for_cells(deterministic: bool, more: Mapping[str, str]) -> Iterator[None]:
+    """Makes the environment of this process, and of those that it starts, that of cells, with `more` besides,
+    until the context ends."""
+    before = os.environ.copy()
+    passed = {n: v for n, v in before.items() if n in PASSED or n.startswith(PASSED_PREFIXES)}
+    after = passed | numeric(deterministic) | TEXT | dict(more)
+    os.environ.clear()
+    os.environ.update(after)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
