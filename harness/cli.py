@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 MOST = 1000
 """Largest count that --seeds and --workers take."""
+MOST_NAMED = 20
+"""Files that a line names, but for the first."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
 
@@ -302,8 +304,9 @@ def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
 
     for reason in sorted(set(files.values())):
         first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
-        more = f" and {len(others)} more" if others else ""
-        tell(f"{what_happens}: {printable(str(first))}{more}: {reason}")
+        names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
+        more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+        tell(f"{what_happens}: {printable(names)}{more}: {reason}")
 
 
 def _has_failed(result: CellResult) -> bool:

@@ -14,11 +14,12 @@ from harness.results import CONTROL_CHARACTERS, CellResult, policies_of
 
 T = TypeVar("T")
 LARGEST = 1e100
-"""Sums and squares of numbers up to this are finite."""
+"""Sums and squares of numbers up to this are finite; what is larger counts as unknown, as NaN does."""
 
 
 def encode(result: CellResult) -> str:
-    """JSON of the result and its checksum; what is not finite becomes null. Raises TypeError for no JSON."""
+    """JSON of the result and its checksum; numbers that are not `usable` become null. Raises TypeError for no
+    JSON."""
     payload = _plain(result.to_json())
     return json.dumps({"sha256": checksum(payload), "result": payload}, indent=1) + "\n"
 
@@ -51,12 +52,18 @@ def checked(data: Any, kind: type[T]) -> T:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise ValueError(printable(str(error))) from error
+        reason = re.sub("matching regex '.*'", "of one plain line, or a plain name", str(error))
+        raise ValueError(printable(reason)) from error
 
 
 def checksum(payload: Any) -> str:
     """Of JSON, however it is written. Raises TypeError for no JSON."""
     return hashlib.sha256(json.dumps(payload, sort_keys=True).encode()).hexdigest()
+
+
+def usable(value: float) -> bool:
+    """Whether it is a number, and no larger than `LARGEST`."""
+    return abs(value) <= LARGEST
 
 
 def printable(text: str) -> str:
@@ -73,7 +80,7 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return None if isinstance(value, float) and not usable(value) else value
 
 
 def _nan_for_none(value: Any) -> Any:
@@ -81,6 +88,6 @@ def _nan_for_none(value: Any) -> Any:
         return {key: _nan_for_none(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_nan_for_none(item) for item in value]
-    if isinstance(value, float) and not abs(value) <= LARGEST:
+    if isinstance(value, float) and not usable(value):
         raise ValueError(f"{value} is out of range")
     return math.nan if value is None else value

@@ -72,7 +72,8 @@ def as_in_cells(deterministic: bool = False) -> Iterator[Path]:
     imported from now on, compiles, seconds of work, it compiles once for this process and all that it
     starts."""
     with scratch_folder() as scratch:
-        (scratch / "tmp").mkdir()
+        for name in ("tmp", "jax"):
+            (scratch / name).mkdir()
         more = {
             "TMPDIR": str(scratch / "tmp"),
             "JAX_COMPILATION_CACHE_DIR": str(scratch / "jax"),
@@ -159,7 +160,10 @@ def _cells() -> list[BaseProcess]:
 @contextmanager
 def _program_first(folder: Path) -> Iterator[None]:
     """Cells' processes import the program from the folder, into which it is written."""
-    write_program(folder)
+    try:
+        write_program(folder)
+    except OSError as error:
+        raise BadInput(f"cannot write to {folder}: {error.strerror}") from error
     paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
     os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "PYTHONSAFEPATH": "1"}
     sys.path.insert(0, str(folder))
@@ -216,10 +220,10 @@ def _not_orphans() -> set[int | None]:
 
 
 def _descendants(process: psutil.Process) -> list[psutil.Process]:
-    try:
-        return process.children(recursive=True)
-    except psutil.Error:
-        return []
+    found: list[psutil.Process] = []
+    with contextlib.suppress(psutil.Error):
+        found = process.children(recursive=True)
+    return found
 
 
 def _kill(processes: list[psutil.Process]) -> None:

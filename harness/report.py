@@ -77,6 +77,7 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> list[Path]:
         recordings=[
             (name, f"rerun {shlex.quote(f'recordings/{name}')} --bind 127.0.0.1")
             for name in sorted(name for result in results for name in result.recordings)
+            if (directory / "recordings" / name).is_file()
         ],
     )
     for name, content in files.items():

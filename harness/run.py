@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import faulthandler
 import importlib
-import math
 import multiprocessing
 import os
 import signal
@@ -25,7 +24,7 @@ from typing import Protocol, cast
 from pebble import ProcessExpired
 from pebble.concurrent import process as in_a_process
 
-from harness.codec import decode, encode, printable
+from harness.codec import decode, encode, printable, usable
 from harness.environment import numeric, of_this_process
 from harness.files import appending
 from harness.keys import cell_key
@@ -221,6 +220,9 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
         return Outcome(error=_describe(error))
     finally:
         end_descendants()
+        for stream in (sys.stdout, sys.stderr):  # A process that has told its result may be stopped.
+            with contextlib.suppress(Exception):
+                stream.flush()
 
 
 def _check_key(key: str, conditions: Conditions) -> None:
@@ -237,7 +239,7 @@ def _check(result: CellResult, cell: Cell) -> None:
     for row in result.rows:
         for name in ("return_mean", "discounted_mean", "length_mean"):
             value = getattr(row, name)
-            if row.status == "ok" and not math.isfinite(value):
+            if row.status == "ok" and not usable(value):
                 raise FloatingPointError(f"{row.policy}: {name} is {value}")
 
 

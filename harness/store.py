@@ -28,6 +28,8 @@ LOCK = ".lock"
 REQUEST = "run.json"
 SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
+REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
+"""Beside figures, what is rebuilt from cells."""
 FOLDERS = ("cells", "recordings", "figures")
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
@@ -104,7 +106,7 @@ class RunDirectory:
             return (
                 REPORT_KEY in derived
                 and read(self.path / REPORT_KEY).decode() == _report_key(results)
-                and all(sha256(self.path / name) == noted[name] for name in derived)
+                and all(_is_ours(name) and sha256(self.path / name) == noted[name] for name in derived)
             )
         except (OSError, ValueError):
             return False
@@ -121,8 +123,14 @@ class RunDirectory:
             noted = {}
         for name, digest in noted.items():
             file = self.path / name
-            if file not in damaged and (reason := _damage(file, digest)):
+            if file not in damaged and (
+                reason := _damage(file, digest) if _is_ours(name) else "no file of a run"
+            ):
                 damaged[file] = reason
+        there = [f"cells/{cell.name}.json" for cell in results]
+        there += [name for name in REBUILT if (self.path / name).exists()]
+        if unlisted := [name for name in there if name not in noted]:
+            damaged.setdefault(self.path / SUMS, f"does not list {', '.join(unlisted)}")
         return damaged
 
     def _cell_files(self) -> list[Path]:
@@ -153,8 +161,7 @@ class RunDirectory:
         noted = {}
         for line in read(self.path / SUMS).decode().splitlines():
             digest, _, name = line.partition("  ")
-            folder, _, file = name.rpartition("/")
-            if len(digest) != 64 or folder not in ("", *FOLDERS) or file in ("", ".", ".."):
+            if len(digest) != 64 or not name:
                 raise ValueError("damaged")
             noted[name] = digest
         return noted
@@ -245,6 +252,12 @@ def _in_use(path: Path) -> str:
 
 def _lines(noted: Iterable[tuple[str, str]]) -> str:
     return "".join(f"{digest}  {name}\n" for digest, name in noted)
+
+
+def _is_ours(name: str) -> bool:
+    """Whether a run writes files of such names, by their path in its directory."""
+    folder, _, file = name.rpartition("/")
+    return folder in ("", *FOLDERS) and file not in ("", ".", "..")
 
 
 def _damage(file: Path, digest: str) -> str:

@@ -15,14 +15,14 @@ import pytest
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from harness.processes import ONE_THREAD
+from harness.environment import FIXED
 
 HORIZON = 10
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """One thread a process, and what JAX compiles, much of the time of many tests, compiled once for all."""
-    os.environ.update(ONE_THREAD)
+    os.environ.update(FIXED)
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 

@@ -11,9 +11,10 @@ import pytest
 
 from envs import SPECS, EnvSpec
 from harness import experts
-from harness.cache import CACHE_VARIABLE, Kept, cache_file, kept, load
+from harness.cache import Kept, cache_file, kept, load
+from harness.environment import CACHE_VARIABLE, SAME_INSTRUCTIONS
 from harness.experts import deviations_for, expert_for
-from harness.processes import SAME_INSTRUCTIONS
+from harness.keys import program
 from harness.results import Library
 from harness.rl_settings import SETTINGS, Settings
 
@@ -105,6 +106,8 @@ def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch)
             keys.append(key())
     with monkeypatch.context() as changed:
         changed.setattr(Path, "read_bytes", lambda path: b"pass")
+        program.cache_clear()
         keys.append(key())
+    program.cache_clear()
     assert len(set(keys)) == len(keys)
     assert key() == keys[0]

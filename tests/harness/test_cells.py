@@ -12,11 +12,11 @@ import pytest
 
 from envs import SPECS
 from harness import cells
-from harness.cache import CACHE_VARIABLE
-from harness.cells import failed_rows, policies_of, run_cell
+from harness.cells import run_cell
+from harness.environment import CACHE_VARIABLE
 from harness.evaluation import evaluate
 from harness.experts import expert_for
-from harness.results import CONTROLS, Cell, CellResult, Conditions, Row
+from harness.results import CONTROLS, Cell, CellResult, Conditions, Row, failed_rows, policies_of
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)
@@ -62,6 +62,7 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert [x for x, _ in result.curves["loss"]] == list(range(1, 102))
     assert recordings(tmp_path) == ["cartpole__bc__seed0__pi_star.rrd"]
 
+    (tmp_path / "again").mkdir()
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
 

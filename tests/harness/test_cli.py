@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from harness import cli, registry, store
-from harness.processes import SAME_INSTRUCTIONS
+from harness.environment import SAME_INSTRUCTIONS
 from harness.results import CONTROLS, CellResult
 from methods.settings import settings_for
 
@@ -44,7 +44,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
 
     monkeypatch.setattr(harness.run, "Grid", harness.run.Grid)
     monkeypatch.setitem(sys.modules, "harness.report", None)
-    monkeypatch.setattr(cli, "_let_signals_interrupt", lambda: None)
+    monkeypatch.setattr(cli, "_handle_signals", lambda: None)
     fake_cells.install()
 
     def call(*argv: str) -> tuple[int, str, str]:
@@ -314,11 +314,11 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
 def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     tmp_path: Path, unbroken: dict[str, str]
 ) -> None:
-    faults(tmp_path)
+    faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
     command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
 
-    def fill_up() -> None:  # as a full disk does, the system refuses to write on, here after 500 bytes a file
-        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+    def fill_up() -> None:  # as a full disk does, the system refuses to write on, here after 50 kB a file
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 
     full = subprocess.run(
         command, env=FAKE_ENV, capture_output=True, text=True, check=False, preexec_fn=fill_up
@@ -327,6 +327,7 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     assert re.fullmatch(r"irl-bench: error: .*: '.*/cells/cartpole__\w+\.json'\n", full.stderr)
     assert list((tmp_path / "run/cells").iterdir()) == []
     wait_until_gone(tmp_path)
+    faults(tmp_path)
     subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
     assert scores(tmp_path / "run") == unbroken
 
@@ -375,9 +376,9 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     built: list[int] = []
     write_report = sys.modules["harness.report"].write_report
 
-    def count(directory: Path, results: list[CellResult]) -> None:
+    def count(directory: Path, results: list[CellResult]) -> list[Path]:
         built.append(len(results))
-        write_report(directory, results)
+        return write_report(directory, results)
 
     monkeypatch.setattr(sys.modules["harness.report"], "write_report", count)
     out = ("--out", "run")

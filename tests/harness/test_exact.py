@@ -12,8 +12,8 @@ import pytest
 from envs import SPECS
 from envs.gridworld import SPEC, WORLD, objectworld
 from envs.spec import Model, Tabular
-from harness.cache import CACHE_VARIABLE
 from harness.controls import Constant
+from harness.environment import CACHE_VARIABLE
 from harness.exact import ExactSolver, expected_rewards
 from harness.experts import expert_for
 from methods.base import Array, Policy, Reward

@@ -84,7 +84,7 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
             patch.setattr(cli, "_compute", compute)
             patch.setattr(cli, "_write_report", lambda run, results: None)
             patch.setattr("harness.reproduce.write_study", write_study)
-            patch.setattr(cli, "_let_signals_interrupt", lambda: None)
+            patch.setattr(cli, "_handle_signals", lambda: None)
             code = cli.main(argv)
         assert code in (0, 1, 2)
         if code == 2:

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import psutil
 
-from harness.processes import NAME, ONE_THREAD, SAME_INSTRUCTIONS, fresh_processes
+from harness.environment import FIXED, SAME_INSTRUCTIONS
+from harness.processes import NAME, fresh_processes
 
 WATCHERS = 8
 
 
 def test_whoever_asks_is_told_how_a_process_ended() -> None:
-    with fresh_processes(()) as context:
+    with fresh_processes("harness.results") as context:
         for _ in range(5):
             process = context.Process(name=NAME, target=signal.raise_signal, args=(signal.SIGKILL,))  # type: ignore[attr-defined]
             process.start()
@@ -27,12 +28,12 @@ def test_nothing_of_them_is_left(tmp_path: Path) -> None:
     before = os.environ.copy()
     folders = set()
     for deterministic in (True, False):
-        with fresh_processes((), deterministic) as context:
+        with fresh_processes("harness.results", deterministic) as context:
             process = context.Process(name=NAME, target=_tell, args=(tmp_path / "told",))  # type: ignore[attr-defined]
             process.start()
             process.join()
             told = json.loads((tmp_path / "told").read_text())
-            assert told["XLA_FLAGS"] == (SAME_INSTRUCTIONS if deterministic else ONE_THREAD)["XLA_FLAGS"]
+            assert told["XLA_FLAGS"] == (SAME_INSTRUCTIONS if deterministic else FIXED)["XLA_FLAGS"]
             folders.add(told["JAX_COMPILATION_CACHE_DIR"])
             assert Path(told["JAX_COMPILATION_CACHE_DIR"]).is_dir()
         assert psutil.Process().children(recursive=True) == [_resource_tracker()]

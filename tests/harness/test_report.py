@@ -118,8 +118,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_warning(results: list[CellResult]) -> list[CellResult]:
-    """The first has a warning, and was computed elsewhere."""
+    """The first has a warning, and was computed elsewhere; one has a recording."""
     results[0].warnings.append("expert <misses> its bar")
+    recorded = next(r for r in results if r.cell == Cell("cartpole", "shaped", 0))
+    recorded.recordings["cartpole__shaped__seed0__pi_R.rrd"] = "0" * 64
     old, new = ({"processor": "<old>", "torch": "1"}, {"processor": "new", "torch": "2"})
     return [replace(result, origin=new if i else old) for i, result in enumerate(results)]
 
@@ -262,8 +264,8 @@ def test_page_shows_figures_with_words_endings_warnings_and_recordings(report: P
     assert "cartpole__reference__seed0: expert <misses> its bar" in page.text
     assert "time limit 210, pole fell 90" in page.text
     others = len(make_results()) - 1
-    for text in (page.text, (report / "leaderboard.md").read_text()):
-        assert "1 cells: processor <old>, torch 1" in text
+    for text, old in ((page.text, "<old>"), ((report / "leaderboard.md").read_text(), r"\<old\>")):
+        assert f"1 cells: processor {old}, torch 1" in text
         assert f"{others} cells: processor new, torch 2" in text
     assert "computed on different machines" in page.text
 

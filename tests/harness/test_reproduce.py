@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import pandas as pd
 import pytest
 
-from harness.cache import CACHE_VARIABLE
 from harness.cells import SPECS, run_cell
 from harness.cli import main
-from harness.results import CONTROLS, PROTOCOLS, REFERENCE, Cell, CellResult, Conditions, Row
+from harness.environment import CACHE_VARIABLE
+from harness.registry import PROTOCOLS
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
 from harness.study import ARMS, DECAYS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
@@ -43,6 +44,8 @@ class InstantGrid:
         rows = [row("pi_star", 2.0 * level), row("pi_R", level)]
         if cell.method == REFERENCE:
             rows = [row("expert", 500), row("random", 0)]
+        elif cell.method in CONTROLS:
+            rows = rows[1:]
         curve = [(float(x), x * 1.5) for x in range(0, 1000, 100)]
         return CellResult(cell, rows, {"pi_R": curve, "pi_R_true": [(x, -y) for x, y in curve]})
 
@@ -50,7 +53,7 @@ class InstantGrid:
 @pytest.fixture
 def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     monkeypatch.setattr("harness.run.Grid", InstantGrid)
-    monkeypatch.setattr("harness.cli._let_signals_interrupt", lambda: None)
+    monkeypatch.setattr("harness.cli._handle_signals", lambda: None)
     InstantGrid.computed.clear()
     return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])
 

@@ -17,8 +17,8 @@ from gymnasium import spaces
 
 from envs import SPECS, EnvSpec
 from harness.controls import Constant
-from harness.registry import BUDGETS, METHODS, VARIANTS, load_method
-from harness.results import LIBRARIES, Library
+from harness.registry import BUDGETS, LIBRARIES, METHODS, VARIANTS, load_method
+from harness.results import Library
 from harness.rl import Learner, Solution
 from harness.rl_settings import SETTINGS, Settings, rl_settings_for
 from methods.base import Array

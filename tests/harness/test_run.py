@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.codec import encode
 from harness.results import Cell, CellResult, Conditions
 from harness.run import Grid, Task
-from harness.store import encode
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 REASONS = {
@@ -17,8 +17,8 @@ REASONS = {
     "vanish": "its process ended without a result, exit code 0",
     "exit": "SystemExit: gave up; in run_cell",
     "hungry": "out of memory: MemoryError: Unable to allocate 1.00 GiB",
-    "nan": "FloatingPointError: pi_R: return_mean is nan; in ",
-    "other": "ValueError: asked for cartpole__other__seed0, got 1 rows of cartpole__bc__seed99",
+    "nan": "FloatingPointError: pi_star: return_mean is nan; in ",
+    "other": "ValueError: asked for cartpole__other__seed0, got 2 rows of cartpole__bc__seed99",
     "unstorable": "TypeError: Object of type complex is not JSON serializable",
 }
 
@@ -40,7 +40,7 @@ def run(
         assert result.cell not in found
         found[result.cell] = result
 
-    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload=("harness.run",))
+    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload="harness.run")
     grid.run(cells)
     return found
 
@@ -52,11 +52,12 @@ def test_every_way_to_fail_is_told_and_takes_no_other_cell_with_it(
     results = run(directory, cells, workers=2)
     assert set(results) == set(cells)
     for cell, result in results.items():
-        (row,) = result.rows
         expected = REASONS.get(cell.method)
-        assert row.status == ("failed" if expected else "ok")
-        assert row.reason.startswith(expected or "")
-        assert "\n" not in row.reason
+        assert [row.policy for row in result.rows] == ["pi_star", "pi_R"]
+        for row in result.rows:
+            assert row.status == ("failed" if expected else "ok")
+            assert row.reason.startswith(expected or "")
+            assert "\n" not in row.reason
     log = (directory / "run.log").read_text()
     assert "a cell speaks; pytest here: False" in log
     assert "Traceback" in log

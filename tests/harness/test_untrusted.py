@@ -11,9 +11,11 @@ import pytest
 from safetensors import SafetensorError, safe_open
 
 from envs import SPECS
-from harness.cache import CACHE_VARIABLE, Kept, cache_file, kept
+from harness.cache import Kept, cache_file, kept
+from harness.codec import encode
+from harness.environment import CACHE_VARIABLE
 from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import SUMS, Request, encode, open_for_run
+from harness.store import SUMS, Request, open_for_run
 
 ROOT = Path(__file__).parents[2]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
@@ -64,7 +66,7 @@ def test_a_strangers_run_is_read_and_never_executed(tmp_path: Path, payload: byt
     reported = harness("report", str(run))
     assert reported.returncode == 1
     assert all(name in reported.stderr for name in bad)
-    assert "holds the cell" in reported.stderr
+    assert "a plain name" in reported.stderr
     assert "it is no stored cell" in reported.stderr
     assert (run / "leaderboard.md").read_text().count("| bc |") == 1
     (run / SUMS).write_text("".join(f"{'0' * 64}  {name}\n" for name in OUTSIDE))
