@@ -61,7 +61,7 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     if args.command == "list":
         return _list()
-    _check_nothing_hides_us()
+    _check_python()
     if args.command == "report":
         return _report(args.directory)
     if args.command == "verify":
@@ -73,8 +73,14 @@ def _dispatch(argv: list[str]) -> int:
     return _run(args)
 
 
-def _check_nothing_hides_us() -> None:
-    """Python looks for packages in the current folder first."""
+def _check_python() -> None:
+    """Raises BadInput where Python was started in a way in which cells cannot be computed."""
+    if sys.flags.optimize > 1:
+        raise BadInput("run Python without -OO and PYTHONOPTIMIZE: libraries need their docstrings")
+    if sys.flags.ignore_environment:
+        raise BadInput(
+            "run Python without -E and -I: processes of cells are told by variables what to import"
+        )
     for name in ("envs", "methods"):
         spec = importlib.util.find_spec(name)
         found = Path(spec.origin).parent if spec and spec.origin else Path(name).absolute()

@@ -14,7 +14,6 @@ import os
 import signal
 import sys
 import traceback
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
@@ -54,8 +53,6 @@ EXPERT_COST = 1.0
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
 LOOK_EVERY = 1.0
 """Seconds between looks for processes that cells left behind."""
-TRIES = 2
-"""For a task that was lost through no doing of its own."""
 
 
 class Work(Protocol):
@@ -86,7 +83,7 @@ class Task:
 @dataclass(frozen=True)
 class Outcome:
     """What came back from a task's process: the encoded result, or why there is none.
-    lost: whether that is no doing of the task, as far as can be told."""
+    lost: whether that need not be the task's own doing."""
 
     result: str = ""
     error: str = ""
@@ -132,19 +129,26 @@ class Grid:
         key = cell_key(dataclasses.asdict(self.conditions), numeric(self.conditions.deterministic))
         running: dict[Future[Outcome], Task] = {}
         trained: set[str] = set()
-        tried: Counter[Task] = Counter()
-        while waiting or running:
+        lost: list[Task] = []
+        tried_again: set[Task] = set()
+
+        def start(task: Task) -> None:
+            progress.started(task.name)
+            running[_launched(launch, self.work, task, self.conditions, self.directory, key)] = task
+
+        while waiting or running or lost:
             ready = [task for task in waiting if task.cell is None or task.env in trained]
             for task in ready[: self.workers - len(running)]:
                 waiting.remove(task)
-                progress.started(task.name)
-                running[_launched(launch, self.work, task, self.conditions, self.directory, key)] = task
+                start(task)
+            if lost and not running:  # once more, alone: one of them may be why the others were lost
+                tried_again.add(lost[0])
+                start(lost.pop(0))
             for future in wait(running, LOOK_EVERY, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 outcome = self._outcome(future)
-                tried[task] += 1
-                if outcome.lost and tried[task] < TRIES:
-                    waiting.insert(0, task)
+                if outcome.lost and task not in tried_again:
+                    lost.append(task)
                 elif task.cell:
                     self._keep(task.cell, outcome, progress)
                 elif not outcome.error:

@@ -20,6 +20,27 @@ from harness.environment import SAME_INSTRUCTIONS
 from harness.results import Cell, CellResult, Conditions, Row, policies_of
 
 
+class Panic(BaseException):
+    """As those of libraries written in Rust: no Exception, and not to be pickled."""
+
+    def __reduce__(self) -> str:
+        raise TypeError("cannot pickle")
+
+
+class Mute(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+ODD_EXCEPTIONS = {
+    "keyboard": KeyboardInterrupt(),
+    "generator": GeneratorExit("left"),
+    "panic": Panic("index out of bounds"),
+    "mute": Mute(),
+    "surrogate": ValueError("caf\udce9 \x1b[2J"),
+}
+
+
 def train_expert(env: str, conditions: Conditions) -> None:
     if env == "nowhere":
         raise RuntimeError("no gradient")
@@ -47,6 +68,24 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         sys.exit("gave up")
     if behaviour == "sleep":
         time.sleep(60)
+    if behaviour in ODD_EXCEPTIONS:
+        raise ODD_EXCEPTIONS[behaviour]
+    if behaviour == "group":
+        os.kill(0, signal.SIGTERM)
+        time.sleep(60)
+    if behaviour == "server":
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(60)
+    if behaviour in ("leaves", "leaves_and_dies", "leaves_and_hangs"):
+        _leave_one_behind(directory)
+        if behaviour == "leaves_and_dies":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if behaviour == "leaves_and_hangs":
+            time.sleep(60)
+    if behaviour == "many_curves":
+        return CellResult(cell, _rows(cell, conditions, 1.0), {f"curve {i}": [(0.0, 1.0)] for i in range(99)})
+    if behaviour == "escape":
+        return CellResult(cell, _rows(cell, conditions, 1.0), warnings=["\x1b[2J"])
     if behaviour == "slow":
         time.sleep(1.5)
     if behaviour == "brief":
@@ -54,13 +93,30 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     score = math.nan if behaviour == "nan" else 100.0 * cell.seed + len(cell.method)
     steps = 1j if behaviour == "unstorable" else 7
     cell = Cell(cell.env, "bc", 99) if behaviour == "other" else cell
+    rows = _rows(cell, conditions, score, steps)
+    curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)] * (1000 if behaviour == "large" else 1)}
+    return CellResult(cell, rows, curves, warnings=[f"{cell.env}: low bar"])
+
+
+def _rows(cell: Cell, conditions: Conditions, score: float, steps: int = 7) -> list[Row]:
     said, numbers = (conditions.protocol, "ok", ""), (1, score, 0, score, 0, 5, 0)
-    rows = [
+    return [
         Row(cell.env, cell.method, cell.seed, policy, *said, *numbers, env_steps=steps)
         for policy in policies_of(cell)
     ]
-    curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)] * (1000 if behaviour == "large" else 1)}
-    return CellResult(cell, rows, curves, warnings=[f"{cell.env}: low bar"])
+
+
+def _leave_one_behind(directory: Path) -> None:
+    """A process of a session of its own, which keeps every file open, with another one below it."""
+    if os.fork() == 0:
+        os.setsid()
+        os.fork()
+        with (directory / "left_behind.txt").open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        time.sleep(60)
+        os._exit(0)
+    while not (left := directory / "left_behind.txt").exists() or len(left.read_text().split()) < 2:
+        time.sleep(0.01)
 
 
 def write_report(directory: Path, results: list[CellResult]) -> list[Path]:

@@ -1,0 +1,185 @@
+"""Whatever a cell does becomes its own failed row: the run goes on, and nothing of the cell is left."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from harness import processes
+from harness.codec import decode
+from harness.registry import BadInput
+from harness.results import Cell, CellResult, Conditions
+from harness.run import Grid
+
+HERE = Path(__file__).parent
+FAKE = [sys.executable, str(HERE / "fake_cells.py"), "run", "--budget", "smoke", "--envs", "cartpole"]
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
+ODD = {
+    "keyboard": "KeyboardInterrupt; in run_cell",
+    "generator": "GeneratorExit: left; in run_cell",
+    "panic": "Panic: index out of bounds; in run_cell",
+    "mute": "Mute: (its message raises RuntimeError); in run_cell",
+    "surrogate": r"ValueError: caf\udce9 \x1b[2J; in run_cell",
+    "group": "its process ended without a result, exit code 15",
+    "many_curves": "ValueError: Expected `object` of length <= 30 - at `$.curves`",
+    "escape": "ValueError: Expected `str` of one plain line, or a plain name - at `$.warnings[0]`",
+    "leaves_and_dies": "its process was killed by SIGKILL",
+}
+
+Run = Callable[..., dict[str, CellResult]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+    """Computes one cell of each of the methods, and one that is good, and returns them by method."""
+    monkeypatch.syspath_prepend(HERE)
+    (tmp_path / "run").mkdir()
+
+    def call(*methods: str, workers: int = 2, timeout: float | None = None) -> dict[str, CellResult]:
+        found: list[CellResult] = []
+        where = (tmp_path / "run", workers, found.append, timeout)
+        grid = Grid(CONDITIONS, *where, work="fake_cells", preload="harness.run")
+        grid.run([Cell("cartpole", method, 0) for method in (*methods, "good")])
+        assert len(found) == len(methods) + 1
+        return {result.cell.method: result for result in found}
+
+    yield call
+    assert multiprocessing.active_children() == []
+
+
+def reason(result: CellResult) -> str:
+    """Why all rows failed, or ''."""
+    (found,) = {(row.status, row.reason) for row in result.rows}
+    assert found[0] == ("failed" if found[1] else "ok")
+    return found[1]
+
+
+def left_behind(directory: Path) -> list[int]:
+    """Processes that cells started and that are still there."""
+    told = [int(pid) for pid in (directory / "left_behind.txt").read_text().split()]
+    assert len(told) >= 2
+    return [pid for pid in told if psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie"]
+
+
+def test_odd_ends_are_failed_rows(run: Run) -> None:
+    results = run(*ODD)
+    for method, expected in ODD.items():
+        assert reason(results[method]).startswith(expected), method
+    assert reason(results["good"]) == ""
+
+
+def test_what_fails_oddly_can_be_stored_and_reported(tmp_path: Path) -> None:
+    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "surrogate"}))
+    command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert r"FAILED: cartpole__bc__seed0: ValueError: caf\udce9 \x1b[2J" in done.stderr
+    stored = decode((tmp_path / "run/cells/cartpole__bc__seed0.json").read_bytes())
+    assert stored.rows[0].reason.isprintable()
+
+
+@pytest.mark.parametrize("method", ["leaves", "leaves_and_dies", "leaves_and_hangs"])
+def test_what_a_cell_started_ends_with_it(run: Run, tmp_path: Path, method: str) -> None:
+    started = time.monotonic()
+    results = run(method, timeout=4)
+    assert left_behind(tmp_path / "run") == []
+    assert time.monotonic() - started < 30  # they would sleep for a minute
+    hanging = method == "leaves_and_hangs"
+    expected = {"leaves": "", "leaves_and_dies": "its process was killed by SIGKILL (out of memory?)"}
+    assert reason(results[method]) == expected.get(method, "it was stopped after 4 s")
+    assert hanging or time.monotonic() - started < 10
+
+
+def test_what_a_cell_started_ends_with_a_killed_run(tmp_path: Path) -> None:
+    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "leaves_and_hangs"}))
+    command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    file = tmp_path / "run/left_behind.txt"
+    while not file.exists() or len(file.read_text().split()) < 2:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 10
+    while left_behind(tmp_path / "run"):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_a_dead_server_of_processes_is_started_again_and_other_cells_lose_nothing(run: Run) -> None:
+    results = run("server", "slow", "brief")
+    assert reason(results["server"]).startswith("its process ended without a result")
+    assert [reason(results[method]) for method in ("slow", "brief", "good")] == ["", "", ""]
+
+
+def test_where_no_process_can_be_started_cells_fail_and_the_run_ends(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(processes._Popen, "_launch", refuse)
+    expected = "no expert: its process could not be started: BlockingIOError: [Errno 11] Resource temp"
+    assert reason(run()["good"]).startswith(expected)
+
+
+def test_where_not_even_the_server_can_be_started_one_line_says_so(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(processes.forkserver, "ensure_running", refuse)
+    with pytest.raises(BadInput, match="no process can be started: Resource temporarily unavailable"):
+        run()
+
+
+@pytest.mark.parametrize("length", [80, 200])
+def test_a_long_path_for_temporary_files_is_no_obstacle(tmp_path: Path, length: int) -> None:
+    temporary = tmp_path / ("x" * length)
+    temporary.mkdir()
+    env = {**os.environ, "TMPDIR": str(temporary)}
+    command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    (tmp_path / "faults.json").write_text("{}")
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "WARNING: cartpole: low bar\n")
+    assert list(temporary.iterdir()) == []
+
+
+def test_where_no_temporary_file_can_be_one_line_says_so_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from harness.cli import main
+
+    monkeypatch.setattr(tempfile, "tempdir", "x" * 200)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert main(["run", "--out", str(tmp_path / "run")]) == 2
+    assert "no folder for temporary files" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_z_suspends_the_cells_and_they_go_on(tmp_path: Path) -> None:
+    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "slow"}))
+    command = [*FAKE, "--methods", "bc", "--workers", "1", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    file = tmp_path / "run/computed.txt"
+    while not file.exists() or "bc" not in file.read_text():
+        assert process.poll() is None
+        time.sleep(0.01)
+    cell = psutil.Process(int(file.read_text().split()[-1]))
+    process.send_signal(signal.SIGTSTP)
+    deadline = time.monotonic() + 5
+    while {psutil.Process(process.pid).status(), cell.status()} != {"stopped"}:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGCONT)
+    assert process.wait(20) == 0
