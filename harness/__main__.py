@@ -16,7 +16,7 @@ def start() -> int:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how cells' processes end.
     os.environ["MPLBACKEND"] = "agg"  # Figures are files; what the user has set need not be there.
     if sys.warnoptions:  # -W and PYTHONWARNINGS could make errors of the libraries' warnings.
-        sys.warnoptions.clear()
+        sys.warnoptions.append("ignore")
         warnings.resetwarnings()
         warnings.simplefilter("ignore")
 

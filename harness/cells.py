@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,17 @@ from harness.evaluation import Evaluation, evaluate
 from harness.experts import Expert, deviations_for, expert_for
 from harness.files import sha256
 from harness.registry import load_method
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, PolicyName, Row
+from harness.results import (
+    CONTROLS,
+    MOST_CURVES,
+    MOST_POINTS,
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    Row,
+)
 from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.simulator import Simulator, drawings
 from harness.study import ARMS, Arm
@@ -95,8 +106,7 @@ class _Work:
         started = time.perf_counter()
         learned = self.fit(self.arm.method, self.arm.settings, demos, world)
         seconds = time.perf_counter() - started
-        for name, values in learned.curves.items():
-            self.result.curves[name] = [(float(x), float(y)) for x, y in enumerate(values, start=1)]
+        self.keep_curves(learned.curves)
         self.score(
             "pi_star",
             learned.policy,
@@ -112,6 +122,16 @@ class _Work:
             self.result.rows.append(row)
         else:
             self.retrain(learned.reward)
+
+    def keep_curves(self, curves: Mapping[str, Sequence[float]]) -> None:
+        """The method's own; of long ones some points, of very many the first."""
+        most = MOST_CURVES - len(("pi_R", "pi_R_true"))
+        for name, values in list(curves.items())[:most]:
+            places = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).astype(int))
+            self.result.curves[name] = [(float(x + 1), float(values[x])) for x in places]
+        if len(curves) > most:
+            warning = f"{self.cell.name}: of {len(curves)} curves the first {most} are kept"
+            self.result.warnings.append(warning)
 
     def retrain(self, reward: Reward | None) -> None:
         """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""

@@ -83,8 +83,8 @@ def _check_python() -> None:
         )
     for name in ("envs", "methods"):
         spec = importlib.util.find_spec(name)
-        found = Path(spec.origin).parent if spec and spec.origin else Path(name).absolute()
-        if found.resolve() != Path(__file__).resolve().parent.with_name(name):
+        found = Path(spec.origin) if spec and spec.origin else Path(name).absolute()
+        if found.resolve() != Path(__file__).resolve().parents[1] / name / "__init__.py":
             raise BadInput(f"{found} hides this program's package {name!r}; run it from another folder")
 
 

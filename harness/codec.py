@@ -13,6 +13,8 @@ import msgspec
 from harness.results import CONTROL_CHARACTERS, CellResult, policies_of
 
 T = TypeVar("T")
+LONGEST_REASON = 100
+"""Characters of a reason's beginning and of its end, where it is longer."""
 LARGEST = 1e100
 """Sums and squares of numbers up to this are finite; what is larger counts as unknown, as NaN does."""
 
@@ -53,6 +55,8 @@ def checked(data: Any, kind: type[T]) -> T:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         reason = re.sub("matching regex '.*'", "of one plain line, or a plain name", str(error))
+        if len(reason) > LONGEST_REASON:
+            reason = f"{reason[:LONGEST_REASON]} … {reason[-LONGEST_REASON:]}"
         raise ValueError(printable(reason)) from error
 
 

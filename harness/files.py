@@ -16,6 +16,8 @@ from typing import BinaryIO
 
 LARGEST = 1 << 24
 """Bytes of a file that is read whole, at most."""
+LARGEST_HASHED = 1 << 30
+"""Bytes of a file whose checksum is wanted, at most."""
 _ODD = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 """Flags for opening: a link is refused, and a pipe without a writer does not block."""
 
@@ -77,13 +79,16 @@ def read(path: Path) -> bytes:
     with opened(path) as file:
         data = file.read(LARGEST + 1)
     if len(data) > LARGEST:
-        raise OSError(errno.EFBIG, f"it is larger than {LARGEST >> 20} MiB", str(path))
+        raise _too_large(path, LARGEST)
     return data
 
 
 def sha256(path: Path) -> str:
-    """Of the regular file's content, in hexadecimal. Raises OSError as `opened` does."""
+    """Of the regular file's content, in hexadecimal. Raises OSError as `opened` does, and for more than
+    `LARGEST_HASHED`."""
     with opened(path) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_HASHED:
+            raise _too_large(path, LARGEST_HASHED)
         return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it has readinto
 
 
@@ -92,6 +97,10 @@ def can_write(folder: Path) -> bool:
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _too_large(path: Path, most: int) -> OSError:
+    return OSError(errno.EFBIG, f"it is larger than {most >> 20} MiB", str(path))
 
 
 def _open(path: Path, flags: int) -> int:

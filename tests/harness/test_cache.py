@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 from envs import SPECS, EnvSpec
-from harness import experts
+from harness import cache, experts
 from harness.cache import Kept, cache_file, kept, load
-from harness.environment import CACHE_VARIABLE, SAME_INSTRUCTIONS
+from harness.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
 from harness.experts import deviations_for, expert_for
 from harness.keys import program
 from harness.results import Library
@@ -64,6 +67,52 @@ def test_whatever_bit_is_flipped_it_is_computed_again(folder: Path) -> None:
     assert again is not None
     assert again.facts == VALUE.facts
     path.unlink()
+    assert load(path) is None
+
+
+@pytest.mark.parametrize("kind", ["a file", "of a stranger", "full"])
+def test_where_it_cannot_be_written_it_is_kept_for_the_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "run"))
+    (tmp_path / "run").mkdir()
+    if kind == "a file":
+        folder.write_text("mine")
+    write = cache.write_atomic
+
+    def refuse(path: Path, data: bytes) -> None:
+        if path.parent == folder:
+            raise OSError(28, "No space left on device")
+        write(path, data)
+
+    if kind != "a file":
+        monkeypatch.setattr(cache, "write_atomic", refuse)
+    assert kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE) is VALUE
+    assert kept("thing", CARTPOLE, "smoke", "sb3", never).facts == VALUE.facts
+    assert len(list((tmp_path / "run/cache").iterdir())) == 1
+
+
+def test_no_name_is_the_usual_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, "")
+    assert cache_file("thing", CARTPOLE, "smoke", "sb3").parent == DEFAULT_CACHE
+    assert Path("results/cache") == DEFAULT_CACHE
+
+
+@pytest.mark.parametrize("kind", ["deep", "pipe", "folder", "link"])
+def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
+    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    (path,) = folder.iterdir()
+    path.unlink()
+    if kind == "deep":
+        facts = "[" * 100_000
+        metadata = {"facts": facts, "checksum": cache._checksum(VALUE.arrays, facts)}
+        path.write_bytes(safetensors.numpy.save(VALUE.arrays, metadata))
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero")
     assert load(path) is None
 
 

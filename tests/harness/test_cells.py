@@ -13,10 +13,21 @@ import pytest
 from envs import SPECS
 from harness import cells
 from harness.cells import run_cell
+from harness.codec import decode, encode
 from harness.environment import CACHE_VARIABLE
 from harness.evaluation import evaluate
 from harness.experts import expert_for
-from harness.results import CONTROLS, Cell, CellResult, Conditions, Row, failed_rows, policies_of
+from harness.results import (
+    CONTROLS,
+    MOST_CURVES,
+    MOST_POINTS,
+    Cell,
+    CellResult,
+    Conditions,
+    Row,
+    failed_rows,
+    policies_of,
+)
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)
@@ -116,6 +127,26 @@ def test_what_breaks_the_contract_fails(
     monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Method(policy, reward))
     with pytest.raises((ValueError, FloatingPointError), match=message):
         run(Cell("cartpole", "shaped", 1), tmp_path)
+
+
+def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Talkative(Method):
+        def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+            many = {f"curve {i}": [float(i)] for i in range(100)}
+            return Learned(
+                self.policy, None, {"long": [float(x) for x in range(123_456)], "none": [], **many}
+            )
+
+    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Talkative(still, Pays(ones)))
+    result = decode(encode(run(BC, tmp_path)))
+    long = result.curves["long"]
+    assert len(result.curves) < len(long) <= MOST_POINTS
+    assert (long[0], long[-1]) == ((1.0, 0.0), (123_456.0, 123_455.0))
+    assert all(x == y + 1 for x, y in long)
+    assert result.curves["none"] == []
+    assert result.warnings == [f"{BC.name}: of 102 curves the first {MOST_CURVES - 2} are kept"]
 
 
 def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:

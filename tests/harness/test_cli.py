@@ -8,6 +8,7 @@ import os
 import pty
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -203,6 +204,78 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     assert main("report", "run")[0] == 0
 
 
+@pytest.mark.parametrize("how", ["deleted", "damaged"])
+def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
+    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: str
+) -> None:
+    lost = tmp_path / "run/cells/cartpole__control_true__seed0.json"
+    save, again = store.RunDirectory.save, False
+
+    def lose(self: store.RunDirectory, result: CellResult) -> None:
+        nonlocal again
+        save(self, result)
+        if result.cell.method == "control_true" and not again:
+            again = True
+            lost.write_text("{") if how == "damaged" else lost.unlink()
+
+    monkeypatch.setattr(store.RunDirectory, "save", lose)
+    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (0, True)
+    assert (
+        "lost or damaged while the run went on, computed again: cartpole__control_true__seed0, 1 in all"
+        in err
+    )
+    assert computed(tmp_path / "run").count("cartpole__control_true__seed0") == 2
+
+
+def test_a_cell_that_is_lost_again_and_again_is_named_in_a_line(
+    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    save = store.RunDirectory.save
+
+    def lose(self: store.RunDirectory, result: CellResult) -> None:
+        save(self, result)
+        if result.cell.method == "control_true":
+            (tmp_path / "run/cells/cartpole__control_true__seed0.json").unlink()
+
+    monkeypatch.setattr(store.RunDirectory, "save", lose)
+    code, _, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert code == 2
+    last = err.splitlines()[-1]
+    assert (
+        last == "irl-bench: error: run: cannot use the stored cell cartpole__control_true__seed0: it is gone"
+    )
+
+
+@pytest.mark.parametrize("how", ["moved", "deleted"])
+def test_a_directory_that_goes_while_the_run_goes_on_is_one_line(tmp_path: Path, how: str) -> None:
+    process = start(tmp_path)
+    cell = process_of(tmp_path / "run", "cartpole__bc__seed0")
+    if how == "moved":
+        (tmp_path / "run").rename(tmp_path / "elsewhere")
+    else:
+        shutil.rmtree(tmp_path / "run")
+    os.kill(cell, signal.SIGKILL)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert re.fullmatch(
+        r"irl-bench: error: .* moved or deleted; cannot store cartpole__bc__seed0: '.*/run'\n", err
+    )
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_cache_that_cannot_be_written_to_is_told(
+    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("IRL_BENCH_CACHE", str(tmp_path / "file"))
+    code, _, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert code == 0
+    assert (
+        f"the cache {tmp_path / 'file'} cannot be written to: experts are trained for this run alone" in err
+    )
+
+
 def test_a_cell_that_hangs_fails_and_is_not_tried_again_unasked(main: Main, tmp_path: Path) -> None:
     faults(tmp_path, cartpole__bc__seed0="sleep")
     hanging = (*SMOKE, "--methods", "bc", "--out", "run", "--cell-timeout", "3")
@@ -231,6 +304,12 @@ def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
     while "cartpole__bc__seed0" not in computed(tmp_path / "run"):
         time.sleep(0.05)
     return process
+
+
+def process_of(directory: Path, cell: str) -> int:
+    """The process that computes the cell."""
+    lines = (directory / "computed.txt").read_text().splitlines()
+    return int(dict(line.split() for line in lines)[cell])
 
 
 def wait_until_gone(tmp_path: Path) -> None:
@@ -300,8 +379,7 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
     )
     assert second.returncode == 2
     assert f"in use by another run (process {process.pid})" in second.stderr
-    lines = (tmp_path / "run/computed.txt").read_text().splitlines()
-    os.kill(int(dict(line.split() for line in lines)["cartpole__bc__seed0"]), signal.SIGSEGV)
+    os.kill(process_of(tmp_path / "run", "cartpole__bc__seed0"), signal.SIGSEGV)
     assert process.wait(20) == 1
     assert process.stderr is not None
     err = process.stderr.read()

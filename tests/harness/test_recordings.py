@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,25 @@ def test_the_ending_and_the_facts_are_in_the_recording(tmp_path: Path, episode: 
         "length": length,
         "ending": "pole fell",
     }
+
+
+def test_any_path_will_do(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9 \n"))
+    folder.mkdir()
+    record(folder / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None)
+    (tmp_path / "b.rrd").write_bytes((folder / "a.rrd").read_bytes())
+    assert len(values(read(tmp_path / "b.rrd")["/reward/true"]["Scalars:scalars"])) == len(trajectory.act)
+
+
+def test_where_rerun_writes_nothing_there_is_no_recording(
+    tmp_path: Path, episode: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trajectory, frames = episode
+    monkeypatch.setenv("RERUN", "off")
+    with pytest.raises(OSError, match=r"rerun wrote nothing to a\.rrd"):
+        record(tmp_path / "a.rrd", SPEC, CELL, "pi_R", trajectory, frames, None)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_equal_episodes_give_recordings_of_equal_content(tmp_path: Path, episode: Any) -> None:

@@ -1,0 +1,428 @@
+"""Files that a run did not write: none is deleted, written over, followed or called damaged."""
+
+import dataclasses
+import json
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from filelock import lock_descriptor
+
+from harness import scratch
+from harness.cli import main
+from harness.codec import checksum, encode
+from harness.files import appending, opened, read, sha256, write_atomic
+from harness.registry import BadInput
+from harness.results import Cell, CellResult, Conditions, Row
+from harness.scratch import MARKER, PREFIX, scratch_folder
+from harness.store import SUMS, Request, open_for_report, open_for_run, open_to_verify
+
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
+RECORDING = "cartpole__bc__seed0__pi_star.rrd"
+
+
+def result(method: str = "bc") -> CellResult:
+    row = Row("cartpole", method, 0, "pi_star", "absorbing", episodes=1, return_mean=1.0, length_mean=1.0)
+    return CellResult(Cell("cartpole", method, 0), [row], {"loss": [(0.0, 1.0), (1.0, 0.5)]})
+
+
+@pytest.fixture
+def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder for temporary files."""
+    with tempfile.TemporaryDirectory(prefix="t-") as folder:
+        monkeypatch.setattr(tempfile, "tempdir", folder)
+        yield Path(folder)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A finished run of a real report."""
+    path = tmp_path / "deep/run"
+    with open_for_run(path, REQUEST) as directory:
+        write_atomic(path / "recordings" / RECORDING, b"a recording")
+        recordings = {RECORDING: sha256(path / "recordings" / RECORDING)}
+        directory.save(dataclasses.replace(result(), recordings=recordings))
+    assert main(["report", str(path)]) == 0
+    assert main(["verify", str(path)]) == 0
+    return path
+
+
+def snapshot(path: Path) -> dict[str, bytes | None]:
+    return {str(file): file.read_bytes() if file.is_file() else None for file in path.rglob("*")}
+
+
+# Temporary files.
+
+
+def abandoned(parent: Path) -> Path:
+    """What a killed run leaves."""
+    with scratch_folder() as folder:
+        kept = folder.with_name("kept")
+        folder.rename(kept)
+    assert not folder.exists()
+    return kept.rename(folder)
+
+
+def test_what_a_killed_run_left_is_deleted_by_the_next(temporary: Path) -> None:
+    left = abandoned(temporary)
+    (left / "program").mkdir()
+    (left / "program/file").write_text("")
+    with scratch_folder() as folder:
+        assert [path.name for path in temporary.iterdir()] == [folder.name]
+    assert list(temporary.iterdir()) == []
+
+
+def test_folders_that_only_look_like_ours_are_left_alone(temporary: Path) -> None:
+    pid = 424242
+    names = [
+        f"{PREFIX}2026-results",
+        f"{PREFIX}{pid}-seeds",
+        f"{PREFIX}20261123093000-x",
+        PREFIX + "a",
+        "mine",
+    ]
+    for name in names:
+        (temporary / name).mkdir()
+        (temporary / name / "precious").write_text("mine")
+    (temporary / f"{PREFIX}file").write_text("mine")
+    for name in ("copied", "moved"):  # with everything that is in them
+        left = abandoned(temporary)
+        left.rename(temporary / f"{PREFIX}{name}")
+    (temporary / f"{PREFIX}empty").mkdir()
+    (temporary / f"{PREFIX}empty" / MARKER).write_text("")
+    (temporary / f"{PREFIX}pipe").mkdir()
+    os.mkfifo(temporary / f"{PREFIX}pipe" / MARKER)
+    (temporary / f"{PREFIX}link").symlink_to(abandoned(temporary).rename(temporary / "elsewhere"))
+    before = snapshot(temporary)
+    with scratch_folder():
+        pass
+    assert snapshot(temporary) == before
+
+
+def test_a_folder_that_a_live_run_holds_is_left_alone(temporary: Path) -> None:
+    """A lock tells, not a number of a process: those mean nothing to another PID namespace."""
+    left = abandoned(temporary)
+    holder = (
+        "import sys; from filelock import lock_descriptor as lock; f = open(sys.argv[1]); lock(f.fileno()); "
+    )
+    holder += "print(); input()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", holder, str(left / MARKER)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    with scratch_folder():
+        assert left.exists()
+    process.communicate(b"\n")
+    with scratch_folder():
+        assert not left.exists()
+
+
+def test_another_users_folder_is_left_alone(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = abandoned(temporary)
+    owner = os.geteuid()
+    with monkeypatch.context() as changed:
+        changed.setattr(scratch.os, "geteuid", lambda: owner + 1)
+        with scratch_folder():
+            pass
+    assert left.exists()
+
+
+def test_a_folder_is_never_there_unlocked_with_its_marker(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a run is killed while it makes its folder, nobody takes the folder of a run that lives."""
+    rename = Path.rename
+
+    def check(path: Path, to: Path) -> Path:
+        with opened(path) as marker:
+            assert not lock_descriptor(marker.fileno(), blocking=False)
+        return rename(path, to)
+
+    monkeypatch.setattr(Path, "rename", check)
+    with scratch_folder() as folder:
+        assert (folder / MARKER).exists()
+
+
+# The directory of a run.
+
+
+def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> None:
+    mine = [
+        "notes.txt",
+        "leaderboard.xlsx",
+        "figures/mine.png",
+        "recordings/mine.rrd",
+        ".notes.tmp",
+        "cells/a.txt",
+    ]
+    mine += ["figures/.draft.tmp", "scores.csv.bak", ".report.html.swp", "cells/.#a.json"]
+    for name in mine:
+        (run / name).write_text("mine")
+    for command in ("verify", "report", "verify"):
+        assert main([command, str(run)]) == 0
+    with open_for_run(run, REQUEST):
+        pass
+    assert [(run / name).read_text() for name in mine] == ["mine"] * len(mine)
+    assert "mine.rrd" not in (run / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "content", [{"SHA256SUMS": ""}, {"run.log": ""}, {"scores.csv": "a"}, {"cells/x": "a"}]
+)
+@pytest.mark.parametrize("command", ["run", "reproduce"])
+def test_a_directory_of_somebody_elses_is_refused_and_left_as_it_was(
+    tmp_path: Path, content: dict[str, str], command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in content.items():
+        (tmp_path / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "mine" / name).write_text(text)
+    before = snapshot(tmp_path)
+    assert main([command, "--out", str(tmp_path / "mine")]) == 2
+    assert "is not empty and holds no" in capsys.readouterr().err
+    assert snapshot(tmp_path) == before
+
+
+def test_reproduce_and_run_leave_each_others_directories_alone(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(run)
+    assert main(["reproduce", "--out", str(run)]) == 2
+    assert snapshot(run) == before
+    study = run.parent / "study"
+    write_atomic(study / "study.json", b'{"study": "thesis", "format": 1}\n')
+    assert main(["run", "--out", str(study)]) == 2
+    assert os.listdir(study) == ["study.json"]
+
+
+def test_reproduce_writes_to_no_committed_results_unless_told() -> None:
+    from harness.cli import _parser
+
+    assert _parser().parse_args(["reproduce"]).out == Path("results/reproduce")
+
+
+@pytest.mark.parametrize("folder", ["cells", "recordings", "figures"])
+@pytest.mark.parametrize("command", ["run", "report", "verify"])
+def test_a_folder_that_leads_elsewhere_is_refused(run: Path, folder: str, command: str) -> None:
+    elsewhere = run.parents[1] / "elsewhere"
+    (run / folder).rename(elsewhere)
+    (elsewhere / ".notes.tmp").write_text("mine")
+    (elsewhere / ".a.png.0123456789abcdef.tmp").write_text("mine")
+    (run / folder).symlink_to(elsewhere)
+    before = snapshot(elsewhere)
+    options = (
+        ["--methods", "bc", "--envs", "cartpole", "--budget", "smoke", "--out"] if command == "run" else []
+    )
+    assert main([command, *options, str(run)]) == 2
+    assert snapshot(elsewhere) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["scores.csv", "leaderboard.md", "report.html", "figures/cartpole_scores.png"]
+)
+def test_a_file_that_leads_elsewhere_is_replaced_and_not_followed(run: Path, name: str) -> None:
+    elsewhere = run.parents[1] / "mine"
+    elsewhere.write_text("mine")
+    (run / name).unlink()
+    (run / name).symlink_to(elsewhere)
+    assert main(["verify", str(run)]) == 1
+    assert main(["report", str(run)]) == 0
+    assert elsewhere.read_text() == "mine"
+    assert not (run / name).is_symlink()
+
+
+@pytest.mark.parametrize("name", ["run.log", SUMS])
+def test_what_is_appended_to_leads_nowhere_else(run: Path, name: str) -> None:
+    elsewhere = run.parents[1] / "mine"
+    elsewhere.write_text("mine")
+    (run / name).unlink(missing_ok=True)
+    (run / name).symlink_to(elsewhere)
+    with pytest.raises(BadInput, match="it is a link"), open_for_run(run, REQUEST):
+        pass
+    assert elsewhere.read_text() == "mine"
+
+
+def strange(run: Path, **changes: object) -> None:
+    """The stored cell with other values in its row, and a right checksum."""
+    file = run / "cells/cartpole__bc__seed0.json"
+    stored = json.loads(file.read_text())
+    stored["result"]["rows"][0] |= changes
+    stored["sha256"] = checksum(stored["result"])
+    file.write_text(json.dumps(stored))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"env": "../../x"},
+        {"method": "../x"},
+        {"env": "/tmp/x"},
+        {"env": "pendulum"},
+        {"seed": 1},
+        {"env": "a/b"},
+    ],
+)
+def test_rows_of_another_cell_are_refused_and_nothing_outside_is_written(
+    run: Path, changes: dict[str, object], capsys: pytest.CaptureFixture[str]
+) -> None:
+    strange(run, **changes)
+    before = set(run.parents[1].rglob("*"))
+    assert main(["report", str(run)]) == 2
+    assert "holds no finished cell" in capsys.readouterr().err
+    assert main(["verify", str(run)]) == 1
+    assert set(run.parents[1].rglob("*")) == before
+    assert not Path("/tmp/x_scores.png").exists()
+
+
+def test_a_method_has_no_policy_of_the_reference(run: Path) -> None:
+    strange(run, policy="expert")
+    with open_for_report(run) as directory:
+        (reason,) = directory.load()[1].values()
+    assert reason == "it holds 'expert' where a policy of bc should be, once"
+
+
+def test_verify_writes_nothing(run: Path) -> None:
+    (run / ".lock").unlink()
+    (run / ".report.html.0123456789abcdef.tmp").write_text("left by a killed run")
+    before = snapshot(run)
+    assert main(["verify", str(run)]) == 0
+    assert snapshot(run) == before
+    assert main(["report", str(run)]) == 0
+    assert snapshot(run).keys() - before.keys() == {str(run / ".lock")}
+
+
+def test_a_run_deletes_what_a_killed_run_left_half_written(run: Path) -> None:
+    half = [".run.json.0123456789abcdef.tmp", "cells/.cartpole__bc__seed0.json.0123456789abcdef.tmp"]
+    for name in half:
+        (run / name).write_text("{")
+    with open_for_run(run, REQUEST):
+        assert not any((run / name).exists() for name in half)
+
+
+# What a run had.
+
+
+@pytest.mark.parametrize(
+    "gone", ["cells/*", "recordings/*", "figures/*", "cells", "scores.csv", SUMS, "[!r]*"]
+)
+def test_whatever_a_run_had_and_has_no_more_is_damage(
+    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in run.glob(gone):
+        if path.is_dir():
+            path.rename(run.parent / path.name)
+        else:
+            path.unlink()
+    assert main(["verify", str(run)]) == 1
+    assert "every file is as it was written" not in capsys.readouterr().out
+
+
+def test_cells_that_were_stored_before_the_first_report_are_listed_too(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST) as directory:
+        directory.save(result())
+    assert main(["verify", str(tmp_path)]) == 0
+    (tmp_path / "cells/cartpole__bc__seed0.json").unlink()
+    assert main(["verify", str(tmp_path)]) == 1
+
+
+def test_another_runs_cell_is_damage(run: Path, tmp_path: Path) -> None:
+    with open_for_run(tmp_path / "other", REQUEST) as directory:
+        better = dataclasses.replace(result().rows[0], return_mean=9.0)
+        directory.save(dataclasses.replace(result(), rows=[better]))
+    name = "cells/cartpole__bc__seed0.json"
+    (run / name).write_bytes((tmp_path / "other" / name).read_bytes())
+    assert main(["verify", str(run)]) == 1
+
+
+def test_cells_that_a_run_was_not_asked_for_are_left_out(run: Path) -> None:
+    (run / "cells/cartpole__shaped__seed0.json").write_text(encode(result("shaped")))
+    with open_for_report(run) as directory:
+        found, unusable = directory.load()
+    assert list(found) == [Cell("cartpole", "bc", 0)]
+    assert list(unusable.values()) == ["this run was not asked for it"]
+
+
+def test_folders_that_cannot_be_read_are_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listdir = os.listdir
+
+    def refuse(folder: Path) -> list[str]:
+        if folder.name == "cells":
+            raise PermissionError(13, "Permission denied")
+        return listdir(folder)
+
+    monkeypatch.setattr("harness.store.os.listdir", refuse)
+    with (
+        pytest.raises(BadInput, match=r"cannot read .*cells: Permission denied"),
+        open_to_verify(run) as opened,
+    ):
+        opened.damaged()
+
+
+def test_a_moved_or_deleted_directory_ends_a_run_in_a_line(tmp_path: Path) -> None:
+    with open_for_run(tmp_path / "run", REQUEST) as directory:
+        (tmp_path / "run").rename(tmp_path / "moved")
+        with pytest.raises(OSError, match="moved or deleted; cannot store cartpole__bc__seed0"):
+            directory.save(result())
+    assert not (tmp_path / "run/cells").exists()
+
+
+# Special files, and what may not be read.
+
+
+@pytest.mark.parametrize(
+    "name", ["cells/cartpole__bc__seed0.json", "scores.csv", SUMS, f"recordings/{RECORDING}"]
+)
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device", "link", "huge", "binary"])
+def test_special_files_block_nobody(run: Path, name: str, kind: str) -> None:
+    file = run / name
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    elif kind == "device":
+        file.symlink_to("/dev/zero")
+    elif kind == "link":
+        file.symlink_to("/etc/hostname")
+    elif kind == "huge":
+        with file.open("wb") as handle:
+            handle.truncate(1 << 34)
+    else:
+        file.write_bytes(bytes(range(256)))
+    assert main(["verify", str(run)]) == 1
+    # Of the one cell there is no report, and what is a folder cannot be replaced.
+    refused = name.startswith("cells") or (kind == "folder" and "/" not in name)
+    assert main(["report", str(run)]) == (2 if refused else 0)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder", "link", "unreadable"])
+def test_a_lock_that_is_none_stops_no_verification(run: Path, kind: str) -> None:
+    (run / ".lock").unlink()
+    if kind == "pipe":
+        os.mkfifo(run / ".lock")
+    elif kind == "folder":
+        (run / ".lock").mkdir()
+    elif kind == "link":
+        (run / ".lock").symlink_to("nowhere")
+    else:
+        (run / ".lock").write_bytes(b"\xff")
+    assert main(["verify", str(run)]) == 0
+
+
+def test_files_obey_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_atomic(tmp_path / "new/file", "text")
+        with appending(tmp_path / "log"):
+            pass
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "new/file").stat().st_mode) == 0o640
+    assert stat.S_IMODE((tmp_path / "log").stat().st_mode) == 0o640
+    assert read(tmp_path / "new/file") == b"text"

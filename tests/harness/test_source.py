@@ -1,0 +1,201 @@
+"""What is computed is what the key says: one reading of the source, known packages, known variables."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness import keys
+from harness.environment import CHOSEN, FIXED, PASSED, PASSED_PREFIXES, TEXT, numeric, of_this_process
+from harness.keys import CELL_SOURCES, PROGRAM, ROOT, cell_key, key_of, program
+from harness.processes import NAME, fresh_processes
+from harness.results import Cell, CellResult, Conditions
+from harness.run import Grid
+
+HERE = Path(__file__).parent
+RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
+NUMBERS_DEPEND = {
+    "JAX_DEFAULT_PRNG_IMPL": "rbg",
+    "JAX_THREEFRY_PARTITIONABLE": "0",
+    "JAX_ENABLE_X64": "1",
+    "JAX_DISABLE_JIT": "1",
+    "JAX_NUMPY_DTYPE_PROMOTION": "strict",
+    "JAX_DEFAULT_MATMUL_PRECISION": "bfloat16",
+    "XLA_FLAGS": "--xla_cpu_enable_fast_math=true",
+    "OMP_NUM_THREADS": "7",
+    "MKL_NUM_THREADS": "7",
+    "OPENBLAS_NUM_THREADS": "7",
+    "TORCH_LOGS": "all",
+    "PYTORCH_JIT": "0",
+    "NPY_DISABLE_CPU_FEATURES": "AVX2",
+    "PYTHONHASHSEED": "7",
+    "PYTHONOPTIMIZE": "2",
+    "MPLBACKEND": "bogus",
+    "RERUN": "off",
+    "TF_ENABLE_ONEDNN_OPTS": "0",
+    "ANOTHER_LIBRARYS_OWN": "1",
+}
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """The program in a folder of its own, to be edited."""
+    for package in PROGRAM:
+        shutil.copytree(
+            ROOT / package, tmp_path / "copy" / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    return tmp_path / "copy"
+
+
+@pytest.fixture
+def reading(copy: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The copy as what this process takes for the program."""
+    monkeypatch.setattr(keys, "ROOT", copy)
+    program.cache_clear()
+    yield copy
+    program.cache_clear()
+
+
+def start(copy: Path, *arguments: str, **variables: str) -> subprocess.Popen[str]:
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    env |= {"IRL_BENCH_CACHE": str(copy / "cache"), **variables}
+    command = [sys.executable, "-m", "harness", *arguments]
+    return subprocess.Popen(
+        command, cwd=copy, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+
+
+def test_source_that_is_edited_while_a_run_goes_on_changes_nothing_of_it(copy: Path) -> None:
+    bc = copy / "methods/bc.py"
+    process = start(copy, *RUN)
+    assert process.stdout is not None
+    assert "cells to run" in process.stdout.readline()
+    bc.write_text(bc.read_text() + "\nraise RuntimeError('edited')\n")
+    told, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, told
+    again, _ = (process := start(copy, *RUN)).communicate(timeout=120)
+    assert process.returncode == 1
+    assert "computed by another version of the program" in again
+    assert "RuntimeError: edited" in again
+
+
+def _tell(file: Path) -> None:
+    """In a process of its own: what it imports, and what its environment is."""
+    try:
+        import methods.bc
+
+        said = methods.bc.__file__
+    except RuntimeError as error:
+        said = str(error)
+    key = key_of(CELL_SOURCES, "the same")
+    file.write_text(json.dumps({"said": said, "key": key, "variables": dict(os.environ)}))
+
+
+def told_by_a_cell(directory: Path) -> dict:
+    with fresh_processes("harness.results") as context:
+        process = context.Process(name=NAME, target=_tell, args=(directory / "told",))
+        process.start()
+        process.join()
+    return json.loads((directory / "told").read_text())
+
+
+def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path: Path) -> None:
+    (reading / "methods/bc.py").write_text("raise RuntimeError('as it was read')")
+    key = key_of(CELL_SOURCES, "the same", numeric(False))
+    (reading / "methods/bc.py").write_text("raise RuntimeError('as it is now')")
+    told = told_by_a_cell(tmp_path)
+    assert told["said"] == "as it was read"
+    assert told["key"] == key
+    program.cache_clear()
+    assert key_of(CELL_SOURCES, "the same", numeric(False)) != key
+
+
+def test_only_what_python_would_import_counts(reading: Path) -> None:
+    before = key_of(CELL_SOURCES, None)
+    (reading / "methods/.#bc.py").symlink_to("nobody@nowhere")
+    (reading / "methods/gone.py").symlink_to("nowhere")
+    (reading / "methods/folder.py").mkdir()
+    (reading / "methods/bc copy.py").write_text("a copy")
+    (reading / "methods/bc.py~").write_text("a backup")
+    (reading / "methods/.bc.py.swp").write_bytes(b"\xff")
+    (reading / "envs/notes.txt").write_text("mine")
+    (reading / "methods/__pycache__").mkdir()
+    (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
+    program.cache_clear()
+    assert key_of(CELL_SOURCES, None) == before
+    (reading / "methods/another.py").write_text("")
+    program.cache_clear()
+    assert key_of(CELL_SOURCES, None) != before
+
+
+def test_an_open_editor_stops_no_run(copy: Path) -> None:
+    (copy / "methods/.#bc.py").symlink_to("nobody@nowhere")
+    told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
+    assert process.returncode == 0, told
+
+
+def test_a_broken_environment_is_a_failed_row_and_a_report(copy: Path) -> None:
+    (copy / "envs/gridworld.py").write_text("def broken(:")
+    told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
+    assert process.returncode == 1
+    assert "Traceback" not in told
+    assert "no expert: SyntaxError: invalid syntax" in told
+    assert (copy / "run/report.html").exists()
+
+
+def test_of_variables_cells_have_only_what_changes_no_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in NUMBERS_DEPEND.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("LC_ALL", "C")
+    variables = told_by_a_cell(tmp_path)["variables"]
+    ours = {*FIXED, *TEXT, "TMPDIR", "PYTHONPATH", "PYTHONSAFEPATH"}
+    ours |= {"JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"}
+    others = {name for name in variables.keys() - PASSED - ours if not name.startswith(PASSED_PREFIXES)}
+    assert others <= {*CHOSEN, "PYGAME_HIDE_SUPPORT_PROMPT"}  # which a library sets when it is imported
+    for name, value in NUMBERS_DEPEND.items():
+        assert variables.get(name) != value, name
+    assert variables["LC_ALL"] == "C"
+
+
+@pytest.mark.parametrize("name", CHOSEN)
+def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, here = cell_key({}, numeric(False)), key_of((), None)
+    monkeypatch.setenv(name, "another")
+    assert cell_key({}, numeric(False)) != before
+    assert key_of((), None) != here
+    assert of_this_process()[name] == "another"
+
+
+def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(HERE)
+    found: list[CellResult] = []
+    monkeypatch.setattr("harness.run.cell_key", lambda *_: "of other packages")
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    grid = Grid(conditions, tmp_path, 1, found.append, work="fake_cells", preload="harness.run")
+    grid.run([Cell("cartpole", "good", 0)])
+    assert "are not those that the run began with" in found[0].rows[0].reason
+
+
+@pytest.mark.parametrize("package", ["envs", "methods"])
+@pytest.mark.parametrize("name", ["{}/__init__.py", "{}.py"])
+def test_what_hides_the_program_is_named_and_not_run(tmp_path: Path, package: str, name: str) -> None:
+    theirs = tmp_path / name.format(package)
+    theirs.parent.mkdir(exist_ok=True)
+    theirs.write_text("print('theirs')")
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for arguments in (RUN, ["report", "run"], ["verify", "run"]):
+        command = [sys.executable, "-m", "harness", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"{theirs} hides this program's package {package!r}" in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()

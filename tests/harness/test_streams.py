@@ -1,0 +1,220 @@
+"""Whatever becomes of standard output and error, the work is done and the exit code says what came of it."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
+RUN = "run --budget smoke --envs cartpole --methods bc --out run"
+FAILS = {"cartpole__bc__seed0": "raise"}
+
+
+def shell(directory: Path, line: str, *flags: str, **variables: str) -> tuple[int, str]:
+    """Runs a line of bash in which $IRL is the command line with fake cells; its exit code, and stderr."""
+    command = " ".join([sys.executable, *flags, str(HERE / "fake_cells.py")])
+    env, nowhere = {**ENV, "IRL": command, **variables}, subprocess.DEVNULL
+    words = ["bash", "-c", line]
+    done = subprocess.run(
+        words, cwd=directory, env=env, stdout=nowhere, stderr=subprocess.PIPE, text=True, check=False
+    )
+    return done.returncode, done.stderr
+
+
+def faults(directory: Path, behaviour: dict[str, str]) -> None:
+    (directory / "faults.json").write_text(json.dumps(behaviour))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "$IRL RUN 2>&1 | head -1; exit ${PIPESTATUS[0]}",
+        "$IRL RUN 2>&1 | head -0; exit ${PIPESTATUS[0]}",
+        "$IRL RUN 2>/dev/full",
+        "$IRL RUN >/dev/full",
+        "$IRL RUN >/dev/full 2>&1",
+        "$IRL RUN 2>&-",
+        "$IRL RUN >&-",
+        "$IRL RUN <&- >&- 2>&-",
+        "$IRL RUN </dev/full",
+    ],
+)
+def test_wherever_it_prints_to_a_failed_cell_is_exit_1_and_the_report_is_there(
+    tmp_path: Path, line: str
+) -> None:
+    faults(tmp_path, FAILS)
+    code, err = shell(tmp_path, line.replace("RUN", RUN))
+    assert code == 1
+    assert "Traceback" not in err
+    assert (tmp_path / "run/leaderboard.md").read_text() == "a table of 8 cells\n"
+    assert sum(name.endswith(".json") for name in os.listdir(tmp_path / "run/cells")) == 8
+
+
+def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_path: Path) -> None:
+    faults(tmp_path, {})
+    assert shell(tmp_path, f"$IRL {RUN}")[0] == 0
+    for command, code in (("report run", 1), (RUN, 0), ("report run", 0)):
+        if code == 1 or command == RUN:
+            cell = tmp_path / "run/cells/cartpole__reference__seed0.json"
+            cell.write_bytes(cell.read_bytes()[:-9])
+        (tmp_path / "run/leaderboard.md").unlink()
+        line = f"$IRL {command} 2>&1 | head -0; exit ${{PIPESTATUS[0]}}"
+        assert shell(tmp_path, line)[0] == code
+        assert (tmp_path / "run/leaderboard.md").exists()
+    assert (tmp_path / "run/computed.txt").read_text().count("reference") == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "told"),
+    [
+        ("$IRL list >/dev/full", 1, "cut short: No space left on device"),
+        ("$IRL --help >/dev/full", 1, "cut short: No space left on device"),
+        ("$IRL list | head -0; exit ${PIPESTATUS[0]}", 0, ""),
+        ("$IRL --help | head -0; exit ${PIPESTATUS[0]}", 0, ""),
+        ("$IRL list >&-", 0, ""),
+        ("$IRL nonsense 2>&-", 2, ""),
+        ("$IRL nonsense 2>/dev/full", 2, ""),
+    ],
+)
+def test_what_was_asked_to_be_printed_is_whole_or_exit_1(
+    tmp_path: Path, line: str, code: int, told: str
+) -> None:
+    found, err = shell(tmp_path, line)
+    assert found == code
+    assert told in err
+    assert err.count("\n") == bool(told)
+
+
+@pytest.mark.parametrize("flag", ["-Werror", "-O", "-Xdev", "-bb", "-s", "-P"])
+def test_pythons_flags_change_nothing(tmp_path: Path, flag: str) -> None:
+    faults(tmp_path, FAILS)
+    code, err = shell(tmp_path, f"$IRL {RUN}", flag)
+    assert code == 1
+    assert "Traceback" not in err
+    assert (tmp_path / "run/leaderboard.md").exists()
+
+
+@pytest.mark.parametrize(
+    ("flag", "reason"), [("-OO", "without -OO"), ("-I", "without -E and -I"), ("-E", "-E")]
+)
+def test_flags_that_cells_cannot_have_are_refused_and_nothing_is_written(
+    tmp_path: Path, flag: str, reason: str
+) -> None:
+    code, err = shell(tmp_path, f"cd {ROOT} && {sys.executable} {flag} -m harness {RUN}x{tmp_path.name}")
+    assert code == 2
+    assert reason in err or "No module named" in err  # the package is not installed where -I looks
+    assert not (ROOT / f"runx{tmp_path.name}").exists()
+
+
+def test_ignored_signals_of_children_hide_no_end(tmp_path: Path) -> None:
+    faults(tmp_path, FAILS)
+    ignoring = "signal.signal(signal.SIGCHLD, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
+    ignoring = f"import os, signal, sys; {ignoring}"
+    code, err = shell(tmp_path, f'{sys.executable} -c "{ignoring}" $IRL {RUN}')
+    assert code == 1
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        {"PYTHONIOENCODING": "ascii:strict"},
+        {"PYTHONIOENCODING": "utf-16"},
+        {"MPLBACKEND": "bogus"},
+        {"TERM": "nonsense", "COLUMNS": "x", "NO_COLOR": "1"},
+        {"PYTHONWARNINGS": "error"},
+        {"PYTHONOPTIMIZE": "1"},
+    ],
+)
+def test_variables_of_the_shell_change_nothing(tmp_path: Path, variables: dict[str, str]) -> None:
+    faults(tmp_path, FAILS)
+    code, err = shell(tmp_path, f"$IRL {RUN}", **variables)
+    assert code == 1
+    assert "Traceback" not in err
+    assert (tmp_path / "run/leaderboard.md").exists()
+
+
+def on_a_terminal(directory: Path, *before: str) -> tuple[subprocess.Popen[bytes], int]:
+    """A run on a terminal, when its cell of bc hangs; the process, and our end of the terminal."""
+    ours, theirs = pty.openpty()
+    faults(directory, {"cartpole__bc__seed0": "sleep"})
+    process = subprocess.Popen(
+        [*before, sys.executable, str(HERE / "fake_cells.py"), *RUN.split()],
+        cwd=directory,
+        env={**ENV, "TERM": "xterm"},
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+    )
+    os.close(theirs)
+    file = directory / "run/computed.txt"
+    while not file.exists() or "bc" not in file.read_text():
+        assert process.poll() is None
+        time.sleep(0.02)
+    return process, ours
+
+
+def test_a_closed_terminal_stops_a_run_like_ctrl_c(tmp_path: Path) -> None:
+    process, ours = on_a_terminal(tmp_path)
+    os.close(ours)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(10) == 130
+
+
+def test_a_run_that_ignores_the_loss_of_its_terminal_goes_on_without(tmp_path: Path) -> None:
+    process, ours = on_a_terminal(tmp_path, "bash", "-c", 'trap "" HUP; exec "$@"', "-")
+    os.close(ours)
+    os.killpg(process.pid, signal.SIGHUP)
+    cell = (tmp_path / "run/computed.txt").read_text().split("bc__seed0 ")[1].split()[0]
+    time.sleep(0.5)
+    os.kill(int(cell), signal.SIGKILL)
+    assert process.wait(20) == 1
+    assert (tmp_path / "run/leaderboard.md").exists()
+
+
+@pytest.mark.parametrize("after", [0.1, 0.15, 0.2, 0.3, 0.5])
+def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "harness", "report", str(tmp_path)],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    )
+    time.sleep(after)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert "Traceback" not in err or "site" in err  # Python itself had not yet started
+    assert process.returncode in (130, 2)
+
+
+def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path) -> None:
+    faults(tmp_path, {"cartpole__bc__seed0": "sleep"})
+    process = subprocess.Popen(
+        [sys.executable, str(HERE / "fake_cells.py"), *RUN.split()],
+        cwd=tmp_path,
+        env=ENV,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    file = tmp_path / "run/computed.txt"
+    while not file.exists() or "bc" not in file.read_text():
+        assert process.poll() is None
+        time.sleep(0.02)
+    for _ in range(5):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.01)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert "Traceback" not in err
