@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 
+# torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
 for _name in ("harness.run", "harness.world", "harness.advantage", "torch._dynamo"):
     # Whatever this raises, a cell's own import raises again, and there it is told.
     with contextlib.suppress(BaseException):

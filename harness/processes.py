@@ -4,16 +4,14 @@ gone, and so is whatever it started."""
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import connection, context, forkserver, popen_forkserver, resource_tracker
+from multiprocessing import connection, context, forkserver, popen_forkserver
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
@@ -21,6 +19,7 @@ from typing import Any
 
 import psutil
 
+from harness import orphans
 from harness.environment import for_cells
 from harness.keys import write_program
 from harness.registry import BadInput
@@ -29,11 +28,7 @@ from harness.scratch import scratch_folder
 NAME = "irl-bench cell"
 SERVER_DIED = 255
 """The exit code of a process whose forkserver died."""
-PATIENCE = 5.0
-"""Seconds for killed processes to be gone."""
 _LINUX = sys.platform == "linux"
-_SET_CHILD_SUBREAPER, _GET_CHILD_SUBREAPER = 36, 37
-"""Of prctl(2)."""
 
 
 @contextmanager
@@ -45,7 +40,7 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
         as_in_cells(deterministic) as scratch,
         _program_first(scratch / "program"),
         _sockets_in(scratch),
-        _adopting(),
+        orphans.taken_in(),
     ):
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
@@ -61,9 +56,9 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
                 child.kill()
             if _LINUX:
                 _stop_server()
-            deadline = time.monotonic() + PATIENCE
-            while (_cells() or kill_orphans()) and time.monotonic() < deadline:
-                time.sleep(0.01)
+            for child in _cells():
+                child.join(orphans.PATIENCE)
+            orphans.end_all()
 
 
 @contextmanager
@@ -88,33 +83,16 @@ def begin_cell() -> None:
     descendants stay its descendants; and without its run it ends, instead of going on for minutes."""
     if hasattr(os, "setsid"):
         os.setsid()
-    _adopt(True)
+    orphans.take_in(True)
 
     def watch() -> None:
         parent = multiprocessing.parent_process()
         if parent is not None:
             parent.join()
-            end_descendants()
+            orphans.end_descendants()
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def end_descendants() -> None:
-    """Kills every process that this one started, and those that they started."""
-    deadline = time.monotonic() + PATIENCE
-    while (found := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
-        _kill(found)
-
-
-def kill_orphans() -> int:
-    """Kills what cells' processes that ended have left, which on Linux the system gives to this process.
-    Returns how many there were."""
-    if not _LINUX or not _adopted:
-        return 0
-    orphans = [child for child in psutil.Process().children() if child.pid not in _not_orphans()]
-    _kill([*orphans, *(p for orphan in orphans for p in _descendants(orphan))])
-    return len(orphans)
 
 
 def bound_memory() -> None:
@@ -183,54 +161,6 @@ def _sockets_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         config["tempdir"] = before
-
-
-_adopted: set[int] = set()
-"""This process's children when it began to take in orphans, and itself; empty while it does not."""
-
-
-@contextmanager
-def _adopting() -> Iterator[None]:
-    """Descendants whose parents end become this process's children, where the system can do that."""
-    if _adopted:
-        yield
-        return
-    before = _adopt(True)
-    _adopted.update([os.getpid(), *(child.pid for child in psutil.Process().children())])
-    try:
-        yield
-    finally:
-        _adopt(before)
-        _adopted.clear()
-
-
-def _adopt(wanted: bool) -> bool:
-    """Whether this process took in orphans before."""
-    before = ctypes.c_int(0)
-    if _LINUX:
-        prctl = ctypes.CDLL(None).prctl
-        prctl(_GET_CHILD_SUBREAPER, ctypes.byref(before), 0, 0, 0)
-        prctl(_SET_CHILD_SUBREAPER, int(wanted), 0, 0, 0)
-    return bool(before.value)
-
-
-def _not_orphans() -> set[int | None]:
-    servers = (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid)  # type: ignore[attr-defined]
-    return {*_adopted, *servers}
-
-
-def _descendants(process: psutil.Process) -> list[psutil.Process]:
-    found: list[psutil.Process] = []
-    with contextlib.suppress(psutil.Error):
-        found = process.children(recursive=True)
-    return found
-
-
-def _kill(processes: list[psutil.Process]) -> None:
-    for process in processes:
-        with contextlib.suppress(psutil.Error):
-            process.kill()
-    psutil.wait_procs(processes, timeout=1)
 
 
 def _stop_server() -> None:

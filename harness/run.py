@@ -27,15 +27,8 @@ from harness.codec import decode, encode, printable, usable
 from harness.environment import numeric, of_this_process
 from harness.files import appending
 from harness.keys import cell_key
-from harness.processes import (
-    NAME,
-    SERVER_DIED,
-    begin_cell,
-    bound_memory,
-    end_descendants,
-    fresh_processes,
-    kill_orphans,
-)
+from harness.orphans import end_descendants, end_orphans
+from harness.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes
 from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, failed_rows
 from harness.store import LOG
@@ -159,7 +152,7 @@ class Grid:
                     for orphan in [t.cell for t in waiting if t.env == task.env and t.cell]:
                         self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
                     waiting[:] = [t for t in waiting if t.env != task.env]
-            kill_orphans()
+            end_orphans()
 
     def _outcome(self, future: Future[Outcome]) -> Outcome:
         try:

@@ -174,7 +174,17 @@ def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it
     others = {file.stem for file in set(ROOT.glob("harness/*.py")) - covered}
     assert others == {
         *("__init__", "__main__", "bench", "cache", "cli", "codec", "figures", "files", "growth", "keys"),
-        *("leaderboard", "preload", "processes", "progress", "recordings", "registry", "report", "reproduce"),
+        *(
+            "leaderboard",
+            "orphans",
+            "preload",
+            "processes",
+            "progress",
+            "recordings",
+            "registry",
+            "report",
+            "reproduce",
+        ),
         *("results", "run", "scratch", "statistics", "store", "streams"),
     }
 
