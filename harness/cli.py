@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, NoReturn
 from harness.registry import BUDGETS, ENVS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
 
 if TYPE_CHECKING:
+    from harness.request import Request
     from harness.results import Cell, CellResult
-    from harness.store import Request, RunDirectory
+    from harness.store import RunDirectory
 
 MOST = 1000
 """Largest count that --seeds and --workers take."""
@@ -158,9 +159,10 @@ def _run(args: argparse.Namespace) -> int:
     methods = choose("method", args.methods, METHODS, VARIANTS)
     envs = choose("env", args.envs, ENVS)
     # Imported here, for `--help` and `list` to answer at once.
+    from harness.request import Request
     from harness.results import Conditions
     from harness.scratch import base
-    from harness.store import Request, open_for_run
+    from harness.store import open_for_run
 
     base()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
@@ -177,9 +179,10 @@ def _run(args: argparse.Namespace) -> int:
 def _reproduce(args: argparse.Namespace) -> int:
     from harness.progress import say
     from harness.reproduce import ENVS, open_study, write_study
+    from harness.request import Request
     from harness.results import Conditions
     from harness.scratch import base
-    from harness.store import Request, open_for_run
+    from harness.store import open_for_run
     from harness.study import ARMS
 
     base()

@@ -27,8 +27,9 @@ from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.files import read, write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
 from harness.registry import PROTOCOLS, BadInput
+from harness.request import LOCK
 from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
-from harness.store import LOCK, held
+from harness.store import held
 from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS = ("cartpole", "pendulum")

@@ -4,56 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
 
 from filelock import FileLock, Timeout, lock_descriptor
-from msgspec import Meta
 
-from harness.codec import checked, checksum, decode, encode, printable
+from harness.codec import decode, encode, printable
 from harness.environment import numeric
 from harness.files import appending, opened, read, sha256, unfinished, write_atomic
 from harness.keys import REPORT_PACKAGES, REPORT_SOURCES, cell_key, key_of, origin, versions
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput
-from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, CellResult, Conditions, Name
+from harness.registry import BadInput
+from harness.request import FOLDERS, LOCK, REQUEST, Request, existing, merged, write_request
+from harness.results import Cell, CellResult
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
-LOCK = ".lock"
-REQUEST = "run.json"
 SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
-FOLDERS = ("cells", "recordings", "figures")
-KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
-Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a run computes; seeds is how many, from 0."""
-
-    methods: Names
-    envs: Names
-    seeds: Annotated[int, Meta(ge=1, le=1000)]
-    conditions: Conditions
-
-    @property
-    def cells(self) -> list[Cell]:
-        """Every cell, the reference and the controls included."""
-        methods = (REFERENCE, *CONTROLS, *self.methods)
-        return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
-
-    def asks_for(self, cell: Cell) -> bool:
-        """Whether the cell is one of `cells`."""
-        known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
-        return known and cell.env in self.envs and cell.seed < self.seeds
 
 
 class RunDirectory:
@@ -182,32 +153,30 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
     Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
     other conditions or another format, or cannot be written, or is held by another process.
     """
-    _merged(path, request)
+    merged(path, request)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"cannot write to {path}: {error.strerror}") from error
     with held(path):
-        merged = _merged(path, request)
+        grown = merged(path, request)
         for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
             _check_can_append(file)
         for folder in (path, *(path / name for name in FOLDERS)):
             for left_by_a_killed_run in unfinished(folder):
                 left_by_a_killed_run.unlink()
-        data = {"format": FORMAT, **dataclasses.asdict(merged)}
-        data |= data.pop("conditions")
-        write_atomic(path / REQUEST, json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n")
+        write_request(path, grown)
         with appending(path / SUMS):  # which is there from now on
             pass
-        conditions = merged.conditions
+        conditions = grown.conditions
         key = cell_key(dataclasses.asdict(conditions), numeric(conditions.deterministic))
-        yield RunDirectory(path, merged, key)
+        yield RunDirectory(path, grown, key)
 
 
 @contextmanager
 def open_for_report(path: Path) -> Iterator[RunDirectory]:
     """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
-    request = _existing(path)
+    request = existing(path)
     with held(path):
         yield RunDirectory(path, request)
 
@@ -216,7 +185,7 @@ def open_for_report(path: Path) -> Iterator[RunDirectory]:
 def open_to_verify(path: Path) -> Iterator[RunDirectory]:
     """The run in `path`, where nothing is written, not even a lock, but held where a lock is there and can be
     read. Raises BadInput like `open_for_run`."""
-    request = _existing(path)
+    request = existing(path)
     with ExitStack() as stack:
         with suppress(OSError):
             lock = stack.enter_context(opened(path / LOCK))
@@ -284,65 +253,3 @@ def _check_can_append(file: Path) -> None:
             pass
     except OSError as error:
         raise BadInput(f"cannot write to {file}: {error.strerror}") from error
-
-
-def _existing(path: Path) -> Request:
-    """Raises BadInput where `path` holds no run."""
-    request = _read_request(path)
-    if request is None:
-        raise BadInput(f"{path} holds no run (no run.json)")
-    return request
-
-
-def _merged(path: Path, request: Request) -> Request:
-    """The request of `path` grown by this one."""
-    old = _read_request(path)
-    if old is None:
-        return request
-    for name in KEYS:
-        there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
-        if there != asked:
-            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
-    return Request(
-        methods=_union(METHODS | VARIANTS, old.methods, request.methods),
-        envs=_union(ENVS, old.envs, request.envs),
-        seeds=max(old.seeds, request.seeds),
-        conditions=old.conditions,
-    )
-
-
-def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
-    names = {name for names in lists for name in names}
-    return tuple(name for name in order if name in names) + tuple(sorted(names - order.keys()))
-
-
-def _read_request(path: Path) -> Request | None:
-    """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
-    file = path / REQUEST
-    try:
-        # A run that was killed before its first file was whole leaves these.
-        if all(there.name == LOCK or there.name.startswith(f".{REQUEST}.") for there in path.iterdir()):
-            return None
-        text = read(file)
-        for folder in FOLDERS:
-            if (path / folder).is_symlink() or ((path / folder).exists() and not (path / folder).is_dir()):
-                raise BadInput(f"cannot use {path}: its {folder} is no folder of its own")
-    except FileNotFoundError as error:
-        if not os.path.lexists(path):
-            return None
-        raise BadInput(f"{path} is not empty and holds no run (no run.json)") from error
-    except OSError as error:
-        raise BadInput(f"cannot use {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise BadInput(f"cannot use {str(path)!r}: {error}") from error
-    try:
-        data = json.loads(text)
-        version = data["format"]
-        if version == FORMAT:
-            if data.pop("sha256") != checksum(data):
-                raise ValueError
-            conditions = {key: data.pop(key) for key in KEYS}
-            return checked({**data, "conditions": conditions}, Request)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadInput(f"{file} is damaged") from error
-    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from harness import cli
 from harness.registry import ENVS, METHODS, VARIANTS
+from harness.request import Request
 from harness.results import Cell, CellResult
-from harness.store import Request, RunDirectory
+from harness.store import RunDirectory
 from methods.base import Episodes
 
 Tried = Callable[[str, Counter[str]], None]

@@ -18,9 +18,10 @@ from harness.cli import main
 from harness.codec import checksum, encode
 from harness.files import appending, opened, read, sha256, write_atomic
 from harness.registry import BadInput
+from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
 from harness.scratch import MARKER, PREFIX, scratch_folder
-from harness.store import SUMS, Request, open_for_report, open_for_run, open_to_verify
+from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)

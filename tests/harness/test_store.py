@@ -19,8 +19,9 @@ from harness.codec import LARGEST, checksum, decode, encode
 from harness.files import sha256, write_atomic
 from harness.keys import CELL_SOURCES, ROOT
 from harness.registry import BadInput
+from harness.request import Request
 from harness.results import FORMAT, Cell, CellResult, Conditions, Row
-from harness.store import SUMS, Request, open_for_report, open_for_run, open_to_verify
+from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
@@ -185,7 +186,7 @@ def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it
             "report",
             "reproduce",
         ),
-        *("results", "run", "scratch", "statistics", "store", "streams"),
+        *("reproduce", "request", "results", "run", "scratch", "statistics", "store", "streams"),
     }
 
 

@@ -14,8 +14,9 @@ from envs import SPECS
 from harness.cache import Kept, cache_file, kept
 from harness.codec import encode
 from harness.environment import CACHE_VARIABLE
+from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import SUMS, Request, open_for_run
+from harness.store import SUMS, open_for_run
 
 ROOT = Path(__file__).parents[2]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

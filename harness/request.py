@@ -1,0 +1,114 @@
+"""What a run was asked to compute, as its directory remembers it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from harness.codec import checked, checksum, printable
+from harness.files import read, write_atomic
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput
+from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, Conditions, Name
+
+LOCK = ".lock"
+REQUEST = "run.json"
+FOLDERS = ("cells", "recordings", "figures")
+"""Of a run's directory."""
+KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
+Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run computes; seeds is how many, from 0."""
+
+    methods: Names
+    envs: Names
+    seeds: Annotated[int, Meta(ge=1, le=1000)]
+    conditions: Conditions
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Every cell, the reference and the controls included."""
+        methods = (REFERENCE, *CONTROLS, *self.methods)
+        return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
+
+    def asks_for(self, cell: Cell) -> bool:
+        """Whether the cell is one of `cells`."""
+        known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
+        return known and cell.env in self.envs and cell.seed < self.seeds
+
+
+def write_request(path: Path, request: Request) -> None:
+    """Stores it in the directory `path`."""
+    data = {"format": FORMAT, **dataclasses.asdict(request)}
+    data |= data.pop("conditions")
+    write_atomic(path / REQUEST, json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n")
+
+
+def existing(path: Path) -> Request:
+    """Raises BadInput where `path` holds no run."""
+    request = stored_request(path)
+    if request is None:
+        raise BadInput(f"{path} holds no run (no run.json)")
+    return request
+
+
+def merged(path: Path, request: Request) -> Request:
+    """The request of `path` grown by this one."""
+    old = stored_request(path)
+    if old is None:
+        return request
+    for name in KEYS:
+        there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
+        if there != asked:
+            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
+    return Request(
+        methods=_union(METHODS | VARIANTS, old.methods, request.methods),
+        envs=_union(ENVS, old.envs, request.envs),
+        seeds=max(old.seeds, request.seeds),
+        conditions=old.conditions,
+    )
+
+
+def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
+    names = {name for names in lists for name in names}
+    return tuple(name for name in order if name in names) + tuple(sorted(names - order.keys()))
+
+
+def stored_request(path: Path) -> Request | None:
+    """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
+    file = path / REQUEST
+    try:
+        # A run that was killed before its first file was whole leaves these.
+        if all(there.name == LOCK or there.name.startswith(f".{REQUEST}.") for there in path.iterdir()):
+            return None
+        text = read(file)
+        for folder in FOLDERS:
+            if (path / folder).is_symlink() or ((path / folder).exists() and not (path / folder).is_dir()):
+                raise BadInput(f"cannot use {path}: its {folder} is no folder of its own")
+    except FileNotFoundError as error:
+        if not os.path.lexists(path):
+            return None
+        raise BadInput(f"{path} is not empty and holds no run (no run.json)") from error
+    except OSError as error:
+        raise BadInput(f"cannot use {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise BadInput(f"cannot use {str(path)!r}: {error}") from error
+    try:
+        data = json.loads(text)
+        version = data["format"]
+        if version == FORMAT:
+            if data.pop("sha256") != checksum(data):
+                raise ValueError
+            conditions = {key: data.pop(key) for key in KEYS}
+            return checked({**data, "conditions": conditions}, Request)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadInput(f"{file} is damaged") from error
+    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")
