@@ -42,23 +42,32 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
         _sockets_in(scratch),
         orphans.taken_in(),
     ):
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            starter = _starter(preload)
+            with _uninterrupted():  # which the server inherits
+                starter = _starter(preload)
         except OSError as error:
             raise BadInput(f"no process can be started: {error.strerror}") from error
-        finally:
-            signal.signal(signal.SIGINT, before)
         try:
             yield starter
         finally:
-            for child in _cells():
-                child.kill()
-            if _LINUX:
-                _stop_server()
-            for child in _cells():
-                child.join(orphans.PATIENCE)
-            orphans.end_all()
+            with _uninterrupted():
+                for child in _cells():
+                    child.kill()
+                if _LINUX:
+                    _stop_server()
+                for child in _cells():
+                    child.join(orphans.PATIENCE)
+                orphans.end_all()
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Deaf to Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -40,7 +40,7 @@ def scratch_folder() -> Iterator[Path]:
             (folder / "new").rename(folder / MARKER)
             yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _delete(folder)
 
 
 def base() -> Path:
@@ -67,7 +67,19 @@ def _remove_if_abandoned(folder: Path) -> None:
     with opened(folder / MARKER) as marker:
         ours = folder.lstat().st_uid == os.geteuid() and marker.read(1000) == _mark(folder)
         if ours and lock_descriptor(marker.fileno(), blocking=False):
-            shutil.rmtree(folder, ignore_errors=True)
+            _delete(folder)
+
+
+def _delete(folder: Path) -> None:
+    """The marker last: where this is interrupted, the next run goes on with it."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != MARKER:
+                path.unlink()
+        (folder / MARKER).unlink(missing_ok=True)
+        folder.rmdir()
 
 
 def _mark(folder: Path) -> bytes:

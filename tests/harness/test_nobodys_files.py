@@ -79,6 +79,28 @@ def test_what_a_killed_run_left_is_deleted_by_the_next(temporary: Path) -> None:
     assert list(temporary.iterdir()) == []
 
 
+def test_a_deletion_that_is_interrupted_is_gone_on_with(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Interrupted(BaseException):
+        pass
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise Interrupted
+
+    def leave(inner: str) -> None:
+        with scratch_folder() as folder:
+            (folder / inner).mkdir()
+
+    for number in range(5):  # in whatever order the folder lists them
+        with monkeypatch.context() as changed:
+            changed.setattr(scratch.shutil, "rmtree", interrupt)
+            with pytest.raises(Interrupted):
+                leave(f"folder{number}")
+    with scratch_folder() as folder:
+        assert list(temporary.iterdir()) == [folder]
+
+
 def test_folders_that_only_look_like_ours_are_left_alone(temporary: Path) -> None:
     pid = 424242
     names = [
