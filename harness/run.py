@@ -199,7 +199,8 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
         faulthandler.enable()
-        _check_key(key, conditions)
+        variables = of_this_process()  # as they are now: what a method sets later is its own affair
+        _check_key(key, conditions, variables)
         module = cast(Work, importlib.import_module(work))
         if task.cell is None:
             module.train_expert(task.env, conditions)
@@ -208,7 +209,7 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
         _check(result, task.cell)
         encoded = encode(result)
         decode(encoded)
-        _check_key(key, conditions)
+        _check_key(key, conditions, variables)
         return Outcome(result=encoded)
     except BaseException as error:
         with contextlib.suppress(BaseException):
@@ -222,8 +223,8 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
                 stream.flush()
 
 
-def _check_key(key: str, conditions: Conditions) -> None:
-    if cell_key(dataclasses.asdict(conditions), of_this_process()) != key:
+def _check_key(key: str, conditions: Conditions, variables: dict[str, str]) -> None:
+    if cell_key(dataclasses.asdict(conditions), variables) != key:
         raise RuntimeError(
             "the program, its packages or its environment are not those that the run began with; "
             "were packages changed, or was Python started with -E or -I?"
