@@ -23,6 +23,7 @@ from harness.results import Cell, CellResult, Conditions, Row
 from harness.scratch import MARKER, PREFIX, scratch_folder
 from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
 
+ROOT = Path(__file__).parents[2]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
 RECORDING = "cartpole__bc__seed0__pi_star.rrd"
@@ -436,6 +437,19 @@ def test_a_lock_that_is_none_stops_no_verification(run: Path, kind: str) -> None
     else:
         (run / ".lock").write_bytes(b"\xff")
     assert main(["verify", str(run)]) == 0
+
+
+@pytest.mark.parametrize("locale", ["C", "POSIX"])
+def test_a_report_says_the_same_in_any_locale(run: Path, locale: str) -> None:
+    before = snapshot(run)
+    (run / "report.html").unlink()
+    env = {**os.environ, "LC_ALL": locale, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-m", "harness", "report", str(run)]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    page = str(run / "report.html")
+    assert snapshot(run)[page] == before[page]
+    assert "π" in (run / "report.html").read_text(encoding="utf-8")
 
 
 def test_files_obey_the_umask(tmp_path: Path) -> None:
