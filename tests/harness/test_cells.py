@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envs import SPECS
-from harness import cells
+from envs import SPECS, EnvSpec
+from harness import cells, world
 from harness.cells import run_cell
 from harness.codec import decode, encode
 from harness.environment import CACHE_VARIABLE
 from harness.evaluation import evaluate
 from harness.experts import expert_for
+from harness.registry import PROTOCOLS
 from harness.results import (
     CONTROLS,
     MOST_CURVES,
@@ -24,10 +25,13 @@ from harness.results import (
     Cell,
     CellResult,
     Conditions,
+    Library,
     Row,
     failed_rows,
     policies_of,
 )
+from harness.seeds import demonstration_seeds, evaluation_seeds
+from harness.world import solver_for
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)
@@ -147,6 +151,53 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
     assert all(x == y + 1 for x, y in long)
     assert result.curves["none"] == []
     assert result.warnings == [f"{BC.name}: of 102 curves the first {MOST_CURVES - 2} are kept"]
+
+
+class Spy(Method):
+    """Keeps what it is given, and solves once."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        self.demos = demos
+        world.solve(self.reward, rng, 100)
+        return super().fit(demos, world, rng)
+
+
+def test_demonstrations_are_the_experts_and_of_no_evaluation_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spy = Spy(still, Pays(ones))
+    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: spy)
+    run(Cell("cartpole", "shaped", 3), tmp_path)
+    env, count = SPECS["cartpole"].make(), len(spy.demos.act)
+    assert count == SPECS["cartpole"].demo_episodes["smoke"]
+
+    def starts(seeds: range) -> list[list[float]]:
+        return [env.reset(seed=seed)[0].tolist() for seed in seeds]
+
+    shown = [obs[0].tolist() for obs in spy.demos.obs]
+    assert shown == starts(demonstration_seeds(3, count))
+    assert not any(start in shown for start in starts(evaluation_seeds(3, 1000)))
+    obs, act = spy.demos.pairs()
+    np.testing.assert_allclose(expert_for("cartpole", "smoke", "sb3").policy(obs), act)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_solve_of_a_cell_is_under_its_protocol(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str
+) -> None:
+    expert_for("cartpole", "smoke", "sb3")  # which is always trained under the same
+    asked: list[tuple[str, str]] = []
+
+    def solver(spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library) -> object:
+        asked.append((protocol, library))
+        return solver_for(spec, protocol, rng, library)
+
+    for module in (cells, world):
+        monkeypatch.setattr(module, "solver_for", solver)
+    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Spy(still, Pays(ones)))
+    result = run_cell(Cell("cartpole", "shaped", 1), Conditions("smoke", protocol, "sb3"), tmp_path)
+    assert asked == [(protocol, "sb3")] * 2  # the method's, and pi_R's
+    assert {row.protocol for row in result.rows} == {protocol}
 
 
 def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,15 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import SPECS, EnvSpec
+from harness import rl
 from harness.controls import Constant
 from harness.registry import BUDGETS, LIBRARIES, METHODS, VARIANTS, load_method
 from harness.results import Library
 from harness.rl import Learner, Solution
 from harness.rl_settings import SETTINGS, Settings, rl_settings_for
-from methods.base import Array
+from harness.seeds import TRAINING, evaluation_seeds
+from harness.simulator import Simulator, Trajectory
+from methods.base import Array, Policy
 from methods.network import Network
 from methods.settings import settings_for
 from tests.harness.rewards import Seek
@@ -219,6 +222,29 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     assert solution.env_steps == 800 + len(returns + disturbed)
     assert same(solution.policy, actors[kept])
     assert next(scores, None) is None
+
+
+def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[int] = []
+    trained: list[int] = []
+    check, begin = Simulator.run, rl._TrainingEnv._reset
+
+    def run(self: Simulator, policy: Policy, seeds: Sequence[int]) -> list[Trajectory]:
+        checked.extend(seeds)
+        return check(self, policy, seeds)
+
+    def reset(self: rl._TrainingEnv, place: int) -> None:
+        batch = self._batch.reset
+        self._batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
+        begin(self, place)
+        self._batch.reset = batch
+
+    monkeypatch.setattr(Simulator, "run", run)
+    monkeypatch.setattr(rl._TrainingEnv, "_reset", reset)
+    solve(fragile, Seek())
+    assert len(checked) > 20
+    assert len(trained) > 100
+    assert min(checked + trained) >= TRAINING > evaluation_seeds(999, 1000).stop
 
 
 def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) -> None:

@@ -7,23 +7,27 @@ import numpy as np
 import pytest
 
 from envs.gridworld import objectworld
+from harness import registry
+from harness.registry import load_method
 from methods.base import Array, Episodes, Learned, Method, Reward
-from methods.bc import BehaviourCloning
-from methods.maxent import MaxEnt
-from methods.maxent_linear import MaxEntLinear
-from methods.maxmargin import MaxMargin
-from methods.shaped import Shaped
-from methods.shaped_ml import ShapedML
+from methods.settings import settings_for
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
+FITS = {"steps": 40, "iterations": 10}
+MARGINS = {"iterations": 2, "rollouts": 3, "epsilon": -1.0}
+BRIEF: dict[str, dict[str, Any]] = {
+    "shaped": FITS,
+    "shaped_ml": FITS,
+    "bc": FITS,
+    "maxmargin": MARGINS,
+    "maxmargin_projection": MARGINS,
+    "maxent": {"iterations": 2, "rollouts": 3, "reward_steps": 20},
+    "maxent_linear": {"iterations": 2, "rollouts": 3},
+}
+"""Settings that save time; the others are those of `smoke`."""
 METHODS: dict[str, Method] = {
-    "shaped": Shaped(steps=40, iterations=10),
-    "shaped_ml": ShapedML(steps=40, iterations=10),
-    "bc": BehaviourCloning(steps=40, iterations=10),
-    "maxmargin": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0),
-    "maxmargin_projection": MaxMargin(iterations=2, rollouts=3, epsilon=-1.0, projection=True),
-    "maxent": MaxEnt(iterations=2, rollouts=3, reward_steps=20),
-    "maxent_linear": MaxEntLinear(iterations=2, rollouts=3),
+    name: load_method(name)(**(settings_for(name, "cartpole", "smoke") | BRIEF.get(name, {})))
+    for name in (*registry.METHODS, *registry.VARIANTS)
 }
 OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
 ACT = np.random.default_rng(8).uniform(-1, 1, (40, 2))
