@@ -49,6 +49,14 @@ class Measure:
     values: list[float]
     bar: float | None
 
+    @property
+    def missed(self) -> bool:
+        """Whether the median is on the wrong side of the bar."""
+        if self.bar is None:
+            return False
+        median = statistics.median(self.values)
+        return median < self.bar if self.unit == "times" else median > self.bar
+
     def to_json(self) -> dict[str, Any]:
         """Name, unit, median, smallest and largest value, bar."""
         spread = {"median": statistics.median(self.values), "low": min(self.values), "high": max(self.values)}
@@ -56,7 +64,7 @@ class Measure:
 
     def __str__(self) -> str:
         spread = "{name}: {median:.4g} {unit} ({low:.4g} to {high:.4g})".format(**self.to_json())
-        return spread if self.bar is None else f"{spread}, bar {self.bar:g}"
+        return spread if self.bar is None else f"{spread}, bar {self.bar:g}{' MISSED' if self.missed else ''}"
 
 
 def compare(

@@ -1,4 +1,5 @@
-"""The command line. Exit codes: 0 done, 1 a cell failed or a file is damaged, 2 bad input, 130 Ctrl-C."""
+"""The command line. Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` is missed or the
+output could not be written; 2 bad input; 130 Ctrl-C."""
 
 from __future__ import annotations
 
@@ -203,7 +204,7 @@ def _bench(as_json: bool) -> int:
     from harness.processes import as_in_cells
     from harness.progress import say, tell
 
-    measures = []
+    measures, missed = [], False
     with as_in_cells():
         from harness.bench import bench  # in that environment
         from harness.growth import growth
@@ -211,13 +212,14 @@ def _bench(as_json: bool) -> int:
 
         for measure in chain(bench(), growth()):
             measures.append(measure.to_json())
+            missed |= measure.missed
             if as_json:
                 tell(str(measure))
             else:
                 say(str(measure))
         if as_json:
             say(json.dumps({"cores": os.cpu_count(), **origin(), "measures": measures}, indent=1))
-    return 0
+    return int(missed)
 
 
 def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:

@@ -54,6 +54,20 @@ def test_a_share_is_of_the_time_between_one_cell_and_the_next(monkeypatch: pytes
     assert bench._beside_the_work() == pytest.approx([20, 40])
 
 
+@pytest.mark.parametrize(
+    ("unit", "values", "bar", "missed"),
+    [
+        ("times", [2.9, 3.1, 3.2], 3.0, False),
+        ("times", [2.9, 2.9, 3.2], 3.0, True),
+        ("s", [0.4, 0.4, 0.9], 0.5, False),
+        ("MB", [701.0], 700.0, True),
+        ("%", [9.0], None, False),
+    ],
+)
+def test_a_bar_is_for_the_median(unit: str, values: list[float], bar: float | None, missed: bool) -> None:
+    assert bench.Measure("a", unit, values, bar).missed == missed
+
+
 def test_figures_are_told_one_by_one_and_as_json_at_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -61,10 +75,10 @@ def test_figures_are_told_one_by_one_and_as_json_at_the_end(
     memory = bench.Measure("a worker", "MB", [1043.2], None)
     monkeypatch.setattr(bench, "bench", lambda: iter([ratio]))
     monkeypatch.setattr(growth, "growth", lambda: iter([memory]))
-    lines = "RL: 2.5 times (1 to 3), bar 3\na worker: 1043 MB (1043 to 1043)\n"
-    assert cli.main(["bench"]) == 0
+    lines = "RL: 2.5 times (1 to 3), bar 3 MISSED\na worker: 1043 MB (1043 to 1043)\n"
+    assert cli.main(["bench"]) == 1
     assert capsys.readouterr().out == lines
-    assert cli.main(["bench", "--json"]) == 0
+    assert cli.main(["bench", "--json"]) == 1
     told = capsys.readouterr()
     assert told.err == lines
     everything = json.loads(told.out)
