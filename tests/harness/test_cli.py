@@ -394,13 +394,9 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
 ) -> None:
     faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
     command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
-
-    def fill_up() -> None:  # as a full disk does, the system refuses to write on, here after 50 kB a file
-        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
-
-    full = subprocess.run(
-        command, env=FAKE_ENV, capture_output=True, text=True, check=False, preexec_fn=fill_up
-    )
+    # As a full disk does, the system refuses to write on, here after 50 KiB a file.
+    limited = ["bash", "-c", 'ulimit -f 50; exec "$@"', "-", *command]
+    full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
     assert full.returncode == 2
     assert re.fullmatch(r"irl-bench: error: .*: '.*/cells/cartpole__\w+\.json'\n", full.stderr)
     assert list((tmp_path / "run/cells").iterdir()) == []

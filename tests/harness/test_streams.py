@@ -185,11 +185,10 @@ def test_a_run_that_ignores_the_loss_of_its_terminal_goes_on_without(tmp_path: P
 @pytest.mark.parametrize("after", [0.1, 0.15, 0.2, 0.3, 0.5])
 def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "harness", "report", str(tmp_path)],
+        ["env", "--default-signal=INT", sys.executable, "-m", "harness", "report", str(tmp_path)],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     )
     time.sleep(after)
     process.send_signal(signal.SIGINT)

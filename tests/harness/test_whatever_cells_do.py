@@ -104,11 +104,13 @@ def test_what_a_cell_started_ends_with_a_killed_run(tmp_path: Path) -> None:
     command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     file = tmp_path / "run/left_behind.txt"
-    while not file.exists() or len(file.read_text().split()) < 2:
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.kill()
-    process.wait()
+    try:
+        while not file.exists() or len(file.read_text().split()) < 2:
+            assert process.poll() is None
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
     deadline = time.monotonic() + 10
     while left_behind(tmp_path / "run"):
         assert time.monotonic() < deadline
@@ -168,18 +170,28 @@ def test_where_no_temporary_file_can_be_one_line_says_so_and_nothing_is_written(
 
 
 def test_ctrl_z_suspends_the_cells_and_they_go_on(tmp_path: Path) -> None:
-    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "slow"}))
+    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "sleep"}))
     command = [*FAKE, "--methods", "bc", "--workers", "1", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    file = tmp_path / "run/computed.txt"
-    while not file.exists() or "bc" not in file.read_text():
-        assert process.poll() is None
-        time.sleep(0.01)
-    cell = psutil.Process(int(file.read_text().split()[-1]))
-    process.send_signal(signal.SIGTSTP)
-    deadline = time.monotonic() + 5
-    while {psutil.Process(process.pid).status(), cell.status()} != {"stopped"}:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    process.send_signal(signal.SIGCONT)
-    assert process.wait(20) == 0
+    try:
+        file = tmp_path / "run/computed.txt"
+        while not file.exists() or "bc" not in file.read_text():
+            assert process.poll() is None
+            time.sleep(0.01)
+        both = [psutil.Process(process.pid), psutil.Process(int(file.read_text().split()[-1]))]
+
+        def wait_until(stopped: bool) -> None:
+            deadline = time.monotonic() + 20
+            while [one.status() == "stopped" for one in both] != [stopped, stopped]:
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+
+        process.send_signal(signal.SIGTSTP)
+        wait_until(stopped=True)
+        process.send_signal(signal.SIGCONT)
+        wait_until(stopped=False)
+        process.terminate()
+        assert process.wait(20) == 130
+    finally:
+        process.kill()
+        process.wait()
