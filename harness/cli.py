@@ -287,7 +287,10 @@ def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
 
     directory = run.path
     if not run.is_sealed(results):
-        from harness.report import write_report
+        try:
+            from harness.report import write_report
+        except (ImportError, ValueError) as error:  # such as of a matplotlibrc that is no text
+            raise BadInput(f"cells are stored, but nothing can draw them: {error}") from error
 
         run.seal(results, write_report(directory, results))
     say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))

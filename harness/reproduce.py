@@ -42,7 +42,9 @@ def open_study(path: Path) -> Iterator[None]:
     """Starts a study in `path`, which is made, or continues the one there; held until the context ends.
     Raises BadInput, having changed nothing, where `path` is anything else, or cannot be written."""
     try:
-        new = not os.path.lexists(path) or set(os.listdir(path)) <= {LOCK}
+        # A study that was killed before its first file was whole leaves these.
+        begun = (LOCK, f".{MARKER}.")
+        new = not os.path.lexists(path) or all(name.startswith(begun) for name in os.listdir(path))
         if not new and read(path / MARKER) != MARK:
             raise BadInput(f"{path / MARKER} is damaged")
         path.mkdir(parents=True, exist_ok=True)

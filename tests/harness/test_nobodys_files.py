@@ -18,6 +18,7 @@ from harness.cli import main
 from harness.codec import checksum, encode
 from harness.files import appending, opened, read, sha256, write_atomic
 from harness.registry import BadInput
+from harness.reproduce import open_study
 from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
 from harness.scratch import MARKER, PREFIX, scratch_folder
@@ -223,6 +224,13 @@ def test_reproduce_and_run_leave_each_others_directories_alone(
     write_atomic(study / "study.json", b'{"study": "thesis", "format": 1}\n')
     assert main(["run", "--out", str(study)]) == 2
     assert os.listdir(study) == ["study.json"]
+
+
+def test_a_study_that_was_killed_at_once_can_be_started_again(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text("123456")
+    (tmp_path / ".study.json.0123456789abcdef.tmp").write_text("{")
+    with open_study(tmp_path):
+        assert (tmp_path / "study.json").exists()
 
 
 def test_reproduce_writes_to_no_committed_results_unless_told() -> None:

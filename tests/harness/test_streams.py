@@ -11,10 +11,15 @@ from pathlib import Path
 
 import pytest
 
+from harness.request import Request
+from harness.results import Cell, CellResult, Conditions, Row
+from harness.store import open_for_run
+
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
 RUN = "run --budget smoke --envs cartpole --methods bc --out run"
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 FAILS = {"cartpole__bc__seed0": "raise"}
 
 
@@ -141,6 +146,18 @@ def test_variables_of_the_shell_change_nothing(tmp_path: Path, variables: dict[s
     assert code == 1
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").exists()
+
+
+def test_a_plotting_library_that_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
+    with open_for_run(tmp_path / "run", Request(("bc",), ("cartpole",), 1, CONDITIONS)) as run:
+        cell = Cell("cartpole", "bc", 0)
+        run.save(CellResult(cell, [Row("cartpole", "bc", 0, "pi_star", "absorbing")]))
+    (tmp_path / "matplotlibrc").write_bytes(b"backend: \xff")
+    command = [sys.executable, "-m", "harness", "report", "run"]
+    done = subprocess.run(command, cwd=tmp_path, env=ENV, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "cells are stored, but nothing can draw them" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
 
 
 def on_a_terminal(directory: Path, *before: str) -> tuple[subprocess.Popen[bytes], int]:
