@@ -172,7 +172,9 @@ def test_where_no_temporary_file_can_be_one_line_says_so_and_nothing_is_written(
 def test_ctrl_z_suspends_the_cells_and_they_go_on(tmp_path: Path) -> None:
     (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "sleep"}))
     command = [*FAKE, "--methods", "bc", "--workers", "1", "--out", str(tmp_path / "run")]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    # A job of a shell: the system suspends no group whose members have no parents outside it.
+    nowhere = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdout=nowhere, stderr=nowhere, process_group=0)
     try:
         file = tmp_path / "run/computed.txt"
         while not file.exists() or "bc" not in file.read_text():
