@@ -48,7 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                signal.signal(number, signal.SIG_IGN)
         again = shlex.join(["python", "-m", "harness", *argv])
         print(
             f"\nstopped; finished cells are kept. To go on, run the same again:\n  {again}", file=sys.stderr

@@ -33,10 +33,11 @@ def decode(data: bytes | str) -> CellResult:
         payload = stored["result"]
         if stored["sha256"] != checksum(payload):
             raise ValueError("its checksum does not match")
+        payload = _nan_for_none(payload)
     except (KeyError, TypeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
         raise ValueError("it is no stored cell") from error
-    result = checked(_nan_for_none(payload), CellResult)
-    if _plain(result.to_json()) != payload:
+    result = checked(payload, CellResult)
+    if _plain(result.to_json()) != _plain(payload):
         raise ValueError("it holds more than a cell does")
     cell = result.cell
     for row in result.rows:

@@ -106,6 +106,8 @@ def _too_large(path: Path, most: int) -> OSError:
 def _open(path: Path, flags: int) -> int:
     try:
         handle = os.open(path, flags | _ODD, 0o666)
+    except ValueError as error:  # of a name that no file can have
+        raise OSError(errno.EINVAL, str(error), repr(str(path))) from error
     except OSError as error:
         if error.errno == errno.ELOOP:
             raise OSError(error.errno, "it is a link", str(path)) from error

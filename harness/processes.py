@@ -26,6 +26,8 @@ from harness.registry import BadInput
 from harness.scratch import scratch_folder
 
 NAME = "irl-bench cell"
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that stop a run."""
 SERVER_DIED = 255
 """The exit code of a process whose forkserver died."""
 _LINUX = sys.platform == "linux"
@@ -43,14 +45,14 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
         orphans.taken_in(),
     ):
         try:
-            with _uninterrupted():  # which the server inherits
+            with _deaf_to(signal.SIGINT):  # which the server inherits
                 starter = _starter(preload)
         except OSError as error:
             raise BadInput(f"no process can be started: {error.strerror}") from error
         try:
             yield starter
         finally:
-            with _uninterrupted():
+            with _deaf_to(*STOPS):
                 for child in _cells():
                     child.kill()
                 if _LINUX:
@@ -61,13 +63,14 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Deaf to Ctrl-C."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _deaf_to(*numbers: signal.Signals) -> Iterator[None]:
+    """These signals are ignored until the context ends."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

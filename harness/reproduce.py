@@ -159,8 +159,8 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
                     [x for x, _ in points],
                     [e.score_mean for _, e in points],
                     [
-                        [e.score_mean - e.score_low for _, e in points],
-                        [e.score_high - e.score_mean for _, e in points],
+                        [max(0.0, e.score_mean - e.score_low) for _, e in points],  # of equals, rounding
+                        [max(0.0, e.score_high - e.score_mean) for _, e in points],
                     ],
                     color=colour,
                     label=f"{label}, weight decay {decay:g}",

@@ -155,11 +155,12 @@ class Grid:
             end_orphans()
 
     def _outcome(self, future: Future[Outcome]) -> Outcome:
-        try:
+        error = future.exception()  # not raised here: some would end the run
+        if error is None:
             return future.result()
-        except TimeoutError:
-            return Outcome(error=f"it was stopped after {self.timeout:g} s")
-        except ProcessExpired as error:
+        if isinstance(error, NotStarted):
+            return Outcome(error=f"its process could not be started: {error}", lost=True)
+        if isinstance(error, ProcessExpired):
             code = error.exitcode
             if code is not None and code < 0:
                 name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
@@ -167,8 +168,9 @@ class Grid:
                 return Outcome(error=f"its process was killed by {name}{hint}")
             reason = f"its process ended without a result, exit code {code}"
             return Outcome(error=reason, lost=code == SERVER_DIED)
-        except Exception as error:
-            return Outcome(error=f"its process could not be started: {_describe(error)}", lost=True)
+        if isinstance(error, TimeoutError) and self.timeout is not None:
+            return Outcome(error=f"it was stopped after {self.timeout:g} s")
+        return Outcome(error=_describe(error))
 
     def _keep(self, cell: Cell, outcome: Outcome, progress: Progress) -> None:
         error = outcome.error
@@ -179,22 +181,26 @@ class Grid:
         progress.finished(cell.name, "failed" if error else "ok", error)
 
 
+class NotStarted(Exception):
+    """Why a process could not be started, in a line."""
+
+
 def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Future[Outcome]:
     """The future of a process that starts, or of one that cannot."""
     try:
         return launch(*arguments)
     except (OSError, EOFError, RuntimeError) as error:
         future: Future[Outcome] = Future()
-        future.set_exception(error)
+        future.set_exception(NotStarted(_describe(error)))
         return future
 
 
 def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key: str) -> Outcome:
     """Does one task, in its own process; whatever it prints goes to the run's log.
     key: what it must be computed under, before and after."""
-    begin_cell()
-    bound_memory()
     try:
+        begin_cell()
+        bound_memory()
         with appending(directory / LOG) as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
@@ -217,7 +223,8 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
             traceback.print_exc()
         return Outcome(error=_describe(error))
     finally:
-        end_descendants()
+        with contextlib.suppress(BaseException):  # such as of a handler that the cell left for their signals
+            end_descendants()
         for stream in (sys.stdout, sys.stderr):  # A process that has told its result may be stopped.
             with contextlib.suppress(Exception):
                 stream.flush()

@@ -41,6 +41,18 @@ ODD_EXCEPTIONS = {
 }
 
 
+HANDLERS = {
+    "handler_exit": SystemExit(0),
+    "handler_keyboard": KeyboardInterrupt(),
+    "handler_timeout": TimeoutError("mine"),
+    "handler_error": RuntimeError("mine"),
+}
+
+
+def _raise(error: BaseException, *_: object) -> None:
+    raise error
+
+
 def train_expert(env: str, conditions: Conditions) -> None:
     if env == "nowhere":
         raise RuntimeError("no gradient")
@@ -70,6 +82,9 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         time.sleep(60)
     if behaviour in ODD_EXCEPTIONS:
         raise ODD_EXCEPTIONS[behaviour]
+    if behaviour.startswith("handler_"):
+        _leave_one_behind(directory)
+        signal.signal(signal.SIGCHLD, functools.partial(_raise, HANDLERS[behaviour]))
     if behaviour == "group":
         os.kill(0, signal.SIGTERM)
         time.sleep(60)

@@ -1,5 +1,6 @@
 """The door for stored cells: what is none is named in a line, and what is one can be reported."""
 
+import contextlib
 import copy
 import csv
 import io
@@ -119,6 +120,19 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
     assert counts["refused"] > 1000
     assert counts["taken"] > 50
     tried("stored cells with something else in one place", counts)
+
+
+@pytest.mark.parametrize("depth", [450, 600, 900, 5000])
+def test_what_is_nested_deep_is_refused(depth: int) -> None:
+    nested: Any = []
+    for _ in range(depth):
+        nested = [nested]
+    digest = "0" * 64
+    with contextlib.suppress(RecursionError):
+        digest = checksum(nested)
+    text = f'{{"sha256": "{digest}", "result": {"[" * (depth + 1) + "]" * (depth + 1)}}}'
+    with pytest.raises(ValueError, match=r"stored cell|Expected"):
+        decode(text)
 
 
 @given(st.floats() | st.integers(-(2**53), 2**53))

@@ -363,6 +363,13 @@ def test_cells_that_were_stored_before_the_first_report_are_listed_too(tmp_path:
     assert main(["verify", str(tmp_path)]) == 1
 
 
+def test_names_that_no_file_can_have_are_damage(run: Path) -> None:
+    with (run / SUMS).open("a") as sums:
+        sums.write("0" * 64 + "  a\0b\n")
+    assert main(["verify", str(run)]) == 1
+    assert main(["report", str(run)]) == 0
+
+
 def test_another_runs_cell_is_damage(run: Path, tmp_path: Path) -> None:
     with open_for_run(tmp_path / "other", REQUEST) as directory:
         better = dataclasses.replace(result().rows[0], return_mean=9.0)

@@ -217,7 +217,8 @@ def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) ->
         assert "Traceback" not in err
 
 
-def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path, number: signal.Signals) -> None:
     faults(tmp_path, {"cartpole__bc__seed0": "sleep"})
     process = subprocess.Popen(
         [sys.executable, str(HERE / "fake_cells.py"), *RUN.split()],
@@ -232,7 +233,7 @@ def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path) -> None:
         assert process.poll() is None
         time.sleep(0.02)
     for _ in range(5):
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         time.sleep(0.01)
     _, err = process.communicate(timeout=20)
     assert process.returncode == 130

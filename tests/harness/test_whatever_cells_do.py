@@ -77,6 +77,13 @@ def test_odd_ends_are_failed_rows(run: Run) -> None:
     assert reason(results["good"]) == ""
 
 
+def test_a_handler_that_a_cell_leaves_behind_ends_nothing_else(run: Run) -> None:
+    methods = ("handler_exit", "handler_keyboard", "handler_timeout", "handler_error")
+    results = run(*methods)  # whether theirs come through is chance; that they are rows is none
+    assert reason(results["good"]) == ""
+    assert all(len(results[method].rows) == 2 for method in methods)
+
+
 def test_what_fails_oddly_can_be_stored_and_reported(tmp_path: Path) -> None:
     (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "surrogate"}))
     command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
