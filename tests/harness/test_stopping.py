@@ -1,0 +1,191 @@
+"""Runs in processes of their own: stopped, refused, moved, out of space, on a terminal; nothing is lost."""
+
+import json
+import os
+import pty
+import re
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from harness.environment import SAME_INSTRUCTIONS
+from tests.harness.fake_runs import FAKE, FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
+
+
+def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
+    """A run whose cell of bc hangs, at the moment when that cell is the last one running."""
+    faults(tmp_path, cartpole__bc__seed0="sleep")
+    command = [*before, *FAKE, *SMOKE, "--methods", "bc", "--workers", "2", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(
+        command,
+        env=FAKE_ENV,
+        start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    while "; 1 left" not in (line := process.stdout.readline()):
+        assert line, process.communicate()
+    while "cartpole__bc__seed0" not in computed(tmp_path / "run"):
+        time.sleep(0.05)
+    return process
+
+
+def process_of(directory: Path, cell: str) -> int:
+    """The process that computes the cell."""
+    lines = (directory / "computed.txt").read_text().splitlines()
+    return int(dict(line.split() for line in lines)[cell])
+
+
+def wait_until_gone(tmp_path: Path) -> None:
+    pids = (tmp_path / "run/computed.txt").read_text().split()[1::2]
+    deadline = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline, "a cell's process outlived its run"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the cells of an undisturbed run hold."""
+    directory = tmp_path_factory.mktemp("unbroken")
+    faults(directory)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(directory / "run")]
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    return scores(directory / "run")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
+    tmp_path: Path, unbroken: dict[str, str], number: int
+) -> None:
+    process = start(tmp_path)
+    stopped = time.monotonic()
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does: to everything in the foreground
+    else:
+        process.send_signal(number)
+    _, err = process.communicate(timeout=10)
+    if number == signal.SIGKILL:
+        assert process.returncode == -number
+    else:
+        assert time.monotonic() - stopped < 2
+        assert process.returncode == 130
+        assert err.count("\n") == 3
+        assert f"--out {tmp_path / 'run'}" in err.splitlines()[-1]
+    wait_until_gone(tmp_path)
+    assert len(scores(tmp_path / "run")) == PER_SEED
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    assert scores(tmp_path / "run") == unbroken
+    assert computed(tmp_path / "run").count("cartpole__bc__seed0") == 2
+    assert len(computed(tmp_path / "run")) == PER_SEED + 2
+
+
+def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path: Path) -> None:
+    process = start(tmp_path, "nohup")
+    os.killpg(process.pid, signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1)
+    process.terminate()
+    _, err = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert "stopped; finished cells are kept" in err
+    wait_until_gone(tmp_path)
+
+
+def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path: Path) -> None:
+    process = start(tmp_path)
+    assert process.stdout is not None
+    process.stdout.close()
+    second = subprocess.run(
+        [*FAKE, "report", str(tmp_path / "run")], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert second.returncode == 2
+    assert f"in use by another run (process {process.pid})" in second.stderr
+    os.kill(process_of(tmp_path / "run", "cartpole__bc__seed0"), signal.SIGSEGV)
+    assert process.wait(20) == 1
+    assert process.stderr is not None
+    err = process.stderr.read()
+    process.stderr.close()
+    assert "FAILED: cartpole__bc__seed0: its process was killed by SIGSEGV" in err
+    assert "Traceback" not in err
+    assert (tmp_path / "run/leaderboard.md").exists()
+
+
+def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
+    tmp_path: Path, unbroken: dict[str, str]
+) -> None:
+    faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    # As a full disk does, the system refuses to write on, here after 50 KiB a file.
+    limited = ["bash", "-c", 'ulimit -f 50; exec "$@"', "-", *command]
+    full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
+    assert full.returncode == 2
+    assert re.fullmatch(r"irl-bench: error: .*: '.*/cells/cartpole__\w+\.json'\n", full.stderr)
+    assert list((tmp_path / "run/cells").iterdir()) == []
+    wait_until_gone(tmp_path)
+    faults(tmp_path)
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    assert scores(tmp_path / "run") == unbroken
+
+
+def test_a_deterministic_run_pins_its_instructions_and_mixes_with_no_other(tmp_path: Path) -> None:
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    for options in ([], ["--deterministic"]):
+        done = subprocess.run([*command, *options], env=FAKE_ENV, capture_output=True, text=True, check=False)
+        told = (tmp_path / "run/run.log").read_text()
+        assert "--xla_cpu_max_isa" not in told
+    assert done.returncode == 2
+    assert "holds a run with deterministic False, not True" in done.stderr
+    command[-1] = str(tmp_path / "other")
+    subprocess.run([*command, "--deterministic"], env=FAKE_ENV, check=True, capture_output=True)
+    told = (tmp_path / "other/run.log").read_text()
+    for name, value in SAME_INSTRUCTIONS.items():
+        assert told.count(f"{name}={value}\n") == PER_SEED + 1
+    assert json.loads((tmp_path / "other/run.json").read_text())["deterministic"] is True
+
+
+def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    faults(tmp_path, cartpole__bc__seed0="raise", cartpole__reference__seed0="slow")
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    env = {**FAKE_ENV, "TERM": "xterm", "COLUMNS": "200"}
+    process = subprocess.Popen(command, env=env, stdout=theirs, stderr=subprocess.DEVNULL)
+    os.close(theirs)
+    shown = b""
+    try:
+        while chunk := os.read(ours, 65536):
+            shown += chunk
+    except OSError:  # how Linux says that the other end is closed
+        pass
+    os.close(ours)
+    assert process.wait() == 1
+    assert b"cartpole__reference__seed0" in shown
+    assert b"failed  cartpole__bc__seed0: ValueError" in shown
+    total = PER_SEED + 2  # and the expert
+    assert f"{total} of {total} done, 1 failed".encode() in shown
+
+
+@pytest.mark.parametrize("how", ["moved", "deleted"])
+def test_a_directory_that_goes_while_the_run_goes_on_is_one_line(tmp_path: Path, how: str) -> None:
+    process = start(tmp_path)
+    cell = process_of(tmp_path / "run", "cartpole__bc__seed0")
+    if how == "moved":
+        (tmp_path / "run").rename(tmp_path / "elsewhere")
+    else:
+        shutil.rmtree(tmp_path / "run")
+    os.kill(cell, signal.SIGKILL)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert re.fullmatch(
+        r"irl-bench: error: .* moved or deleted; cannot store cartpole__bc__seed0: '.*/run'\n", err
+    )
+    assert not (tmp_path / "run").exists()
