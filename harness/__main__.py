@@ -13,7 +13,10 @@ def start() -> int:
     if interruptible:  # Nothing is begun yet that would have to be told or cleaned up.
         signal.signal(signal.SIGINT, _leave)
     if hasattr(signal, "SIGCHLD"):
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how cells' processes end.
+        signal.signal(
+            signal.SIGCHLD, signal.SIG_DFL
+        )  # Ignored or blocked, it hides how cells' processes end.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
     os.environ["MPLBACKEND"] = "agg"  # Figures are files; what the user has set need not be there.
     if sys.warnoptions:  # -W and PYTHONWARNINGS could make errors of the libraries' warnings.
         sys.warnoptions.append("ignore")
@@ -22,13 +25,13 @@ def start() -> int:
 
     from harness import streams
     from harness.cli import main
+    from harness.signals import ignore_stops
 
     streams.install()
     if interruptible:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     code = main()
-    if interruptible:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore_stops()  # It is done; to be stopped now would be a false report.
     sys.stdout.flush()
     if why := streams.output_was_lost():
         print(f"irl-bench: error: standard output was cut short: {why}", file=sys.stderr)

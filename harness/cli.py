@@ -8,7 +8,7 @@ import importlib.util
 import json
 import os
 import shlex
-import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from harness.registry import BUDGETS, ENVS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
+from harness.signals import ignore_stops, stop_cleanly
 
 if TYPE_CHECKING:
     from harness.request import Request
@@ -47,13 +48,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"irl-bench: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                signal.signal(number, signal.SIG_IGN)
-        again = shlex.join(["python", "-m", "harness", *argv])
-        print(
-            f"\nstopped; finished cells are kept. To go on, run the same again:\n  {again}", file=sys.stderr
-        )
+        ignore_stops()
+        from harness.codec import printable
+
+        again = printable(shlex.join(["python", "-m", "harness", *argv]))
+        kept = "finished cells are kept. To go on, run the same again:\n  " + again
+        print(f"\nstopped; {kept if argv[0] in ('run', 'reproduce') else 'nothing is kept'}", file=sys.stderr)
         return 130
 
 
@@ -101,14 +101,14 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
-    add.add_argument("--out", default=Path("results/latest"), type=Path, metavar="DIR")
+    add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
     )
     add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
-    add.add_argument("--out", default=Path("results/reproduce"), type=Path, metavar="DIR")
+    add.add_argument("--out", default=Path("results/reproduce"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
@@ -134,6 +134,12 @@ def _count(text: str) -> int:
 
 def _seconds(text: str) -> int:
     return _whole(text, LONGEST)
+
+
+def _folder(text: str) -> Path:
+    """With no '..' in it, which would mean another folder once those before it are made."""
+    path = Path(text)
+    return Path(os.path.realpath(path)) if ".." in path.parts else path
 
 
 def _whole(text: str, most: int) -> int:
@@ -163,19 +169,18 @@ def _run(args: argparse.Namespace) -> int:
     # Imported here, for `--help` and `list` to answer at once.
     from harness.request import Request
     from harness.results import Conditions
-    from harness.scratch import base
     from harness.store import open_for_run
 
-    base()
+    _prepare()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
     conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
     with open_for_run(args.out, request) as run:
         results = _compute(run, request, args)
-        _write_report(run, list(results.values()))
+        whole = _write_report(run, list(results.values()), anew=False)
         failed = _tell_troubles([results[cell] for cell in request.cells])
-    return int(failed)
+    return int(failed or not whole)
 
 
 def _reproduce(args: argparse.Namespace) -> int:
@@ -183,11 +188,10 @@ def _reproduce(args: argparse.Namespace) -> int:
     from harness.reproduce import ENVS, open_study, write_study
     from harness.request import Request
     from harness.results import Conditions
-    from harness.scratch import base
     from harness.store import open_for_run
     from harness.study import ARMS
 
-    base()
+    _prepare()
     _handle_signals()
     found = {}
     with open_study(args.out):
@@ -195,10 +199,22 @@ def _reproduce(args: argparse.Namespace) -> int:
             conditions = Conditions(args.budget, protocol, "sbx", args.deterministic)
             request = Request(tuple(ARMS), ENVS, args.seeds, conditions)
             with open_for_run(args.out / protocol, request) as run:
-                found[protocol] = list(_compute(run, request, args).values())
+                results = _compute(run, request, args)
+            found[protocol] = [results[cell] for cell in request.cells]
         write_study(args.out, found)
-        say("\n" + (args.out / "study.md").read_text(encoding="utf-8"))
+        say("\n" + _text(args.out / "study.md"))
     return int(_tell_troubles([result for results in found.values() for result in results]))
+
+
+def _prepare() -> None:
+    """Raises BadInput where nothing could be computed or drawn, before anything is written."""
+    from harness import scratch
+
+    scratch.remove_abandoned(scratch.base())
+    try:
+        importlib.import_module("harness.report")
+    except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
+        raise BadInput(f"nothing can draw the report: {error}") from error
 
 
 def _bench(as_json: bool) -> int:
@@ -211,13 +227,17 @@ def _bench(as_json: bool) -> int:
         from harness.growth import growth
         from harness.keys import origin
 
-        for measure in chain(bench(), growth()):
-            measures.append(measure.to_json())
-            missed |= measure.missed
-            if as_json:
-                tell(str(measure))
-            else:
-                say(str(measure))
+        try:
+            for measure in chain(bench(), growth()):
+                measures.append(measure.to_json())
+                missed |= measure.missed
+                if as_json:
+                    tell(str(measure))
+                else:
+                    say(str(measure))
+        except (RuntimeError, subprocess.SubprocessError) as error:
+            tell(f"FAILED: {error}")
+            missed = True
         if as_json:
             say(json.dumps({"cores": os.cpu_count(), **origin(), "measures": measures}, indent=1))
     return int(missed)
@@ -259,44 +279,54 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
 def _report(directory: Path) -> int:
     from harness.store import open_for_report
 
+    _prepare()
     with open_for_report(directory) as run:
         results, unusable = run.load()
         _tell_unusable(unusable, "left out")
         if not results:
             raise BadInput(f"{directory} holds no finished cell")
-        _write_report(run, list(results.values()))
+        whole = _write_report(run, list(results.values()), anew=True)
     _tell_troubles(list(results.values()))
-    return 1 if unusable else 0
+    return int(not whole or bool(unusable))
 
 
 def _verify(directory: Path) -> int:
-    from harness.codec import printable
     from harness.progress import say
     from harness.store import open_to_verify
 
     with open_to_verify(directory) as run:
         damaged = run.damaged()
     for path, reason in sorted(damaged.items()):
-        say(f"{printable(str(path))}: {reason}")
+        say(f"{path}: {reason}")
     if not damaged:
-        say(f"{printable(str(directory))}: every file is as it was written")
+        say(f"{directory}: every file is as it was written")
     return int(bool(damaged))
 
 
-def _write_report(run: RunDirectory, results: list[CellResult]) -> None:
-    from harness.progress import say
+def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
+    """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
+    all is there that the run stored."""
+    from harness.progress import say, tell
+    from harness.report import write_report
 
-    directory = run.path
-    if not run.is_sealed(results):
-        try:
-            from harness.report import write_report
-        except (ImportError, ValueError) as error:  # such as of a matplotlibrc that is no text
-            raise BadInput(f"cells are stored, but nothing can draw them: {error}") from error
-
-        run.seal(results, write_report(directory, results))
-    say("\n" + (directory / "leaderboard.md").read_text(encoding="utf-8"))
+    forgotten, damaged = run.forgotten(results), run.damaged_recordings(results)
+    if anew or not run.is_sealed(results):
+        run.seal(results, write_report(run.path, results))
+    say("\n" + _text(run.path / "leaderboard.md"))
     for name in ("scores.csv", "report.html", "recordings"):
-        say(f"{name:11} {directory / name}")
+        say(f"{name:11} {run.path / name}")
+    _tell_unusable(damaged, "damaged")
+    if forgotten:
+        more = f" and {len(forgotten) - 1} more" if forgotten[1:] else ""
+        tell(f"stored once and gone, left out: {forgotten[0]}{more}")
+    return not (forgotten or damaged)
+
+
+def _text(file: Path) -> str:
+    """What can be shown of a text file."""
+    from harness.files import read
+
+    return read(file).decode(errors="replace")
 
 
 def _tell_troubles(results: list[CellResult]) -> bool:
@@ -314,14 +344,13 @@ def _tell_troubles(results: list[CellResult]) -> bool:
 
 def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
     """A line for each reason."""
-    from harness.codec import printable
     from harness.progress import tell
 
     for reason in sorted(set(files.values())):
         first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
         names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
         more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
-        tell(f"{what_happens}: {printable(names)}{more}: {reason}")
+        tell(f"{what_happens}: {names}{more}: {reason}")
 
 
 def _has_failed(result: CellResult) -> bool:
@@ -333,12 +362,9 @@ def _cores() -> int:
 
 
 def _handle_signals() -> None:
-    """Makes being terminated, or losing the terminal, a clean stop like Ctrl-C; under nohup it is none.
-    Ctrl-Z suspends all."""
+    """Whatever stops a run stops it cleanly, and Ctrl-Z suspends all of it."""
     from harness.processes import let_cells_sleep
 
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) != signal.SIG_IGN:
-                signal.signal(number, signal.default_int_handler)
+        stop_cleanly()
         let_cells_sleep()

@@ -37,7 +37,7 @@ def decode(data: bytes | str) -> CellResult:
     except (KeyError, TypeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
         raise ValueError("it is no stored cell") from error
     result = checked(payload, CellResult)
-    if _plain(result.to_json()) != _plain(payload):
+    if _plain(msgspec.to_builtins(result)) != _plain(payload):
         raise ValueError("it holds more than a cell does")
     cell = result.cell
     for row in result.rows:

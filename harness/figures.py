@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,8 +27,8 @@ _POLICIES = {
     "pi_R": (r"$\pi_R$ (RL on R*)", ORANGE, "D"),
 }
 """Label, colour and marker."""
-MOST_PANELS = 60
-"""Of a figure: one takes a tenth of a second."""
+MOST_PANELS, MOST_IN_ALL = 60, 2000
+"""Of a figure and of a report: one takes a tenth of a second."""
 _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -58,10 +59,12 @@ def styled() -> Iterator[None]:
 
 
 def draw(
-    env: str, entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult]
+    env: str, entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult], envs: int = 1
 ) -> list[Picture]:
-    """The figures of one env, from its part of the leaderboard, its scored rows and its results: scores,
-    learning curves of RL, training curves of methods; those that have nothing to show are left out."""
+    """The figures of one env of `envs`, from its part of the leaderboard, its scored rows and its results:
+    scores, learning curves of RL, training curves of methods; those that have nothing to show are left
+    out."""
+    most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
     with styled():
         rl, truth, training = _curves([entry.method for entry in entries], results)
         pictures = [_scores(env, entries, rows)]
@@ -75,6 +78,7 @@ def draw(
                     "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,
                     truth,
+                    most,
                 )
             )
         if training:
@@ -87,6 +91,7 @@ def draw(
                     "iteration",
                     training,
                     {},
+                    most,
                 )
             )
     return pictures
@@ -169,12 +174,14 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
     return rl, truth, training
 
 
-def _panels(file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves) -> Picture:
-    """A panel for each title of `curves`, up to `MOST_PANELS`; those of `second` have an axis of their own,
-    on the right."""
-    if len(curves) > MOST_PANELS:
-        title += f" (the first {MOST_PANELS} of {len(curves)} panels)"
-        curves = dict(list(curves.items())[:MOST_PANELS])
+def _panels(
+    file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves, most: int
+) -> Picture:
+    """A panel for each title of `curves`, up to `most`; those of `second` have an axis of their own, on the
+    right."""
+    if len(curves) > most:
+        title += f" (the first {most} of {len(curves)} panels)"
+        curves = dict(list(curves.items())[:most])
     columns = min(4, len(curves))
     lines = math.ceil(len(curves) / columns)
     figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
@@ -213,5 +220,7 @@ def png(figure: Figure) -> bytes:
     """The figure's PNG, of equal bytes for equal figures."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     return buffer.getvalue()

@@ -9,10 +9,12 @@ import re
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 from typing import BinaryIO
+
+from filelock import lock_descriptor
 
 LARGEST = 1 << 24
 """Bytes of a file that is read whole, at most."""
@@ -45,9 +47,18 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def unfinished(folder: Path) -> list[Path]:
-    """What `replacing` left in the folder where it was killed."""
-    return [path for path in folder.glob(".*") if re.fullmatch(r"\..+\.[0-9a-f]{16}\.tmp", path.name)]
+def unfinished(folder: Path, names: str) -> list[Path]:
+    """What `replacing` left in the folder where it was killed, of files with such names.
+    names: a regular expression."""
+    left = re.compile(rf"\.({names})\.[0-9a-f]{{16}}\.tmp")
+    return [path for path in folder.glob(".*") if left.fullmatch(path.name) and _is_plain(path)]
+
+
+def remove_unfinished(folder: Path, names: str) -> None:
+    """Deletes what `unfinished` finds, as far as it can be deleted."""
+    for path in unfinished(folder, names):
+        with suppress(OSError):
+            path.unlink()
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
@@ -68,10 +79,27 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 @contextmanager
 def appending(path: Path) -> Iterator[FileIO]:
     """The regular file at `path`, made if it is not there, to be written to at its end, each write at once.
-    Raises OSError as `opened` does."""
+    Raises OSError as `opened` does, and for a file that has other names besides."""
     handle = _open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     with open(handle, "ab", buffering=0) as file:
         yield file
+
+
+def append(path: Path, data: bytes) -> None:
+    """Writes `data` at the end of the regular file at `path`. Raises OSError as `appending` does, and where
+    not all of it could be written."""
+    with appending(path) as file:
+        if file.write(data) != len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[FileIO | None]:
+    """The regular file at `path`, made if it is not there, locked by this process until the context ends;
+    None where another process holds it. Raises OSError as `appending` does."""
+    handle = _open(path, os.O_RDWR | os.O_CREAT)
+    with open(handle, "r+b", buffering=0) as file:
+        yield file if lock_descriptor(handle, blocking=False) else None
 
 
 def read(path: Path) -> bytes:
@@ -115,7 +143,14 @@ def _open(path: Path, flags: int) -> int:
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
         raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    if flags & (os.O_WRONLY | os.O_RDWR) and os.fstat(handle).st_nlink > 1:
+        os.close(handle)
+        raise OSError(errno.EMLINK, "it has other names besides (hard links)", str(path))
     return handle
+
+
+def _is_plain(path: Path) -> bool:
+    return stat.S_ISREG(path.lstat().st_mode)
 
 
 def _sync(path: Path) -> None:

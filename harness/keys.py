@@ -19,7 +19,8 @@ EXPERT_SOURCES = (
 )
 CELL_SOURCES = (
     *EXPERT_SOURCES,
-    *("methods", "harness/cells.py", "harness/controls.py", "harness/evaluation.py", "harness/study.py"),
+    *("methods", "harness/cache.py", "harness/cells.py", "harness/controls.py", "harness/evaluation.py"),
+    *("harness/recordings.py", "harness/registry.py", "harness/results.py", "harness/study.py"),
 )
 """Files, and folders of them, that decide what an expert or a cell computes."""
 REPORT_SOURCES = ("harness",)
@@ -67,11 +68,11 @@ def key_of(sources: Iterable[str], ingredients: object, variables: Mapping[str, 
     """Of the sources, the packages' versions, the variables (default: this process's) that numbers depend on,
     and what JSON can hold."""
     folders = tuple(f"{source}/" for source in sources if not source.endswith(".py"))
-    digests = [
-        hashlib.sha256(content).hexdigest()
+    digests = {
+        name: hashlib.sha256(content).hexdigest()
         for name, content in program().items()
         if name in sources or name.startswith(folders)
-    ]
+    }
     chosen = environment.of_this_process() if variables is None else dict(variables)
     everything = [ingredients, digests, versions(PACKAGES), chosen]
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:16]

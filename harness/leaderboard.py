@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from harness.codec import usable
 from harness.results import CONTROLS, LOWER_CONTROLS, REFERENCE, CellResult, Row
 from harness.statistics import interquartile_interval, interquartile_mean, mean_interval
 
@@ -90,6 +91,7 @@ def scored_rows(results: Sequence[CellResult]) -> list[Row]:
         low = known.get((row.env, row.seed, "random"), math.nan)
         scale = known.get((row.env, row.seed, "expert"), math.nan) - low
         score = (row.return_mean - low) / scale if scale > 0 and row.status == "ok" else math.nan
+        score = score if usable(score) else math.nan
         return dataclasses.replace(row, normalized_score=score)
 
     return sorted(map(scored, rows), key=_order)

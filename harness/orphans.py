@@ -15,6 +15,8 @@ from multiprocessing import forkserver, resource_tracker
 
 import psutil
 
+from harness.registry import BadInput
+
 PATIENCE = 5.0
 """Seconds for killed processes to be gone."""
 _LINUX = sys.platform == "linux"
@@ -27,8 +29,11 @@ _ours: set[int] = set()
 @contextmanager
 def taken_in() -> Iterator[None]:
     """Descendants whose parents end become this process's children, where the system can do that."""
+    try:
+        _ours.update([os.getpid(), *(child.pid for child in psutil.Process().children())])
+    except (psutil.Error, OSError) as error:
+        raise BadInput(f"cannot see this machine's processes: {error}") from error
     before = take_in(True)
-    _ours.update([os.getpid(), *(child.pid for child in psutil.Process().children())])
     try:
         yield
     finally:

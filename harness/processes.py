@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,13 +25,14 @@ from harness.environment import for_cells
 from harness.keys import write_program
 from harness.registry import BadInput
 from harness.scratch import scratch_folder
+from harness.signals import STOPS, deaf_to
 
 NAME = "irl-bench cell"
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that stop a run."""
 SERVER_DIED = 255
 """The exit code of a process whose forkserver died."""
 _LINUX = sys.platform == "linux"
+_started: set[int] = set()
+"""Processes that were started and are not known to have ended."""
 
 
 @contextmanager
@@ -45,14 +47,14 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
         orphans.taken_in(),
     ):
         try:
-            with _deaf_to(signal.SIGINT):  # which the server inherits
+            with deaf_to(signal.SIGINT):  # which the server inherits
                 starter = _starter(preload)
         except OSError as error:
             raise BadInput(f"no process can be started: {error.strerror}") from error
         try:
             yield starter
         finally:
-            with _deaf_to(*STOPS):
+            with deaf_to(*STOPS):
                 for child in _cells():
                     child.kill()
                 if _LINUX:
@@ -60,17 +62,6 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
                 for child in _cells():
                     child.join(orphans.PATIENCE)
                 orphans.end_all()
-
-
-@contextmanager
-def _deaf_to(*numbers: signal.Signals) -> Iterator[None]:
-    """These signals are ignored until the context ends."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -86,8 +77,12 @@ def as_in_cells(deterministic: bool = False) -> Iterator[Path]:
             "JAX_COMPILATION_CACHE_DIR": str(scratch / "jax"),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         }
-        with for_cells(deterministic, more):
-            yield scratch
+        before, tempfile.tempdir = tempfile.tempdir, more["TMPDIR"]  # which it remembers
+        try:
+            with for_cells(deterministic, more):
+                yield scratch
+        finally:
+            tempfile.tempdir = before
 
 
 def begin_cell() -> None:
@@ -96,6 +91,7 @@ def begin_cell() -> None:
     if hasattr(os, "setsid"):
         os.setsid()
     orphans.take_in(True)
+    os.makedirs(os.environ["TMPDIR"], exist_ok=True)  # An earlier cell may have deleted it.
 
     def watch() -> None:
         parent = multiprocessing.parent_process()
@@ -138,9 +134,16 @@ def let_cells_sleep() -> None:
 
 
 def _signal_cells(number: int) -> None:
-    for cell in _cells():
+    for pid in list(_started):  # To ask which of them live would wait for what this interrupts.
         with contextlib.suppress(OSError):
-            os.killpg(cell.pid or 0, number)
+            os.killpg(pid, number)
+
+
+def wake_server() -> None:
+    """In case that a cell has suspended the server of processes, without which none starts or ends."""
+    if _LINUX and (server := forkserver._forkserver._forkserver_pid):  # type: ignore[attr-defined]
+        with contextlib.suppress(OSError):
+            os.kill(server, signal.SIGCONT)
 
 
 def _cells() -> list[BaseProcess]:
@@ -190,7 +193,7 @@ def _starter(preload: str) -> context.BaseContext:
     if not _LINUX:
         return multiprocessing.get_context("spawn")
     starter = _Context()
-    starter.set_forkserver_preload([preload])
+    starter.set_forkserver_preload(["harness.server", preload])
     forkserver.ensure_running()
     return starter
 
@@ -202,12 +205,16 @@ class _Popen(popen_forkserver.Popen):
     def __init__(self, process: Any) -> None:
         self._asking = threading.Lock()
         super().__init__(process)
+        _started.add(self.pid)
 
     def poll(self, flag: int = os.WNOHANG) -> int | None:
         if flag != os.WNOHANG:
             connection.wait([self.sentinel])
         with self._asking:
-            return super().poll(os.WNOHANG)
+            code = super().poll(os.WNOHANG)
+        if code is not None:
+            _started.discard(self.pid)
+        return code
 
 
 class _Process(context.ForkServerProcess):

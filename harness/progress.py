@@ -13,6 +13,8 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
+from harness.codec import printable
+
 
 class Progress(Protocol):
     """What a run tells as it goes; a context manager."""
@@ -36,13 +38,17 @@ def progress_for(costs: dict[str, float], workers: int) -> Progress:
 
 
 def say(text: str) -> None:
-    """Prints a line on standard output, at once."""
-    print(text, flush=True)
+    """Prints a line on standard output, at once, and nothing that moves the cursor."""
+    print(_shown(text), flush=True)
 
 
 def tell(text: str) -> None:
     """Prints a line on standard error: what must not be overlooked."""
-    print(text, file=sys.stderr, flush=True)
+    print(_shown(text), file=sys.stderr, flush=True)
+
+
+def _shown(text: str) -> str:
+    return "\n".join(map(printable, text.split("\n")))
 
 
 class _Tally:

@@ -36,8 +36,8 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> list[Path]:
     rows = scored_rows(results)
     entries = leaderboard(rows)
     files: dict[str, bytes | str] = {
-        "scores.csv": _csv(rows, COLUMNS),
-        "leaderboard.csv": _csv(entries, [f.name for f in dataclasses.fields(Entry)]),
+        "scores.csv": as_csv(rows, COLUMNS),
+        "leaderboard.csv": as_csv(entries, [f.name for f in dataclasses.fields(Entry)]),
     }
 
     envs = list(dict.fromkeys(entry.env for entry in entries))
@@ -61,6 +61,7 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> list[Path]:
             [entry for entry in entries if entry.env == env],
             [row for row in rows if row.env == env],
             [result for result in results if result.cell.env == env],
+            len(envs),
         )
         files |= {f"figures/{picture.file}": picture.png for picture in pictures[env]}
 
@@ -85,7 +86,8 @@ def write_report(directory: Path, results: Sequence[CellResult]) -> list[Path]:
     return [directory / name for name in files]
 
 
-def _csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
+def as_csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
+    """A table of the items, a line each, which a spreadsheet shows as it is."""
     frame = pd.DataFrame([dataclasses.asdict(item) for item in items], columns=list(columns))
     for name in ("reason", "note"):
         if name in frame:  # A spreadsheet would compute what begins like this.

@@ -11,9 +11,9 @@ DIR/<env>_study.png             scores against the number of trajectories
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,10 +24,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.files import read, write_atomic
+from harness.files import read, remove_unfinished, write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
 from harness.registry import PROTOCOLS, BadInput
-from harness.request import LOCK
+from harness.report import as_csv
+from harness.request import is_begun
 from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
 from harness.store import held
 from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
@@ -42,17 +43,21 @@ def open_study(path: Path) -> Iterator[None]:
     """Starts a study in `path`, which is made, or continues the one there; held until the context ends.
     Raises BadInput, having changed nothing, where `path` is anything else, or cannot be written."""
     try:
-        # A study that was killed before its first file was whole leaves these.
-        begun = (LOCK, f".{MARKER}.")
-        new = not os.path.lexists(path) or all(name.startswith(begun) for name in os.listdir(path))
+        new = not os.path.lexists(path) or not os.listdir(path) or is_begun(path, MARKER)
         if not new and read(path / MARKER) != MARK:
             raise BadInput(f"{path / MARKER} is damaged")
+        for protocol in PROTOCOLS:
+            if (path / protocol).is_symlink():
+                raise BadInput(f"cannot use {path / protocol}: it is a link")
         path.mkdir(parents=True, exist_ok=True)
     except FileNotFoundError as error:
         raise BadInput(f"{path} is not empty and holds no study (no {MARKER})") from error
     except (OSError, ValueError) as error:
         raise BadInput(f"cannot use {path}: {getattr(error, 'strerror', None) or error}") from error
+    except RecursionError as error:
+        raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
     with held(path):
+        remove_unfinished(path, rf"{re.escape(MARKER)}|scores\.csv|study\.(csv|md)|\w+\.png")
         write_atomic(path / MARKER, MARK)
         yield
 
@@ -60,8 +65,7 @@ def open_study(path: Path) -> Iterator[None]:
 def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
     """Writes tables and figures into `directory` from the results of each protocol's run."""
     rows = [row for results in runs.values() for row in scored_rows(results)]
-    frame = pd.DataFrame([dataclasses.asdict(row) for row in rows], columns=list(COLUMNS))
-    write_atomic(directory / "scores.csv", frame.to_csv(index=False, lineterminator="\n"))
+    write_atomic(directory / "scores.csv", as_csv(rows, COLUMNS))
     entries = [entry for results in runs.values() for entry in leaderboard(scored_rows(results))]
     order = (*ARMS, *CONTROLS, REFERENCE)
     entries.sort(key=lambda e: (ENVS.index(e.env), PROTOCOLS.index(e.protocol), order.index(e.method)))

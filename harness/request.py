@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,14 +13,14 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from harness.codec import checked, checksum, printable
-from harness.files import read, write_atomic
+from harness.files import read, unfinished, write_atomic
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, Conditions, Name
 
 LOCK = ".lock"
 REQUEST = "run.json"
-FOLDERS = ("cells", "recordings", "figures")
-"""Of a run's directory."""
+FOLDERS = {"cells": "json", "recordings": "rrd", "figures": "png"}
+"""Of a run's directory, and how the names of files end that a run writes there."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
 
@@ -47,9 +48,14 @@ class Request:
 
 def write_request(path: Path, request: Request) -> None:
     """Stores it in the directory `path`."""
+    write_atomic(path / REQUEST, as_text(request))
+
+
+def as_text(request: Request) -> str:
+    """What run.json holds."""
     data = {"format": FORMAT, **dataclasses.asdict(request)}
     data |= data.pop("conditions")
-    write_atomic(path / REQUEST, json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n")
+    return json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n"
 
 
 def existing(path: Path) -> Request:
@@ -82,12 +88,20 @@ def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in order if name in names) + tuple(sorted(names - order.keys()))
 
 
+def is_begun(path: Path, first: str) -> bool:
+    """Whether the directory holds what a run that was killed before its first file was whole leaves there,
+    and nothing else."""
+    there = {file.name for file in path.iterdir()} - {
+        file.name for file in unfinished(path, re.escape(first))
+    }
+    return there == {LOCK} and re.fullmatch(rb"\d{0,20}", read(path / LOCK)) is not None
+
+
 def stored_request(path: Path) -> Request | None:
     """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
     file = path / REQUEST
     try:
-        # A run that was killed before its first file was whole leaves these.
-        if all(there.name == LOCK or there.name.startswith(f".{REQUEST}.") for there in path.iterdir()):
+        if not list(path.iterdir()) or is_begun(path, REQUEST):
             return None
         text = read(file)
         for folder in FOLDERS:

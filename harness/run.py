@@ -28,7 +28,7 @@ from harness.environment import numeric, of_this_process
 from harness.files import appending
 from harness.keys import cell_key
 from harness.orphans import end_descendants, end_orphans
-from harness.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes
+from harness.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
 from harness.progress import Progress, progress_for
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, failed_rows
 from harness.store import LOG
@@ -153,6 +153,7 @@ class Grid:
                         self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
                     waiting[:] = [t for t in waiting if t.env != task.env]
             end_orphans()
+            wake_server()
 
     def _outcome(self, future: Future[Outcome]) -> Outcome:
         error = future.exception()  # not raised here: some would end the run
@@ -187,6 +188,7 @@ class NotStarted(Exception):
 
 def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Future[Outcome]:
     """The future of a process that starts, or of one that cannot."""
+    wake_server()
     try:
         return launch(*arguments)
     except (OSError, EOFError, RuntimeError) as error:

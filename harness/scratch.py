@@ -20,7 +20,7 @@ from harness.registry import BadInput
 PREFIX = "irl-bench-"
 MARKER = ".irl-bench-scratch-9d1f7c52a3e84b06"
 """The file that makes a folder ours to delete, unless somebody holds a lock on it. It says whose the folder
-is and what it is called, so that copies of the folder are nobody's."""
+is, what it is called and which one it is, so that copies of the folder are nobody's."""
 LONGEST = 50
 """Bytes of the path of the folder for temporary files, at most. The paths of sockets, which processes put
 below it, may have 107."""
@@ -33,11 +33,10 @@ def scratch_folder() -> Iterator[Path]:
     remove_abandoned(parent)
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
     try:
-        # Locked before it has its name: whoever finds it unlocked finds it abandoned.
-        with (folder / "new").open("wb", buffering=0) as marker:
+        # Locked before it says anything: whoever finds it written and unlocked finds it abandoned.
+        with (folder / MARKER).open("wb", buffering=0) as marker:
             lock_descriptor(marker.fileno())
             marker.write(_mark(folder))
-            (folder / "new").rename(folder / MARKER)
             yield folder
     finally:
         _delete(folder)
@@ -71,16 +70,19 @@ def _remove_if_abandoned(folder: Path) -> None:
 
 
 def _delete(folder: Path) -> None:
-    """The marker last: where this is interrupted, the next run goes on with it."""
+    """The marker last, and only where all else is gone: the next run goes on with what is left."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             elif path.name != MARKER:
                 path.unlink()
-        (folder / MARKER).unlink(missing_ok=True)
+        if os.listdir(folder) == [MARKER]:
+            (folder / MARKER).unlink()
         folder.rmdir()
 
 
 def _mark(folder: Path) -> bytes:
-    return json.dumps({"owner": os.geteuid(), "folder": folder.name}).encode()
+    place = folder.stat()
+    here = {"folder": folder.name, "device": place.st_dev, "inode": place.st_ino}
+    return json.dumps({"owner": os.geteuid(), **here}).encode()

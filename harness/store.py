@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import hashlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from filelock import FileLock, Timeout, lock_descriptor
+from filelock import lock_descriptor
 
 from harness.codec import decode, encode, printable
 from harness.environment import numeric
-from harness.files import appending, opened, read, sha256, unfinished, write_atomic
+from harness.files import append, appending, locked, opened, read, remove_unfinished, sha256, write_atomic
 from harness.keys import REPORT_PACKAGES, REPORT_SOURCES, cell_key, key_of, origin, versions
 from harness.registry import BadInput
-from harness.request import FOLDERS, LOCK, REQUEST, Request, existing, merged, write_request
+from harness.request import FOLDERS, LOCK, REQUEST, Request, as_text, existing, merged, write_request
 from harness.results import Cell, CellResult
 
 LOG = "run.log"
@@ -25,6 +27,8 @@ SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
+CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
+"""Names of files that hold a cell."""
 
 
 class RunDirectory:
@@ -45,8 +49,7 @@ class RunDirectory:
         write_atomic(self.path / name, encode(keyed))
         noted = [(sha256(self.path / name), name)]
         noted += [(digest, f"recordings/{file}") for file, digest in result.recordings.items()]
-        with appending(self.path / SUMS) as sums:
-            sums.write(_lines(noted).encode())
+        append(self.path / SUMS, _lines(noted).encode())
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
         """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
@@ -61,32 +64,46 @@ class RunDirectory:
         return dict(sorted(results.items())), unusable
 
     def seal(self, results: Sequence[CellResult], files: Iterable[Path]) -> None:
-        """Notes what the run holds: these results and `files`, rebuilt from them by this version."""
-        write_atomic(self.path / REPORT_KEY, _report_key(results))
-        cells = [self.path / "cells" / f"{result.cell.name}.json" for result in results]
-        recordings = [self.path / "recordings" / name for result in results for name in result.recordings]
-        written = [self.path / REPORT_KEY, *files, *cells, *filter(Path.is_file, recordings)]
-        names = sorted(file.relative_to(self.path).as_posix() for file in written)
-        write_atomic(self.path / SUMS, _lines((sha256(self.path / name), name) for name in names))
+        """Notes what the run holds: these results and `files`, rebuilt from them by this version. Of cells
+        that were noted before and are not among these, the lines stay."""
+        known = {"", *(result.cell.name for result in results)}
+        lines = {name: digest for name, digest in self._listed().items() if _cell_of(name) not in known}
+        for result in results:
+            name = f"cells/{result.cell.name}.json"
+            lines[name] = sha256(self.path / name)
+            lines |= {f"recordings/{file}": digest for file, digest in result.recordings.items()}
+        lines |= {file.relative_to(self.path).as_posix(): sha256(file) for file in files}
+        listed = _lines((digest, name) for name, digest in sorted(lines.items()))
+        write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{_seal(listed.encode())}\n")
+        write_atomic(self.path / SUMS, listed + _lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
 
     def is_sealed(self, results: Sequence[CellResult]) -> bool:
         """Whether all that is rebuilt from cells is as it was written, from these and by this version."""
         try:
             noted = self._noted()
+            key, _ = self._report_key()
             derived = [name for name in noted if not name.startswith(("cells/", "recordings/"))]
             return (
-                REPORT_KEY in derived
-                and read(self.path / REPORT_KEY).decode() == _report_key(results)
+                {*REBUILT} <= {*derived}
+                and key == self._key_of_report(results)
                 and all(_is_ours(name) and sha256(self.path / name) == noted[name] for name in derived)
             )
         except (OSError, ValueError):
             return False
 
+    def forgotten(self, results: Iterable[CellResult]) -> list[str]:
+        """The names of cells that were stored here, are not among these, and have no file any more."""
+        known = {result.cell.name for result in results}
+        cells = [_cell_of(name) for name in self._listed() if name.startswith("cells/")]
+        there = {path.stem for path in self._cell_files()}
+        return sorted({*cells} - known - there)
+
     def damaged(self) -> dict[Path, str]:
         """What is not as it was written, and why. What the run did not write is nobody's damage."""
         results, damaged = self.load()
-        for result in results.values():
-            damaged |= self._damaged_recordings(result)
+        damaged |= self.damaged_recordings(results.values())
+        if read(self.path / REQUEST) != as_text(self.request).encode():
+            damaged[self.path / REQUEST] = "it is not as it was written"
         try:
             noted = self._noted()
         except (OSError, ValueError) as error:
@@ -99,10 +116,21 @@ class RunDirectory:
             ):
                 damaged[file] = reason
         there = [f"cells/{cell.name}.json" for cell in results]
-        there += [name for name in REBUILT if (self.path / name).exists()]
+        reported = any(name in noted or (self.path / name).exists() for name in REBUILT)
+        there += REBUILT if reported else ()
         if unlisted := [name for name in there if name not in noted]:
             damaged.setdefault(self.path / SUMS, f"does not list {', '.join(unlisted)}")
         return damaged
+
+    def damaged_recordings(self, results: Iterable[CellResult]) -> dict[Path, str]:
+        """Those of the results' recordings that are not as they were written, and why."""
+        folder = self.path / "recordings"
+        return {
+            folder / name: f"the recording {name} is missing or damaged"
+            for result in results
+            for name, digest in result.recordings.items()
+            if _damage(folder / name, digest)
+        }
 
     def _cell_files(self) -> list[Path]:
         folder = self.path / "cells"
@@ -112,7 +140,7 @@ class RunDirectory:
             return []
         except OSError as error:
             raise BadInput(f"cannot read {folder}: {error.strerror}") from error
-        return sorted(folder / name for name in names if name.endswith(".json") and not name.startswith("."))
+        return sorted(folder / name for name in names if CELL_FILE.fullmatch(name))
 
     def _load(self, path: Path) -> CellResult:
         """Raises ValueError or OSError where the file holds no cell of this run."""
@@ -121,29 +149,46 @@ class RunDirectory:
             raise ValueError(f"holds the cell {result.cell.name}")
         if not self.request.asks_for(result.cell):
             raise ValueError("this run was not asked for it")
+        if any(row.protocol != self.request.conditions.protocol for row in result.rows):
+            raise ValueError("it was computed under another protocol")
         if self.key not in ("", result.key):
             raise ValueError("computed by another version of the program or its packages")
-        if self.key and (damaged := self._damaged_recordings(result)):
+        if self.key and (damaged := self.damaged_recordings([result])):
             raise ValueError(next(iter(damaged.values())))
         return result
 
     def _noted(self) -> dict[str, str]:
         """Checksums of files by their names. Raises ValueError for anything but such a list."""
-        noted = {}
-        for line in read(self.path / SUMS).decode().splitlines():
-            digest, _, name = line.partition("  ")
-            if len(digest) != 64 or not name:
-                raise ValueError("damaged")
-            noted[name] = digest
+        data = read(self.path / SUMS)
+        noted = dict(map(_named, data.decode().splitlines()))
+        if REPORT_KEY in noted and not _damage(self.path / REPORT_KEY, noted[REPORT_KEY]):
+            _, seal = self._report_key()
+            if _seal(data[: int(seal.partition(" ")[0])]) != seal:
+                raise ValueError("lines of it were changed or are missing")
         return noted
 
-    def _damaged_recordings(self, result: CellResult) -> dict[Path, str]:
-        folder = self.path / "recordings"
-        return {
-            folder / name: f"the recording {name} is missing or damaged"
-            for name, digest in result.recordings.items()
-            if _damage(folder / name, digest)
-        }
+    def _listed(self) -> dict[str, str]:
+        """The same, as far as it can be read."""
+        listed = {}
+        with suppress(OSError):
+            for line in read(self.path / SUMS).decode(errors="replace").splitlines():
+                with suppress(ValueError):
+                    name, digest = _named(line)
+                    listed[name] = digest
+        return listed
+
+    def _key_of_report(self, results: Iterable[CellResult]) -> str:
+        cells = [sha256(self.path / "cells" / f"{result.cell.name}.json") for result in results]
+        return key_of(REPORT_SOURCES, [*versions(REPORT_PACKAGES), *cells])
+
+    def _report_key(self) -> tuple[str, str]:
+        """Which cells and which version the report was built from, and the seal of the list that was written
+        then. Raises ValueError where the file is damaged."""
+        text = read(self.path / REPORT_KEY).decode()
+        found = re.fullmatch(r"([0-9a-f]+)\n(\d{1,9} [0-9a-f]{64})\n", text)
+        if not found:
+            raise ValueError("damaged")
+        return found[1], found[2]
 
 
 @contextmanager
@@ -158,13 +203,15 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"cannot write to {path}: {error.strerror}") from error
+    except RecursionError as error:
+        raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
     with held(path):
         grown = merged(path, request)
         for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
             _check_can_append(file)
-        for folder in (path, *(path / name for name in FOLDERS)):
-            for left_by_a_killed_run in unfinished(folder):
-                left_by_a_killed_run.unlink()
+        remove_unfinished(path, "|".join(map(re.escape, (REQUEST, SUMS, *REBUILT))))
+        for folder, kind in FOLDERS.items():
+            remove_unfinished(path / folder, rf".+\.{kind}")
         write_request(path, grown)
         with appending(path / SUMS):  # which is there from now on
             pass
@@ -197,19 +244,17 @@ def open_to_verify(path: Path) -> Iterator[RunDirectory]:
 @contextmanager
 def held(path: Path) -> Iterator[None]:
     """This process alone has the directory until the context ends. Raises BadInput where another has it."""
-    lock = FileLock(path / LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout as error:
-        raise BadInput(_in_use(path)) from error
-    except OSError as error:
-        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
-    try:
+    with ExitStack() as stack:
+        try:
+            lock = stack.enter_context(locked(path / LOCK))
+        except OSError as error:
+            raise BadInput(f"cannot write to {path}: {LOCK}: {error.strerror}") from error
+        if lock is None:
+            raise BadInput(_in_use(path))
         with suppress(OSError):
-            (path / LOCK).write_text(str(os.getpid()), encoding="ascii")
+            lock.truncate(0)
+            lock.write(str(os.getpid()).encode())
         yield
-    finally:
-        lock.release()
 
 
 def _in_use(path: Path) -> str:
@@ -221,6 +266,27 @@ def _in_use(path: Path) -> str:
 
 def _lines(noted: Iterable[tuple[str, str]]) -> str:
     return "".join(f"{digest}  {name}\n" for digest, name in noted)
+
+
+def _named(line: str) -> tuple[str, str]:
+    """Name and checksum of a line of the list. Raises ValueError where it is none."""
+    digest, _, name = line.partition("  ")
+    if len(digest) != 64 or not name:
+        raise ValueError("damaged")
+    return name, digest
+
+
+def _seal(listed: bytes) -> str:
+    """Size and digest of a list, by which it is known again."""
+    return f"{len(listed)} {hashlib.sha256(listed).hexdigest()}"
+
+
+def _cell_of(name: str) -> str:
+    """The cell that a listed file belongs to, '' for what is rebuilt from all."""
+    folder, _, file = name.partition("/")
+    if folder == "cells":
+        return file.removesuffix(".json")
+    return file.rpartition("__")[0] if folder == "recordings" else ""
 
 
 def _is_ours(name: str) -> bool:
@@ -241,10 +307,6 @@ def _damage(file: Path, digest: str) -> str:
 
 def _reason(error: Exception) -> str:
     return printable(getattr(error, "strerror", None) or str(error))
-
-
-def _report_key(results: Sequence[CellResult]) -> str:
-    return key_of(REPORT_SOURCES, [*versions(REPORT_PACKAGES), *map(encode, results)])
 
 
 def _check_can_append(file: Path) -> None:

@@ -3,6 +3,7 @@ went away ends the printing, and so does a closed stream; a full disk does too, 
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import io
@@ -10,8 +11,8 @@ import os
 import sys
 from typing import TextIO
 
-READER_LEFT = {errno.EPIPE, errno.EIO}
-"""What writing raises when a pipe's reader, or the terminal, is gone."""
+NO_TEXT = {"idna", "punycode", "undefined"}
+"""Encodings that not every text can be written in, whatever becomes of what they lack."""
 
 
 class Lasting(io.TextIOWrapper):
@@ -19,6 +20,8 @@ class Lasting(io.TextIOWrapper):
 
     lost: OSError | None = None
     """Why it failed."""
+    terminal = False
+    """Whether it was one when it was opened."""
 
     def write(self, text: str, /) -> int:
         try:
@@ -53,13 +56,20 @@ def install() -> None:
 
 def output_was_lost() -> str:
     """Why standard output is not whole, '' where it is or nobody was reading."""
-    lost = getattr(sys.stdout, "lost", None)
-    return "" if lost is None or lost.errno in READER_LEFT else str(lost.strerror)
+    stream = sys.stdout
+    if not isinstance(stream, Lasting) or stream.lost is None:
+        return ""
+    reader_left = stream.lost.errno == (errno.EIO if stream.terminal else errno.EPIPE)
+    return "" if reader_left else str(stream.lost.strerror)
 
 
 def _lasting(handle: int, old: TextIO | None, errors: str) -> Lasting:
     with contextlib.suppress(OSError):
         os.set_blocking(handle, True)
     encoding = getattr(old, "encoding", None) or "utf-8"
+    if codecs.lookup(encoding).name in NO_TEXT:
+        encoding = "utf-8"
     raw = io.FileIO(handle, "w", closefd=False)
-    return Lasting(io.BufferedWriter(raw), encoding=encoding, errors=errors, line_buffering=True)
+    stream = Lasting(io.BufferedWriter(raw), encoding=encoding, errors=errors, line_buffering=True)
+    stream.terminal = os.isatty(handle)
+    return stream

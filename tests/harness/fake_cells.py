@@ -4,12 +4,15 @@ beside the run's directory says for the cell's name; an env named 'nowhere' has 
 As a script it is the real command line with these cells, for tests that send it signals.
 """
 
+import ctypes
 import functools
 import json
 import math
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import time
 import types
 from pathlib import Path
@@ -97,6 +100,18 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
             os.kill(os.getpid(), signal.SIGKILL)
         if behaviour == "leaves_and_hangs":
             time.sleep(60)
+    if behaviour == "stops_itself":
+        os.kill(os.getpid(), signal.SIGSTOP)
+    if behaviour == "stops_server":
+        os.kill(os.getppid(), signal.SIGSTOP)
+    if behaviour == "never_yields":
+        (directory / "left_behind.txt").write_text(f"{os.getpid()}\n")
+        ctypes.PyDLL(None).sleep(60)  # No other thread of Python's runs meanwhile.
+    if behaviour == "deletes_temporary_files":
+        shutil.rmtree(tempfile.gettempdir())
+    if behaviour == "makes_temporary_files":
+        with tempfile.NamedTemporaryFile(dir=os.environ["TMPDIR"]):
+            pass
     if behaviour == "many_curves":
         return CellResult(cell, _rows(cell, conditions, 1.0), {f"curve {i}": [(0.0, 1.0)] for i in range(99)})
     if behaviour == "escape":
@@ -135,8 +150,10 @@ def _leave_one_behind(directory: Path) -> None:
 
 
 def write_report(directory: Path, results: list[CellResult]) -> list[Path]:
-    (directory / "leaderboard.md").write_text(f"a table of {len(results)} cells\n")
-    return [directory / "leaderboard.md"]
+    names = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html")
+    for name in names:
+        (directory / name).write_text(f"a table of {len(results)} cells\n")
+    return [directory / name for name in names]
 
 
 def install() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
 import time
+from collections.abc import Iterator
 
 import pytest
 
@@ -85,3 +87,33 @@ def test_figures_are_told_one_by_one_and_as_json_at_the_end(
     assert everything["measures"] == [ratio.to_json(), memory.to_json()]
     assert everything["cores"] >= 1
     assert everything["numpy"]
+
+
+def test_what_fails_is_a_line_and_what_was_measured_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> Iterator[bench.Measure]:
+        yield bench.Measure("RL", "times", [3], None)
+        bench.command(["nonsense"])
+
+    monkeypatch.setattr(bench, "bench", fail)
+    assert cli.main(["bench", "--json"]) == 1
+    told = capsys.readouterr()
+    assert "FAILED: Command" in told.err
+    assert len(json.loads(told.out)["measures"]) == 1
+
+
+def test_of_a_stopped_bench_nothing_is_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop() -> Iterator[bench.Measure]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench, "bench", stop)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        assert cli.main(["bench"]) == 130
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert capsys.readouterr().err == "\nstopped; nothing is kept\n"

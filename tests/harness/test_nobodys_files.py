@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import resource
 import stat
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from harness.cli import main
 from harness.codec import checksum, encode
-from harness.files import appending, read, sha256, write_atomic
+from harness.files import append, appending, read, sha256, write_atomic
 from harness.registry import BadInput
 from harness.reproduce import open_study
 from harness.request import Request
@@ -58,6 +59,7 @@ def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> 
         "recordings/mine.rrd",
         ".notes.tmp",
         "cells/a.txt",
+        "cells/notes.json",
     ]
     mine += ["figures/.draft.tmp", "scores.csv.bak", ".report.html.swp", "cells/.#a.json"]
     for name in mine:
@@ -203,10 +205,63 @@ def test_verify_writes_nothing(run: Path) -> None:
 
 def test_a_run_deletes_what_a_killed_run_left_half_written(run: Path) -> None:
     half = [".run.json.0123456789abcdef.tmp", "cells/.cartpole__bc__seed0.json.0123456789abcdef.tmp"]
-    for name in half:
+    mine = [".notes.0123456789abcdef.tmp", "figures/.a.svg.0123456789abcdef.tmp"]
+    for name in half + mine:
         (run / name).write_text("{")
+    (run / "figures/.a.png.0123456789abcdef.tmp").mkdir()
     with open_for_run(run, REQUEST):
         assert not any((run / name).exists() for name in half)
+    assert all((run / name).exists() for name in mine)
+    assert (run / "figures/.a.png.0123456789abcdef.tmp").is_dir()
+
+
+@pytest.mark.parametrize("name", [".lock", SUMS, "run.log"])
+def test_what_has_other_names_besides_is_not_written_to(run: Path, name: str) -> None:
+    mine = run.parents[1] / "mine"
+    mine.write_text("mine")
+    (run / name).unlink(missing_ok=True)
+    (run / name).hardlink_to(mine)
+    with pytest.raises(BadInput, match="other names"), open_for_run(run, REQUEST):
+        pass
+    assert mine.read_text() == "mine"
+
+
+@pytest.mark.parametrize("text", ["another program's", "1" * 30, "1\n"])
+@pytest.mark.parametrize("command", ["run", "reproduce"])
+def test_a_lock_of_another_program_marks_no_new_directory(tmp_path: Path, text: str, command: str) -> None:
+    (tmp_path / ".lock").write_text(text)
+    assert main([command, "--out", str(tmp_path)]) == 2
+    assert snapshot(tmp_path) == {str(tmp_path / ".lock"): text.encode()}
+
+
+@pytest.mark.parametrize("protocol", ["native", "absorbing"])
+def test_a_studys_run_is_no_link(tmp_path: Path, protocol: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_study(tmp_path / "study"):
+        pass
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "study" / protocol).symlink_to(tmp_path / "elsewhere")
+    assert main(["reproduce", "--out", str(tmp_path / "study")]) == 2
+    assert "it is a link" in capsys.readouterr().err
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+def test_a_study_deletes_what_a_killed_one_left(tmp_path: Path) -> None:
+    with open_study(tmp_path):
+        pass
+    (tmp_path / ".scores.csv.0123456789abcdef.tmp").write_text("half")
+    (tmp_path / ".mine.csv.0123456789abcdef.tmp").write_text("mine")
+    with open_study(tmp_path):
+        left = {path.name for path in tmp_path.glob(".*.tmp")}
+    assert left == {".mine.csv.0123456789abcdef.tmp"}
+
+
+def test_folders_are_not_made_for_what_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").write_text("mine")
+    deep = "/".join("a" * 1500)
+    for out in ("new/sub/../../mine", f"new/../{deep}", deep):
+        assert main(["run", "--out", out]) == 2
+    assert not (tmp_path / "new").exists()
 
 
 # What a run had.
@@ -233,6 +288,105 @@ def test_cells_that_were_stored_before_the_first_report_are_listed_too(tmp_path:
     assert main(["verify", str(tmp_path)]) == 0
     (tmp_path / "cells/cartpole__bc__seed0.json").unlink()
     assert main(["verify", str(tmp_path)]) == 1
+
+
+@pytest.mark.parametrize("what", ["scores.csv", "figures/cartpole_scores.png", "report.key", "cells/*"])
+def test_a_list_of_checksums_that_was_shortened_is_damage_and_mended_by_report(
+    run: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (file,) = run.glob(what)
+    name = file.relative_to(run).as_posix()
+    lines = (run / SUMS).read_text().splitlines(keepends=True)
+    (run / SUMS).write_text("".join(line for line in lines if not line.endswith(f"  {name}\n")))
+    before = file.read_bytes()
+    if what != "cells/*":
+        file.write_text("something else")
+    assert main(["verify", str(run)]) == 1
+    assert "SHA256SUMS" in capsys.readouterr().out
+    with open_for_run(run, REQUEST) as directory:
+        assert not directory.is_sealed(list(directory.load()[0].values()))
+    assert main(["report", str(run)]) == 0
+    assert main(["verify", str(run)]) == 0
+    assert file.name == "report.key" or file.read_bytes() == before
+
+
+def test_a_cell_that_was_deleted_with_its_line_is_damage(run: Path) -> None:
+    lines = (run / SUMS).read_text().splitlines(keepends=True)
+    (run / SUMS).write_text("".join(line for line in lines if "  cells/" not in line))
+    (run / "cells/cartpole__bc__seed0.json").unlink()
+    assert main(["verify", str(run)]) == 1
+
+
+def test_a_changed_request_is_damage_though_it_says_the_same(run: Path) -> None:
+    (run / "run.json").write_text((run / "run.json").read_text().replace(",", " ,"))
+    assert main(["verify", str(run)]) == 1
+
+
+@pytest.mark.parametrize("gone", ["deleted", "damaged"])
+def test_a_report_without_a_cell_that_was_stored_says_so_and_remembers_it(
+    tmp_path: Path, gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=2)) as directory:
+        directory.save(result())
+        second = dataclasses.replace(result().rows[0], seed=1)
+        directory.save(CellResult(Cell("cartpole", "bc", 1), [second]))
+    lost = tmp_path / "cells/cartpole__bc__seed1.json"
+    lost.write_text("{") if gone == "damaged" else lost.unlink()
+    for _ in range(2):
+        assert main(["report", str(tmp_path)]) == 1
+        assert "cartpole__bc__seed1" in capsys.readouterr().err
+        assert main(["verify", str(tmp_path)]) == 1
+        assert lost.name in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("gone", ["deleted", "damaged"])
+def test_a_report_without_a_recording_says_so(
+    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = run / "recordings" / RECORDING
+    recording.write_text("{") if gone == "damaged" else recording.unlink()
+    assert main(["report", str(run)]) == 1
+    assert f"{RECORDING} is missing or damaged" in capsys.readouterr().err
+    assert main(["verify", str(run)]) == 1
+
+
+@pytest.mark.parametrize("kind", ["deleted", "pipe", "link", "binary"])
+def test_a_leaderboard_that_is_none_is_built_again(
+    run: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = run / "leaderboard.md"
+    before = table.read_bytes()
+    table.unlink()
+    if kind == "pipe":
+        os.mkfifo(table)
+    elif kind == "link":
+        table.symlink_to("/etc/hostname")
+    elif kind == "binary":
+        table.write_bytes(b"\xff\x1b[2J")
+    lines = (run / SUMS).read_text().splitlines(keepends=True)
+    (run / SUMS).write_text("".join(line for line in lines if not line.endswith("  leaderboard.md\n")))
+    capsys.readouterr()
+    assert main(["report", str(run)]) == 0
+    assert capsys.readouterr().out.startswith(f"\n{before.decode()}")
+    assert table.read_bytes() == before
+
+
+def test_rows_of_another_protocol_are_refused(run: Path) -> None:
+    strange(run, protocol="native")
+    with open_for_report(run) as directory:
+        assert list(directory.load()[1].values()) == ["it was computed under another protocol"]
+
+
+def test_a_short_write_to_the_list_of_checksums_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    try:
+        with pytest.raises(OSError, match=r"No space left|File too large"):
+            append(tmp_path / "list", b"x" * 101)
+    finally:
+        most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
 
 def test_names_that_no_file_can_have_are_damage(run: Path) -> None:
@@ -309,7 +463,7 @@ def test_special_files_block_nobody(run: Path, name: str, kind: str) -> None:
     assert main(["verify", str(run)]) == 1
     # Of the one cell there is no report, and what is a folder cannot be replaced.
     refused = name.startswith("cells") or (kind == "folder" and "/" not in name)
-    assert main(["report", str(run)]) == (2 if refused else 0)
+    assert main(["report", str(run)]) == (2 if refused else 1 if name.startswith("recordings") else 0)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder", "link", "unreadable"])

@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import math
+import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from harness import figures
 from harness.leaderboard import leaderboard, overall, scored_rows
 from harness.report import write_report
 from harness.results import COLUMNS, CONTROLS, Cell, CellResult, PolicyName, Row
@@ -239,6 +241,52 @@ def test_overall_compares_only_what_every_env_has() -> None:
     results = [r for r in results if (r.cell.env, r.cell.method) != ("pendulum", "shaped")]
     assert not [line for line in overall(scored_rows(results)) if line.method == "shaped"]
     assert overall(scored_rows(make_results(("cartpole",)))) == []
+
+
+def test_a_score_beyond_all_scales_is_none() -> None:
+    expert, random = (
+        make_row("cartpole", "reference", 0, policy, return_mean=1e-208 * (policy == "expert"))
+        for policy in ("expert", "random")
+    )
+    far = make_row("cartpole", "bc", 0, "pi_star", return_mean=1e100)
+    rows = scored_rows(
+        [
+            CellResult(Cell("cartpole", "reference", 0), [expert, random]),
+            CellResult(Cell("cartpole", "bc", 0), [far]),
+        ]
+    )
+    assert [one.normalized_score for one in rows][:2] == [1.0, 0.0]
+    assert math.isnan(rows[-1].normalized_score)
+    assert math.isnan(leaderboard(rows)[0].score_mean)
+
+
+def test_panels_are_few_where_envs_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = []
+    monkeypatch.setattr(figures, "_panels", lambda *asked: shown.append(asked[-1]))
+    for envs in (1, 10, 50, 5000):
+        results = [
+            CellResult(
+                Cell("cartpole", "bc", 0),
+                [make_row("cartpole", "bc", 0, "pi_R", return_mean=1.0)],
+                {"pi_R": [(0.0, 1.0)]},
+            )
+        ]
+        rows = scored_rows(results)
+        figures.draw("cartpole", leaderboard(rows), rows, results, envs)
+    assert shown == [60, 60, 20, 1]
+
+
+def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
+    with warnings.catch_warnings(record=True) as told:
+        results = [
+            CellResult(
+                Cell("cartpole", "bc", 0),
+                [make_row("cartpole", "bc", 0, "pi_R", return_mean=1.0)],
+                {"\u8a9e": [(0.0, 1.0)]},
+            )
+        ]
+        write_report(tmp_path, results)
+    assert [str(one.message) for one in told] == []
 
 
 def test_markdown_tables_are_rectangular(report: Path) -> None:

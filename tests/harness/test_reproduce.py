@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,9 +13,11 @@ import pytest
 from harness.cells import SPECS, run_cell
 from harness.cli import main
 from harness.environment import CACHE_VARIABLE
+from harness.leaderboard import leaderboard, scored_rows
 from harness.registry import PROTOCOLS
+from harness.reproduce import _study
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
-from harness.study import ARMS, DECAYS, TRAJECTORIES, name_of
+from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
 
@@ -87,6 +90,33 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     assert reproduce() == 0
     assert len(InstantGrid.computed) == computed
     assert pictures == {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
+
+
+def test_cells_that_a_later_run_added_to_its_directories_are_no_part_of_a_study(
+    reproduce: Callable[[], int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reproduce() == 0
+    study = (tmp_path / "study.md").read_text()
+    more = ["run", "--methods", "bc", "--envs", "cartpole,highway", "--seeds", "3", "--protocol", "native"]
+    assert main([*more, "--out", str(tmp_path / "native")]) == 0
+    assert reproduce() == 0
+    assert (tmp_path / "study.md").read_text() == study
+
+
+def test_equal_scores_whose_mean_is_rounded_can_be_drawn(
+    tmp_path: Path,
+) -> None:
+    entry = leaderboard(
+        scored_rows(
+            [
+                InstantGrid(Conditions("smoke", "native", "sbx"), tmp_path, 1, None, None).result(cell)
+                for cell in (Cell("cartpole", REFERENCE, 0), Cell("cartpole", "shaped", 0))
+            ]
+        )
+    )[0]
+    off = dataclasses.replace(entry, method=THESIS, score_mean=0.3, score_low=0.1 + 0.2, score_high=0.1 + 0.2)
+    assert off.score_low > off.score_mean
+    assert _study("cartpole", [off])
 
 
 def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(

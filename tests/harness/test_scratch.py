@@ -1,6 +1,7 @@
 """The temporary folder of a run: nobody else's is deleted, and none of ours stays."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -12,6 +13,7 @@ from filelock import lock_descriptor
 
 from harness import scratch
 from harness.files import opened
+from harness.processes import as_in_cells
 from harness.scratch import MARKER, PREFIX, scratch_folder
 
 
@@ -127,13 +129,42 @@ def test_a_folder_is_never_there_unlocked_with_its_marker(
     temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where a run is killed while it makes its folder, nobody takes the folder of a run that lives."""
-    rename = Path.rename
+    mark = scratch._mark
 
-    def check(path: Path, to: Path) -> Path:
-        with opened(path) as marker:
+    def check(folder: Path) -> bytes:
+        with opened(folder / MARKER) as marker:
+            assert marker.read() == b""
             assert not lock_descriptor(marker.fileno(), blocking=False)
-        return rename(path, to)
+        return mark(folder)
 
-    monkeypatch.setattr(Path, "rename", check)
-    with scratch_folder() as folder:
-        assert (folder / MARKER).exists()
+    with monkeypatch.context() as changed:
+        changed.setattr(scratch, "_mark", check)
+        with scratch_folder() as folder:
+            assert (folder / MARKER).read_bytes() == mark(folder)
+
+
+def test_a_copy_of_the_same_name_is_nobodys(temporary: Path) -> None:
+    left = abandoned(temporary)
+    shutil.copytree(left, temporary / "copy")
+    left.rename(temporary / "first")
+    copy = (temporary / "copy").rename(left)
+    with scratch_folder():
+        pass
+    assert (copy / MARKER).exists()
+
+
+def test_what_cannot_be_deleted_keeps_its_marker(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as changed:
+        changed.setattr(scratch.shutil, "rmtree", lambda *_, **__: None)
+        with scratch_folder() as folder:
+            (folder / "inner").mkdir()
+    assert (folder / MARKER).exists()
+    with scratch_folder():
+        assert not folder.exists()
+
+
+def test_bench_keeps_what_it_cannot_cache_in_its_own_folder(temporary: Path) -> None:
+    assert tempfile.gettempdir() == str(temporary)
+    with as_in_cells():
+        assert Path(tempfile.gettempdir()).parents[1] == temporary
+    assert tempfile.gettempdir() == str(temporary)

@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -86,6 +87,38 @@ def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
     assert scores(tmp_path / "run") == unbroken
     assert computed(tmp_path / "run").count("cartpole__bc__seed0") == 2
     assert len(computed(tmp_path / "run")) == PER_SEED + 2
+
+
+@pytest.mark.parametrize("after", [0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
+def test_being_stopped_again_and_again_is_one_clean_stop(tmp_path: Path, after: float) -> None:
+    faults(tmp_path)
+    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(
+        command, env=FAKE_ENV, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    time.sleep(after)  # at whatever it does then
+    for _ in range(3):
+        process.terminate()
+        time.sleep(0.02)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode in (0, 130, -signal.SIGTERM)
+    assert process.returncode != -signal.SIGTERM or not err  # Nothing was begun yet.
+    assert "Traceback" not in err
+
+
+def test_a_run_with_nothing_to_do_deletes_what_a_killed_one_left(tmp_path: Path) -> None:
+    with tempfile.TemporaryDirectory(prefix="t-") as temporary:  # a short path
+        env = {**FAKE_ENV, "TMPDIR": temporary}
+        faults(tmp_path)
+        command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+        subprocess.run(command, env=env, check=True, capture_output=True)
+        process = subprocess.Popen([*command, "--seeds", "2"], env=env, stdout=subprocess.DEVNULL)
+        while not list(Path(temporary).glob("irl-bench-*/program")):
+            time.sleep(0.01)
+        process.kill()
+        process.wait()
+        subprocess.run(command, env=env, check=True, capture_output=True)
+        assert os.listdir(temporary) == []
 
 
 def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ import importlib.metadata
 import json
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness import store
+from harness import keys, store
 from harness.codec import LARGEST, checksum, decode, encode
 from harness.files import sha256, write_atomic
 from harness.keys import CELL_SOURCES, ROOT
@@ -137,7 +139,7 @@ def test_what_nobody_can_write_to_is_read_all_the_same(whole: Path, monkeypatch:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(store.FileLock, "acquire", refuse)
+    monkeypatch.setattr(store, "locked", refuse)
     with open_to_verify(whole) as run:
         assert run.damaged() == {}
     with pytest.raises(BadInput, match="cannot write to"), open_for_report(whole):
@@ -168,26 +170,29 @@ def test_a_cell_whose_recording_is_gone_is_computed_again(whole: Path, name: str
         assert list(run.load()[0]) == [CELL]
 
 
-def test_a_cells_key_covers_all_source_that_computes_it_and_none_that_reports_it() -> None:
+SCHEDULES = {"files", "keys"}
+"""Modules that a cell's work imports and that change no number."""
+
+
+def test_a_cells_key_covers_all_source_that_computes_it() -> None:
     covered = {f for s in CELL_SOURCES for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])}
     assert all(file.is_file() for file in covered)
     assert set(ROOT.glob("envs/*.py")) | set(ROOT.glob("methods/*.py")) <= covered
-    others = {file.stem for file in set(ROOT.glob("harness/*.py")) - covered}
-    assert others == {
-        *("__init__", "__main__", "bench", "cache", "cli", "codec", "figures", "files", "growth", "keys"),
-        *(
-            "leaderboard",
-            "orphans",
-            "preload",
-            "processes",
-            "progress",
-            "recordings",
-            "registry",
-            "report",
-            "reproduce",
-        ),
-        *("reproduce", "request", "results", "run", "scratch", "statistics", "store", "streams"),
-    }
+    code = "import sys, harness.cells, harness.recordings\n"
+    code += "print(*(name for name in sys.modules if name.startswith('harness.')))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    names = {name.removeprefix("harness.") for name in done.stdout.split()}
+    assert "rl" in names
+    assert {name for name in names if ROOT / "harness" / f"{name}.py" not in covered} == SCHEDULES
+
+
+def test_a_key_is_of_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = keys.key_of(CELL_SOURCES, None)
+    program = dict(keys.program())
+    one, other = "harness/rl.py", "harness/world.py"
+    program[one], program[other] = program[other], program[one]
+    monkeypatch.setattr(keys, "program", lambda: program)
+    assert keys.key_of(CELL_SOURCES, None) != before
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:

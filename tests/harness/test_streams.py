@@ -1,5 +1,6 @@
 """Whatever becomes of standard output and error, the work is done and the exit code says what came of it."""
 
+import errno
 import json
 import os
 import pty
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from harness import streams
 from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
 from harness.store import open_for_run
@@ -86,6 +88,7 @@ def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_p
         ("$IRL --help | head -0; exit ${PIPESTATUS[0]}", 0, ""),
         ("$IRL list >&-", 0, ""),
         ("$IRL nonsense 2>&-", 2, ""),
+        (r"$IRL verify $'\e[2J'", 2, r"\x1b[2J holds no run"),
         ("$IRL nonsense 2>/dev/full", 2, ""),
     ],
 )
@@ -96,6 +99,22 @@ def test_what_was_asked_to_be_printed_is_whole_or_exit_1(
     assert found == code
     assert told in err
     assert err.count("\n") == bool(told)
+
+
+def test_only_a_terminal_that_fails_has_lost_its_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "file").open("w") as file:
+        stream = streams._lasting(file.fileno(), None, "replace")
+        monkeypatch.setattr(sys, "stdout", stream)
+        for terminal, number, lost in (
+            (False, errno.EIO, True),
+            (True, errno.EIO, False),
+            (False, errno.EPIPE, False),
+            (False, errno.ENOSPC, True),
+        ):
+            stream.terminal, stream.lost = terminal, OSError(number, "lost")
+            assert bool(streams.output_was_lost()) == lost
 
 
 @pytest.mark.parametrize("flag", ["-Werror", "-O", "-Xdev", "-bb", "-s", "-P"])
@@ -119,10 +138,12 @@ def test_flags_that_cells_cannot_have_are_refused_and_nothing_is_written(
     assert not (ROOT / f"runx{tmp_path.name}").exists()
 
 
-def test_ignored_signals_of_children_hide_no_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "how", ["signal(signal.SIGCHLD, signal.SIG_IGN)", "pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})"]
+)
+def test_ignored_or_blocked_signals_of_children_hide_no_end(tmp_path: Path, how: str) -> None:
     faults(tmp_path, FAILS)
-    ignoring = "signal.signal(signal.SIGCHLD, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
-    ignoring = f"import os, signal, sys; {ignoring}"
+    ignoring = f"import os, signal, sys; signal.{how}; os.execv(sys.argv[1], sys.argv[1:])"
     code, err = shell(tmp_path, f'{sys.executable} -c "{ignoring}" $IRL {RUN}')
     assert code == 1
     assert "Traceback" not in err
@@ -134,6 +155,8 @@ def test_ignored_signals_of_children_hide_no_end(tmp_path: Path) -> None:
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
         {"PYTHONIOENCODING": "ascii:strict"},
         {"PYTHONIOENCODING": "utf-16"},
+        {"PYTHONIOENCODING": "undefined"},
+        {"PYTHONIOENCODING": "idna"},
         {"MPLBACKEND": "bogus"},
         {"TERM": "nonsense", "COLUMNS": "x", "NO_COLOR": "1"},
         {"PYTHONWARNINGS": "error"},
@@ -156,7 +179,7 @@ def test_a_plotting_library_that_cannot_be_imported_is_one_line(tmp_path: Path) 
     command = [sys.executable, "-m", "harness", "report", "run"]
     done = subprocess.run(command, cwd=tmp_path, env=ENV, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "cells are stored, but nothing can draw them" in done.stderr.splitlines()[-1]
+    assert "nothing can draw the report" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
 
 

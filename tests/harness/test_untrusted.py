@@ -55,11 +55,11 @@ def test_a_strangers_run_is_read_and_never_executed(tmp_path: Path, payload: byt
     run = tmp_path / "deep/run"
     with open_for_run(run, Request(("bc",), ("cartpole",), 1, CONDITIONS)) as opened:
         opened.save(result())
-    bad = ["pickle.json"]
-    (run / "cells/pickle.json").write_bytes(payload)
+    bad = ["cartpole__pickle__seed0.json"]
+    (run / "cells" / bad[0]).write_bytes(payload)
     for number, name in enumerate(OUTSIDE):
         for kind, stranger in (("env", result(env=name)), ("method", result(method=name))):
-            bad.append(f"{kind}{number}.json")
+            bad.append(f"cartpole__{kind}{number}__seed0.json")
             (run / "cells" / bad[-1]).write_text(encode(stranger))
     for name in ("cells/cell.pkl", "recordings/a.rrd", "figures/a.png", "run.log", "model.pt"):
         (run / name).parent.mkdir(exist_ok=True)

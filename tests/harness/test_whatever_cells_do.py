@@ -66,7 +66,7 @@ def reason(result: CellResult) -> str:
 def left_behind(directory: Path) -> list[int]:
     """Processes that cells started and that are still there."""
     told = [int(pid) for pid in (directory / "left_behind.txt").read_text().split()]
-    assert len(told) >= 2
+    assert told
     return [pid for pid in told if psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie"]
 
 
@@ -106,13 +106,14 @@ def test_what_a_cell_started_ends_with_it(run: Run, tmp_path: Path, method: str)
     assert hanging or time.monotonic() - started < 10
 
 
-def test_what_a_cell_started_ends_with_a_killed_run(tmp_path: Path) -> None:
-    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": "leaves_and_hangs"}))
+@pytest.mark.parametrize(("behaviour", "processes"), [("leaves_and_hangs", 2), ("never_yields", 1)])
+def test_what_a_cell_started_ends_with_a_killed_run(tmp_path: Path, behaviour: str, processes: int) -> None:
+    (tmp_path / "faults.json").write_text(json.dumps({"cartpole__bc__seed0": behaviour}))
     command = [*FAKE, "--methods", "bc", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     file = tmp_path / "run/left_behind.txt"
     try:
-        while not file.exists() or len(file.read_text().split()) < 2:
+        while not file.exists() or len(file.read_text().split()) < processes:
             assert process.poll() is None
             time.sleep(0.05)
     finally:
@@ -128,6 +129,26 @@ def test_a_dead_server_of_processes_is_started_again_and_other_cells_lose_nothin
     results = run("server", "slow", "brief")
     assert reason(results["server"]).startswith("its process ended without a result")
     assert [reason(results[method]) for method in ("slow", "brief", "good")] == ["", "", ""]
+
+
+def test_a_cell_that_suspends_itself_is_stopped_in_time_and_the_server_is_woken(run: Run) -> None:
+    results = run("stops_itself", "stops_server", "brief", timeout=4)
+    assert reason(results["stops_itself"]) == "it was stopped after 4 s"
+    assert [reason(results[method]) for method in ("stops_server", "brief", "good")] == ["", "", ""]
+
+
+def test_temporary_files_that_one_cell_deletes_another_can_have(run: Run) -> None:
+    results = run("deletes_temporary_files", "makes_temporary_files", workers=1)
+    assert [reason(result) for result in results.values()] == ["", "", ""]
+
+
+def test_where_processes_cannot_be_seen_one_line_says_so(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise psutil.NoSuchProcess(1)
+
+    monkeypatch.setattr(psutil.Process, "children", refuse)
+    with pytest.raises(BadInput, match="cannot see this machine's processes"):
+        run()
 
 
 def test_where_no_process_can_be_started_cells_fail_and_the_run_ends(
