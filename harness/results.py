@@ -5,7 +5,8 @@ DIR/cells/*.json           one file a finished cell; everything below is rebuilt
 DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
-DIR/report.key             from which cells, and by which version of the program, those were rebuilt
+DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
+                           size and digest of the list of checksums that was written then
 DIR/recordings/*.rrd       rerun recordings
 DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
                            a file is listed twice, the last line counts
