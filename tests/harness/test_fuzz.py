@@ -83,7 +83,7 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
         ):
             patch.chdir(place)
             patch.setattr(cli, "_compute", compute)
-            patch.setattr(cli, "_write_report", lambda run, results: None)
+            patch.setattr(cli, "_write_report", lambda run, results, anew: True)
             patch.setattr("harness.reproduce.write_study", write_study)
             patch.setattr(cli, "_handle_signals", lambda: None)
             code = cli.main(argv)
