@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.spec import Array, EnvSpec, Shape
+from envs.spec import Array, EnvSpec, Shape, Shipped
 
 GRAVITY = 9.8  # m/s^2
 CART_MASS, POLE_MASS = 1.0, 0.1  # kg
@@ -159,6 +159,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    shipped=Shipped(steps=60_000, bar=499.5),
     batch=CartPoleBatch,
 )
 

@@ -8,7 +8,7 @@ import gymnasium as gym
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
 from envs import cartpole
-from envs.spec import EnvSpec, Shape
+from envs.spec import EnvSpec, Shape, Shipped
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
@@ -48,5 +48,6 @@ SPEC = EnvSpec(
     phi=cartpole.phi,
     draw=draw,
     why_ended=why_ended,
+    shipped=Shipped(steps=60_000, bar=500.0),
     discrete=True,
 )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from envs.highway_batch import Road, Scenes
 from envs.highway_fast import FastHighwayEnv, speed_up_vehicle
-from envs.spec import Array, EnvSpec, Shape
+from envs.spec import Array, EnvSpec, Shape, Shipped
 
 HORIZON = 75  # 30 s
 TIME_STEP = 0.4  # s
@@ -275,6 +275,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01),
     batch=HighwayBatch,
 )
 

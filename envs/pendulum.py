@@ -13,7 +13,7 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from numpy.typing import NDArray
 
 from envs.cartpole import draw_cart_and_pole
-from envs.spec import Array, EnvSpec, Shape
+from envs.spec import Array, EnvSpec, Shape, Shipped
 
 HORIZON = 1000
 MAX_ANGLE = 0.2  # rad, where the environment terminates
@@ -118,6 +118,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
+    shipped=Shipped(steps=80_000, bar=1000.0, checkpoint_every=500),
     batch=PendulumBatch,
 )
 

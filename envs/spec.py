@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -112,6 +112,19 @@ class Batch(Protocol):
         """Why the copy's episode just terminated."""
 
 
+class Shipped(NamedTuple):
+    """How experts that are shipped are trained, and what they must reach."""
+
+    steps: int
+    """Environment steps of RL."""
+    bar: float
+    """Mean undiscounted true return, at least."""
+    terminated: float = 1.0
+    """Share of episodes that terminate early, at most."""
+    checkpoint_every: int | None = None
+    """Steps between checkpoints, where with RL's usual number none has about half the return."""
+
+
 @dataclass(frozen=True)
 class EnvSpec:
     """One task: the environment itself and everything about it that a benchmark must know.
@@ -158,6 +171,8 @@ class EnvSpec:
     """So many copies, where they step faster together and bit for bit as they would alone."""
     discrete: bool = False
     """Whether an action is a choice among A."""
+    shipped: Shipped | None = None
+    """How the experts that are shipped are trained; None where an exact solution is the expert."""
     tabular: Tabular | None = None
     """What is known exactly where the environment is finite: it is solved instead of learned."""
 

@@ -1,8 +1,15 @@
 """`python -m harness`."""
 
 import os
-import signal
 import sys
+
+if __name__ == "__main__":
+    # The current folder is no place for modules, unless it is the program's own: a json.py lies there soon.
+    _root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    if not sys.flags.safe_path and os.path.realpath(sys.path[0]) != _root:
+        del sys.path[0]
+
+import signal
 import warnings
 from types import FrameType
 

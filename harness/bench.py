@@ -24,7 +24,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from envs import SPECS, EnvSpec
 from envs.highway import CONFIG, HORIZON
 from envs.highway_fast import FastHighwayEnv
-from harness.experts import deviations_for, expert_for
+from harness.experts import expert_for, prepare
 from harness.results import Cell, CellResult, Conditions
 from harness.rl import WARM_UP, Learner
 from harness.rl_settings import rl_settings_for
@@ -92,7 +92,7 @@ def bench() -> Iterator[Measure]:
         bar=3,
     )
     for env, bar in (("cartpole", 10.0), ("pendulum", 3.0), ("highway", None)):
-        spec, policy = SPECS[env], expert_for(env, "quick", "sbx").policy
+        spec, policy = SPECS[env], expert_for(env, 0, CONDITIONS).policy
         yield compare(
             f"{env}, {EPISODES} episodes of a policy, against one after the other",
             partial(_together, spec, policy),
@@ -203,7 +203,7 @@ def _beside_the_work() -> list[float]:
     all methods is there before; the first cell compiles, and does not count."""
     cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
     for cell in cells:
-        deviations_for(cell.env, CONDITIONS.budget, CONDITIONS.rl, cell.seed)
+        prepare(cell.env, cell.seed, CONDITIONS)
     done = compute(cells, CONDITIONS, workers=1)
     work = [sum(row.fit_seconds for row in result.rows) for _, result in done]
     took = [ended - before for (before, _), (ended, _) in pairwise(done)]

@@ -3,7 +3,6 @@ can change them. `IRL_BENCH_CACHE` names another folder for it."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import tempfile
@@ -15,39 +14,40 @@ from typing import Any
 import safetensors.numpy
 from safetensors import safe_open
 
-from envs import EnvSpec
 from harness.environment import cache_folder
 from harness.files import opened, write_atomic
 from harness.keys import EXPERT_SOURCES, key_of
-from harness.results import Library
-from harness.rl_settings import rl_settings_for
-from methods.base import Array
 
 
 @dataclass(frozen=True)
 class Kept:
     """Arrays by name, and what JSON can hold."""
 
-    arrays: dict[str, Array]
+    arrays: dict[str, Any]
     facts: dict[str, Any]
 
 
-def kept(name: str, spec: EnvSpec, budget: str, library: Library, compute: Callable[[], Kept]) -> Kept:
-    """What an earlier call with the same arguments computed, or what `compute` returns now. Where the cache
-    cannot be written to, that is kept with the run's temporary files."""
-    path = cache_file(name, spec, budget, library)
+def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kept:
+    """What an earlier call with the same arguments computed, or what `compute` returns now. asked: what JSON
+    can hold. Where the cache cannot be written to, that is kept with the run's temporary files."""
+    path = cache_file(name, env, asked)
     spare = Path(tempfile.gettempdir()) / "cache" / path.name
     if found := load(path) or load(spare):
         return found
     computed = compute()
-    facts = json.dumps(computed.facts)
-    metadata = {"facts": facts, "checksum": _checksum(computed.arrays, facts)}
-    data = safetensors.numpy.save(computed.arrays, metadata)
+    data = as_bytes(computed)
     try:
         _write(path, data)
     except OSError:
         _write(spare, data)
     return computed
+
+
+def as_bytes(what: Kept) -> bytes:
+    """What `load` reads."""
+    facts = json.dumps(what.facts)
+    metadata = {"facts": facts, "checksum": _checksum(what.arrays, facts)}
+    return bytes(safetensors.numpy.save(what.arrays, metadata))
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -69,15 +69,12 @@ def load(path: Path) -> Kept | None:
         return None
 
 
-def cache_file(name: str, spec: EnvSpec, budget: str, library: Library) -> Path:
+def cache_file(name: str, env: str, asked: object) -> Path:
     """Where something of this environment's expert is kept."""
-    settings = rl_settings_for(spec.name)
-    ingredients = [library, spec.name, spec.rl_steps[budget], dataclasses.asdict(settings)]
-    key = key_of(EXPERT_SOURCES, ingredients)
-    return cache_folder() / f"{name}__{spec.name}__{budget}__{key}.safetensors"
+    return cache_folder() / f"{name}__{env}__{key_of(EXPERT_SOURCES, [env, asked])}.safetensors"
 
 
-def _checksum(arrays: dict[str, Array], facts: str) -> str:
+def _checksum(arrays: dict[str, Any], facts: str) -> str:
     digest = hashlib.sha256(facts.encode())
     for name, array in sorted(arrays.items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from envs import SPECS, EnvSpec
-from harness.advantage import known_correlation, sampled_correlation
+from harness.advantage import Comparison, known_comparison, sampled_comparison
 from harness.controls import control_reward
 from harness.evaluation import Evaluation, evaluate
-from harness.experts import Expert, deviations_for, expert_for
+from harness.experts import Expert, demonstrations_for, expert_for, prepare, replays_for
 from harness.files import sha256
 from harness.registry import load_method
 from harness.results import (
@@ -28,17 +29,14 @@ from harness.results import (
     PolicyName,
     Row,
 )
-from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
-from harness.simulator import Simulator, drawings
+from harness.seeds import evaluation_seeds, rng_for
+from harness.simulator import drawings
 from harness.study import ARMS, Arm
-from harness.world import TaskWorld, solver_for, without_rewards
+from harness.world import TaskWorld, solver_for
 from methods.base import Array, Episodes, Learned, Policy, Reward
 from methods.settings import settings_for
 
-
-def train_expert(env: str, conditions: Conditions) -> None:
-    """Make sure that the environment's expert is in the cache."""
-    expert_for(env, conditions.budget, conditions.rl)
+__all__ = ["prepare", "run_cell"]
 
 
 def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
@@ -58,7 +56,8 @@ class _Work:
         self.cell, self.directory = cell, directory
         self.budget, self.protocol, self.rl = conditions.budget, conditions.protocol, conditions.rl
         self.spec: EnvSpec = SPECS[cell.env]
-        self.expert: Expert = expert_for(cell.env, self.budget, self.rl)
+        self.conditions = conditions
+        self.expert: Expert = expert_for(cell.env, cell.seed, conditions)
         self.arm = ARMS.get(cell.method) or Arm(cell.method, self.spec.demo_episodes[self.budget], {})
         self.result = CellResult(cell, [])
 
@@ -67,20 +66,21 @@ class _Work:
 
     def demos(self) -> Episodes:
         """The demonstrations of this environment and seed, the same for every method."""
-        seeds = demonstration_seeds(self.cell.seed, self.arm.demonstrations)
-        return without_rewards(Simulator(self.spec).run(self.expert.policy, seeds))
+        cell = self.cell
+        return demonstrations_for(cell.env, cell.seed, self.arm.demonstrations, self.conditions)
 
     def reference(self) -> None:
         expert, rng = self.expert, self.rng("random policy")
-        scored = self.score(
-            "expert", expert.policy, None, expert.seconds, expert.env_steps, expert.rl_steps, rl_solves=1
-        )
+        took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
+        took |= {"check_steps": expert.check_steps, "rl_solves": 1}
+        scored = self.score("expert", expert.policy, None, took)
         self.result.curves["expert"] = expert.curve
         self.score("random", lambda obs: self.spec.random_actions(len(obs), rng), None)
         episodes = len(scored.returns)
         terminated = (episodes - scored.endings.get("time limit", 0)) / episodes
         bar = self.spec.bar(self.seeds)
         if scored.returns.mean() < bar or terminated > self.spec.max_terminated[self.budget]:
+            self.result = dataclasses.replace(self.result, below_bar=True)
             self.result.warnings.append(
                 f"{self.cell.env}, seed {self.cell.seed}: the expert misses its bar: mean return "
                 f"{scored.returns.mean():.2f} (at least {bar:.2f}), {terminated:.0%} of episodes terminated "
@@ -88,11 +88,11 @@ class _Work:
             )
 
     def control(self) -> None:
-        def shaped(demos: Episodes) -> Reward | None:
-            return self.fit("shaped", {}, demos, self.world()).reward
+        def fit(method: str, demos: Episodes) -> Learned:
+            return self.fit(method, {}, demos, self.world())
 
         rng = self.rng("control")
-        self.retrain(control_reward(self.cell.method, self.demos, shaped, self.spec.random_actions, rng))
+        self.retrain(control_reward(self.cell.method, self.demos, fit, self.spec.random_actions, rng))
 
     def world(self) -> TaskWorld:
         return TaskWorld(self.spec, self.protocol, self.rl)
@@ -107,18 +107,14 @@ class _Work:
         learned = self.fit(self.arm.method, self.arm.settings, demos, world)
         seconds = time.perf_counter() - started
         self.keep_curves(learned.curves)
-        self.score(
-            "pi_star",
-            learned.policy,
-            learned.reward,
-            seconds,
-            world.env_steps,
-            world.rl_steps,
-            world.rl_solves,
-        )
+        self.result.details.update(learned.details)
+        took = {"fit_seconds": seconds, "env_steps": world.env_steps}
+        took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
+        self.score("pi_star", learned.policy, learned.reward, took)
         if learned.reward is None:
-            cell, reason = self.cell, "learns no reward"
-            row = Row(cell.env, cell.method, cell.seed, "pi_R", self.protocol, "skipped", reason)
+            cell = self.cell
+            row = Row(cell.env, cell.method, cell.seed, "pi_R", self.protocol, "skipped", "learns no reward")
+            row = dataclasses.replace(row, expert=self.expert.name)
             self.result.rows.append(row)
         else:
             self.retrain(learned.reward)
@@ -141,15 +137,17 @@ class _Work:
         seconds = time.perf_counter() - started
         self.result.curves["pi_R"] = solution.curve
         self.result.curves["pi_R_true"] = solution.true_curve
-        self.score(
-            "pi_R", solution.policy, reward, seconds, solution.env_steps, solution.rl_steps, rl_solves=1
-        )
+        took = {"fit_seconds": seconds, "env_steps": solution.env_steps}
+        took |= {"check_steps": solution.check_steps, "rl_solves": 1}
+        compared = self.compared(reward)
+        measures = {"reward_distance": compared.distance, "reward_rank": compared.rank}
+        self.score("pi_R", solution.policy, reward, took | measures)
 
-    def advantage_correlation(self, reward: Reward | None) -> float:
-        cell, tabular = self.cell, self.spec.tabular
-        if tabular:
-            return known_correlation(reward, tabular, self.spec.gamma)
-        return sampled_correlation(reward, deviations_for(cell.env, self.budget, self.rl, cell.seed))
+    def compared(self, reward: Reward | None) -> Comparison:
+        """The reward with the true one."""
+        if self.spec.tabular:
+            return known_comparison(reward, self.spec.tabular, self.spec.gamma)
+        return sampled_comparison(reward, replays_for(self.cell.env, self.cell.seed, self.conditions))
 
     @property
     def seeds(self) -> range:
@@ -160,12 +158,9 @@ class _Work:
         name: PolicyName,
         policy: Policy,
         reward: Reward | None,
-        seconds: float = 0.0,
-        env_steps: int = 0,
-        rl_steps: int = 0,
-        rl_solves: int = 0,
+        columns: Mapping[str, Any] = MappingProxyType({}),
     ) -> Evaluation:
-        """Evaluate, add the row, and record seed 0's first episode."""
+        """Evaluate, add the row with these columns besides, and record seed 0's first episode."""
         cell = self.cell
         scored = evaluate(self.spec, policy, self.seeds)
         self.result.endings[name] = scored.endings
@@ -176,12 +171,9 @@ class _Work:
                 cell.seed,
                 name,
                 self.protocol,
+                expert=self.expert.name,
                 **scored.columns(),
-                advantage_correlation=self.advantage_correlation(reward) if name == "pi_R" else math.nan,
-                fit_seconds=seconds,
-                env_steps=env_steps,
-                rl_steps=rl_steps,
-                rl_solves=rl_solves,
+                **columns,
             )
         )
         if cell.seed == 0:

@@ -16,7 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from harness.registry import BUDGETS, ENVS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
+from harness.registry import BUDGETS, ENVS, EXPERTS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
 from harness.signals import ignore_stops, stop_cleanly
 
 if TYPE_CHECKING:
@@ -42,19 +42,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
         return _dispatch(argv)
-    except (BadInput, OSError) as error:
-        from harness.codec import printable
-
-        print(f"irl-bench: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
+    except (BadInput, OSError, ImportError) as error:
+        print(f"irl-bench: error: {_plain(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         ignore_stops()
-        from harness.codec import printable
-
-        again = printable(shlex.join(["python", "-m", "harness", *argv]))
+        again = _plain(shlex.join(["python", "-m", "harness", *argv]))
         kept = "finished cells are kept. To go on, run the same again:\n  " + again
         print(f"\nstopped; {kept if argv[0] in ('run', 'reproduce') else 'nothing is kept'}", file=sys.stderr)
         return 130
+
+
+def _plain(text: str) -> str:
+    """The text with all escaped that is not shown as it is."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _dispatch(argv: list[str]) -> int:
@@ -71,6 +72,8 @@ def _dispatch(argv: list[str]) -> int:
         return _verify(args.directory)
     if args.command == "bench":
         return _bench(args.json)
+    if args.command == "experts":
+        return _experts(args)
     if args.command == "reproduce":
         return _reproduce(args)
     return _run(args)
@@ -93,6 +96,7 @@ def _check_python() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="irl-bench", description=__doc__, allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(dest="command", required=True)
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
     add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
@@ -101,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
+    add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser(
@@ -116,8 +121,30 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
+    add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
+    what = add.add_subparsers(dest="what", required=True)
+    for name, does in (("train", "train new ones"), ("check", "measure them on episodes of their own")):
+        add = what.add_parser(name, help=does, allow_abbrev=False)
+        add.add_argument("envs", nargs="*", default=["all"], metavar="ENV")
+        add.add_argument(
+            "--dir",
+            type=_folder,
+            metavar="DIR",
+            help="default: results/experts to train, the shipped ones to check",
+        )
+        if name == "train":
+            add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
     commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     return parser
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("irl-bench")
+    except PackageNotFoundError:
+        return "(not installed)"
 
 
 def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
@@ -173,7 +200,7 @@ def _run(args: argparse.Namespace) -> int:
 
     _prepare()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
-    conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic)
+    conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic, args.experts)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
     with open_for_run(args.out, request) as run:
@@ -185,8 +212,8 @@ def _run(args: argparse.Namespace) -> int:
 
 def _reproduce(args: argparse.Namespace) -> int:
     from harness.progress import say
-    from harness.reproduce import ENVS, open_study, write_study
-    from harness.request import Request
+    from harness.reproduce import ENVS, PROTOCOLS, open_study, write_study
+    from harness.request import Request, merged
     from harness.results import Conditions
     from harness.store import open_for_run
     from harness.study import ARMS
@@ -195,9 +222,12 @@ def _reproduce(args: argparse.Namespace) -> int:
     _handle_signals()
     found = {}
     with open_study(args.out):
+        requests = {}
         for protocol in PROTOCOLS:
-            conditions = Conditions(args.budget, protocol, "sbx", args.deterministic)
-            request = Request(tuple(ARMS), ENVS, args.seeds, conditions)
+            conditions = Conditions(args.budget, protocol, "sbx", args.deterministic, "trained")
+            requests[protocol] = Request(tuple(ARMS), ENVS, args.seeds, conditions)
+            merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
+        for protocol, request in requests.items():
             with open_for_run(args.out / protocol, request) as run:
                 results = _compute(run, request, args)
             found[protocol] = [results[cell] for cell in request.cells]
@@ -208,10 +238,14 @@ def _reproduce(args: argparse.Namespace) -> int:
 
 def _prepare() -> None:
     """Raises BadInput where nothing could be computed or drawn, before anything is written."""
-    from harness import scratch
+    from harness import keys, scratch
 
     scratch.remove_abandoned(scratch.base())
+    keys.versions(keys.PACKAGES)
+    if "harness/report.html.j2" not in keys.program():
+        raise BadInput("harness/report.html.j2 is missing; install the program again")
     try:
+        importlib.import_module("harness.run")
         importlib.import_module("harness.report")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
         raise BadInput(f"nothing can draw the report: {error}") from error
@@ -243,11 +277,27 @@ def _bench(as_json: bool) -> int:
     return int(missed)
 
 
+def _experts(args: argparse.Namespace) -> int:
+    envs = choose("env", ",".join(args.envs), ENVS)
+    from envs import SPECS
+    from harness import expert_set, expert_training
+    from harness.scratch import base
+
+    base()
+    _handle_signals()
+    envs = tuple(env for env in envs if SPECS[env].shipped)
+    if args.what == "check":
+        return int(not expert_training.check(envs, args.dir or expert_set.folder()))
+    expert_training.train_all(envs, args.dir or Path("results/experts"), args.workers or _cores())
+    return 0
+
+
 def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then."""
     from harness.environment import cache_folder
     from harness.files import can_write
     from harness.progress import say, tell
+    from harness.results import failed_rows
     from harness.run import Grid
     from harness.store import LOG
 
@@ -268,9 +318,12 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
         tell(f"lost or damaged while the run went on, computed again: {lost[0].name}, {len(lost)} in all")
         grid.run(lost)
         results, unusable = run.load()
-        if lost := [cell for cell in request.cells if cell not in results]:
-            reason = unusable.get(run.path / "cells" / f"{lost[0].name}.json", "it is gone")
-            raise BadInput(f"{run.path}: cannot use the stored cell {lost[0].name}: {reason}")
+        for cell in [cell for cell in request.cells if cell not in results]:
+            reason = unusable.get(run.path / "cells" / f"{cell.name}.json", "it is gone")
+            results[cell] = failed_rows(
+                cell, conditions.protocol, f"its stored result cannot be used: {reason}"
+            )
+            run.save(results[cell])
     if any(_has_failed(results[cell]) for cell in request.cells):
         tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
     return results
@@ -309,9 +362,10 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     from harness.progress import say, tell
     from harness.report import write_report
 
-    forgotten, damaged = run.forgotten(results), run.damaged_recordings(results)
+    forgotten = run.forgotten(results)
+    damaged = run.damaged_recordings(results) | run.swapped(results)
     if anew or not run.is_sealed(results):
-        run.seal(results, write_report(run.path, results))
+        run.seal(results, write_report(run.path, run.request, results))
     say("\n" + _text(run.path / "leaderboard.md"))
     for name in ("scores.csv", "report.html", "recordings"):
         say(f"{name:11} {run.path / name}")

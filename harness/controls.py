@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from methods.base import Array, Episodes, RandomActions, Reward, default_absorbing
+from methods.base import Array, Episodes, Learned, Policy, RandomActions, Reward, default_absorbing
 from methods.maxent import NetworkReward
 from methods.network import mlp, standardiser
 
@@ -24,19 +24,34 @@ class Constant:
         return np.full(len(obs), self.value)
 
 
+@dataclass(frozen=True)
+class Distance:
+    """Pays minus the squared distance to what a policy would do."""
+
+    policy: Policy
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        paid: Array = -np.square(act - self.policy(obs)).sum(axis=1)
+        return paid
+
+
 def control_reward(
     name: str,
     demos: Callable[[], Episodes],
-    shaped: Callable[[Episodes], Reward | None],
+    fit: Callable[[str, Episodes], Learned],
     random_actions: RandomActions,
     rng: np.random.Generator,
 ) -> Reward | None:
-    """The reward of a control row by its name; None is the environment's own. shaped: what the method of
-    that name learns from demonstrations."""
+    """The reward of a control row by its name; None is the environment's own. fit: what a method learns from
+    demonstrations, by its name."""
     if name == "control_untrained":
         return untrained(demos(), random_actions, rng)
     if name == "control_shuffled":
-        return shaped(shuffled(demos(), rng))
+        return fit("shaped", shuffled(demos(), rng)).reward
+    if name == "control_clone":
+        reward = Distance(fit("bc", demos()).policy)
+        return replace(reward, absorbing=default_absorbing(reward, demos(), random_actions, rng))
     return {
         "control_true": None,
         "control_plus1": Constant(1.0, absorbing=1.0),
@@ -46,7 +61,7 @@ def control_reward(
 
 
 def shuffled(demos: Episodes, rng: np.random.Generator) -> Episodes:
-    """The same states and the same actions, but which action was taken where is chance."""
+    """The same states and the same actions, paired at random."""
     act = rng.permutation(demos.pairs()[1])
     return replace(demos, act=tuple(a.copy() for a in np.split(act, np.cumsum(demos.lengths)[:-1])))
 

@@ -46,7 +46,7 @@ class ExactSolver:
         best = q >= q.max(axis=1, keepdims=True) - TIE * np.abs(q).max()
         choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
         policy = TabularPolicy(tabular.model, np.eye(q.shape[1])[choice])
-        return Solution(policy, curve=[], true_curve=[], env_steps=0, rl_steps=0)
+        return Solution(policy, curve=[], true_curve=[])
 
 
 def expected_rewards(model: Model, reward: Reward) -> Array:

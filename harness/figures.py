@@ -20,6 +20,7 @@ from matplotlib.ticker import EngFormatter
 from harness.leaderboard import Entry
 from harness.results import CONTROLS, REFERENCE, CellResult, Row
 
+RED = "#b00020"
 BLUE, ORANGE = "#0072b2", "#d55e00"
 """Told apart by the colour-blind too."""
 _POLICIES = {
@@ -59,15 +60,20 @@ def styled() -> Iterator[None]:
 
 
 def draw(
-    env: str, entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult], envs: int = 1
+    env: str,
+    entries: Sequence[Entry],
+    rows: Sequence[Row],
+    results: Sequence[CellResult],
+    envs: int = 1,
+    flag: str = "",
 ) -> list[Picture]:
     """The figures of one env of `envs`, from its part of the leaderboard, its scored rows and its results:
     scores, learning curves of RL, training curves of methods; those that have nothing to show are left
-    out."""
+    out. flag: what is said above each."""
     most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
     with styled():
         rl, truth, training = _curves([entry.method for entry in entries], results)
-        pictures = [_scores(env, entries, rows)]
+        pictures = [_scores(env, entries, rows, flag)]
         if rl:
             alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
             pictures.append(
@@ -78,6 +84,7 @@ def draw(
                     "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,
                     truth,
+                    flag,
                     most,
                 )
             )
@@ -91,13 +98,14 @@ def draw(
                     "iteration",
                     training,
                     {},
+                    flag,
                     most,
                 )
             )
     return pictures
 
 
-def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row]) -> Picture:
+def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) -> Picture:
     """A point a seed, a diamond or disc at the mean, a bar for its interval; controls on grey."""
     methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
     figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
@@ -132,11 +140,16 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row]) -> Picture:
     axes.set_ylim(len(methods) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("normalized score (small dots: seeds; markers: means; bars: 95 % intervals)")
+    if flag:
+        axes.set_title(flag, color=RED, pad=18)
     for label, colour, marker in _POLICIES.values():
         axes.scatter([], [], s=38, color=colour, marker=marker, label=label)
     figure.legend(loc="outside upper right", ncols=2, frameon=False)
-    low, high = axes.get_xlim()
-    axes.set_xlim(min(low, -0.1), max(high, 1.1))
+    # Of two or three seeds an interval may be many times as wide as all scores.
+    shown = [row.normalized_score for row in rows if math.isfinite(row.normalized_score)]
+    shown += [entry.score_mean for entry in entries if math.isfinite(entry.score_mean)]
+    low, high = min([0.0, *shown]), max([1.0, *shown])
+    axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
     alt = f"Mean normalized scores in {env} (0 random, 1 expert): {'; '.join(told)}."
     return _picture(f"{env}_scores.png", f"{env}: normalized scores", alt, figure)
 
@@ -175,7 +188,7 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
 
 
 def _panels(
-    file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves, most: int
+    file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves, flag: str, most: int
 ) -> Picture:
     """A panel for each title of `curves`, up to `most`; those of `second` have an axis of their own, on the
     right."""
@@ -194,6 +207,8 @@ def _panels(
             twin.spines["right"].set_visible(True)
             plot_seeds(twin, second[name], ORANGE)
     figure.supxlabel(xlabel, fontsize=9)
+    if flag:
+        figure.suptitle(flag, color=RED)
     return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
 
 

@@ -38,7 +38,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         _sync(temporary)
         temporary.replace(path)
-        _sync(path.parent)
+        with suppress(OSError):  # which not every file system can
+            _sync(path.parent)
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(temporary)):
             raise
@@ -100,6 +101,19 @@ def locked(path: Path) -> Iterator[FileIO | None]:
     handle = _open(path, os.O_RDWR | os.O_CREAT)
     with open(handle, "r+b", buffering=0) as file:
         yield file if lock_descriptor(handle, blocking=False) else None
+
+
+def share_lock(handle: int) -> bool:
+    """Whether nobody holds the open file's lock; until it is closed nobody but other readers gets it."""
+    try:
+        import fcntl
+    except ImportError:  # not on Windows
+        return lock_descriptor(handle, blocking=False)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def read(path: Path) -> bytes:

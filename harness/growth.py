@@ -15,14 +15,13 @@ from typing import TypeVar
 import psutil
 
 from envs import SPECS
-from harness.bench import Measure, command, compute
+from harness.bench import CONDITIONS, Measure, command, compute
 from harness.cells import run_cell
-from harness.experts import expert_for
+from harness.experts import demonstrations_for, prepare
 from harness.registry import ENVS
 from harness.results import Cell, Conditions
-from harness.seeds import demonstration_seeds, rng_for
-from harness.simulator import Simulator
-from harness.world import TaskWorld, without_rewards
+from harness.seeds import rng_for
+from harness.world import TaskWorld
 from methods.shaped import Shaped
 
 T = TypeVar("T")
@@ -38,7 +37,7 @@ def growth() -> Iterator[Measure]:
     """Every figure, as it is measured, once each."""
     for env in ("pendulum", "highway"):
         conditions = Conditions("full", "absorbing", "sbx")
-        expert_for(env, conditions.budget, conditions.rl)
+        prepare(env, 1, conditions)
         with watch() as peak:
             compute([Cell(env, "shaped", 1)], conditions, workers=1)
         yield Measure(f"{env}, a cell of shaped at full, its process", "MB", [peak.largest], bar=700)
@@ -101,8 +100,7 @@ def apart(work: Callable[[int], T], argument: int) -> T:
 def _fit(count: int) -> float:
     """Seconds of the fit alone."""
     spec = SPECS["cartpole"]
-    policy = expert_for("cartpole", "quick", "sbx").policy
-    demos = without_rewards(Simulator(spec).run(policy, demonstration_seeds(0, count)))
+    demos = demonstrations_for("cartpole", 0, count, CONDITIONS)
     world = TaskWorld(spec, "absorbing", "sbx")
     started = time.perf_counter()
     Shaped().fit(demos, world, rng_for(0, "growth"))

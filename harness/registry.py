@@ -8,12 +8,14 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
-    from harness.results import Library
+    from harness.results import Experts, Library
     from methods.base import Method
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
-PROTOCOLS = ("absorbing", "native")
+EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
+PROTOCOLS = ("absorbing", "native", "state", "offset")
+"""What becomes of an episode's end (`harness.rl`); the last two are parts of the first."""
 
 
 class BadInput(Exception):

@@ -26,14 +26,14 @@ from matplotlib.figure import Figure
 from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.files import read, remove_unfinished, write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
-from harness.registry import PROTOCOLS, BadInput
+from harness.registry import BadInput
 from harness.report import as_csv
 from harness.request import is_begun
 from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
 from harness.store import held
 from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
 
-ENVS = ("cartpole", "pendulum")
+ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 GREEN, YELLOW = "#009e73", "#e69f00"
 MARKER, MARK = "study.json", b'{"study": "thesis", "format": 1}\n'
 

@@ -18,6 +18,8 @@ from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.results import CONTROLS, FORMAT, REFERENCE, Cell, Conditions, Name
 
 LOCK = ".lock"
+LOCK_MARK = "irl-bench "
+"""What a lock says before the number of the process that has it."""
 REQUEST = "run.json"
 FOLDERS = {"cells": "json", "recordings": "rrd", "figures": "png"}
 """Of a run's directory, and how the names of files end that a run writes there."""
@@ -58,6 +60,14 @@ def as_text(request: Request) -> str:
     return json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n"
 
 
+def command_of(request: Request) -> str:
+    """The command line that asks for all of it at once."""
+    c = request.conditions
+    words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
+    words += ["--seeds", str(request.seeds), "--budget", c.budget, "--protocol", c.protocol, "--rl", c.rl]
+    return " ".join([*words, "--experts", c.experts, *(["--deterministic"] if c.deterministic else [])])
+
+
 def existing(path: Path) -> Request:
     """Raises BadInput where `path` holds no run."""
     request = stored_request(path)
@@ -75,12 +85,16 @@ def merged(path: Path, request: Request) -> Request:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
             raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
-    return Request(
+    grown = Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=max(old.seeds, request.seeds),
         conditions=old.conditions,
     )
+    try:
+        return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
+    except ValueError as error:
+        raise BadInput(f"{path} cannot hold so much: {error}") from error
 
 
 def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -94,7 +108,8 @@ def is_begun(path: Path, first: str) -> bool:
     there = {file.name for file in path.iterdir()} - {
         file.name for file in unfinished(path, re.escape(first))
     }
-    return there == {LOCK} and re.fullmatch(rb"\d{0,20}", read(path / LOCK)) is not None
+    ours = rf"({LOCK_MARK}\d{{0,20}})?".encode()
+    return there == {LOCK} and re.fullmatch(ours, read(path / LOCK)) is not None
 
 
 def stored_request(path: Path) -> Request | None:

@@ -24,10 +24,10 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-FORMAT = 5
+FORMAT = 6
 """Version of the directory layout; a run of another version is refused."""
 
-CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 """In a regular expression's brackets: what changes how text is shown, or cannot be written."""
 MOST_CURVES, MOST_POINTS, LONGEST_TEXT = 30, 2000, 1000
 """Of a cell; of a curve; characters."""
@@ -43,8 +43,9 @@ Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
 Library = Literal["sbx", "sb3"]
+Experts = Literal["shipped", "trained"]
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
-CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled")
+CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 REFERENCE = "reference"
 """The method of the rows of the expert and of the random policy."""
 
@@ -59,6 +60,8 @@ class Conditions:
     """Whose DDPG learns."""
     deterministic: bool = False
     """Whether libraries are kept from choosing their instructions by the processor."""
+    experts: Experts = "shipped"
+    """Whose demonstrations: the shipped experts', or those of one trained for each seed."""
 
 
 @dataclass(frozen=True, order=True)
@@ -97,15 +100,19 @@ class Row:
     length_std: float = math.nan
     normalized_score: float = math.nan
     """(J - J_random) / (J_expert - J_random), undiscounted; known once the env's reference cell is."""
-    advantage_correlation: float = math.nan
-    """Of pi_R rows: Spearman's, of the reward with the true advantage (`harness.advantage`)."""
+    reward_distance: float = math.nan
+    """Of pi_R rows: how far the reward is from the true one, in [0, 1] (`harness.advantage`)."""
+    reward_rank: float = math.nan
+    """Of pi_R rows: Spearman's correlation of the advantages under the two."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0
-    """Environment steps that it took, rollouts and checkpoint selection included."""
-    rl_steps: Count = 0
-    """Those among them that RL learned from."""
+    """Environment steps that it took: rollouts, and those that RL learned from."""
+    check_steps: Count = 0
+    """Environment steps of the episodes by which RL's checkpoints were judged, besides."""
     rl_solves: Count = 0
+    expert: Text = ""
+    """Whose demonstrations (`harness.experts.Expert.name`)."""
 
 
 COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
@@ -133,6 +140,12 @@ class CellResult:
     """Of all that can change it (`harness.keys`); given when it is stored."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
     """The machine and the versions that it was computed with; given when it is stored."""
+    finished: Text = ""
+    """When it was stored: date and time, UTC; given then."""
+    below_bar: bool = False
+    """Of a reference: whether its expert misses its bar."""
+    details: Annotated[dict[Text, float], Meta(max_length=30)] = field(default_factory=dict)
+    """Numbers that a method tells of its fit, by name."""
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

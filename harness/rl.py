@@ -3,14 +3,15 @@ knows the RL library: DDPG (Lillicrap et al. 2015) with n-step returns, of SBX, 
 in JAX, or of Stable-Baselines3 itself; where actions are discrete its DQN (Mnih et al. 2013; thesis,
 figure 3.2).
 
-Protocol `absorbing` (Kostrikov et al. 2019, Discriminator-Actor-Critic): observations carry an absorbing
-indicator; what would terminate goes to the absorbing state instead, stays there a few steps, and is
-truncated and bootstrapped like a time limit. The agent learns on reward - reward.absorbing, so that the
-absorbing state pays 0 and a constant reward is 0 everywhere. Protocol `native`: episodes end, and the
-agent learns on the reward as it is.
+Protocol `absorbing` has two parts (Kostrikov et al. 2019, Discriminator-Actor-Critic). The state:
+observations carry an absorbing indicator; what would terminate goes to the absorbing state instead, which
+pays 0, stays there a few steps, and is truncated and bootstrapped like a time limit. The offset: the agent
+learns on reward - reward.absorbing, so that a constant reward is 0 everywhere. Protocols `state` and `offset`
+have one part alone, to tell what each does. Protocol `native` has neither: episodes end, and the agent learns
+on the reward as it is.
 
-After a random warm-up the rewards are scaled to a fixed mean size, and under `absorbing` centred by one
-constant, the absorbing state's reward included. Neither changes which policy is better.
+After a random warm-up the rewards are scaled to a fixed mean size, and where there is an absorbing state
+centred by one constant, its own reward included. Neither changes which policy is better.
 
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
 that the agent learns from, over fresh episodes up to the horizon; of equals the one that does best there with
@@ -35,6 +36,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
+from harness.registry import PROTOCOLS
 from harness.results import Library
 from harness.rl_settings import Settings, rl_settings_for
 from harness.seeds import training_seeds
@@ -64,26 +66,35 @@ compiles for a function it keeps; each agent's own would be compiled, and kept, 
 class Solution:
     """What a solve found. curve: (environment steps of this solve, mean return under the learner's
     reward) at each checkpoint; true_curve: the same episodes' true return, which nothing is decided by.
-    env_steps: steps taken, those of checkpoint episodes included; rl_steps: those that were learned from."""
+    env_steps: steps that were learned from; check_steps: those of the episodes that checkpoints are judged
+    by. checkpoints: the policies of the curve."""
 
     policy: Policy
     curve: list[tuple[float, float]]
     true_curve: list[tuple[float, float]]
-    env_steps: int
-    rl_steps: int
+    env_steps: int = 0
+    check_steps: int = 0
+    checkpoints: tuple[Policy, ...] = ()
 
 
 class Learner:
-    """DDPG or DQN in one environment. Solving again goes on with the same networks and the same experience,
-    relabelled by the new reward."""
+    """DDPG or DQN in one environment, with that one's settings unless others are given. Solving again goes on
+    with the same networks and the same experience, relabelled by the new reward."""
 
-    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library) -> None:
-        if protocol not in ("absorbing", "native"):
+    def __init__(
+        self,
+        spec: EnvSpec,
+        protocol: str,
+        rng: np.random.Generator,
+        library: Library,
+        settings: Settings | None = None,
+    ) -> None:
+        if protocol not in PROTOCOLS:
             raise ValueError(f"no protocol named {protocol!r}")
-        self._spec = spec
+        self.spec = spec
         self._rng = rng
         self._library = library
-        self.settings = rl_settings_for(spec.name)
+        self.settings = settings or rl_settings_for(spec.name)
         self._env = _TrainingEnv(spec, protocol, rng, self.settings.copies)
         self._checks = Simulator(spec)
         self._model: sbx.DDPG | DDPG | DQN | None = None
@@ -119,10 +130,11 @@ class Learner:
         keeper = _Keeper(self, training_seeds(self._rng, episodes), warm_up, steps)
         self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         best = keeper.best()
-        return Solution(best, keeper.curve, keeper.true_curve, steps + keeper.check_steps, steps)
+        curves = keeper.curve, keeper.true_curve
+        return Solution(best, *curves, steps, keeper.check_steps, tuple(keeper.checkpoints))
 
     def _build(self, warm_up: int, seed: int) -> sbx.DDPG | DDPG | DQN:
-        s, size = self.settings, self._spec.act_size
+        s, size = self.settings, self.spec.act_size
         common: dict[str, Any] = {
             "policy": "MlpPolicy",
             "env": self._env,
@@ -131,7 +143,7 @@ class Learner:
             "learning_starts": warm_up,
             "batch_size": s.batch,
             "tau": s.tau,
-            "gamma": self._spec.gamma,
+            "gamma": self.spec.gamma,
             "n_steps": s.n_steps,
             "train_freq": 1,
             "gradient_steps": s.gradient_steps,
@@ -139,7 +151,7 @@ class Learner:
             "device": "cpu",
         }
         network: dict[str, Any] = {"net_arch": list(s.net)}
-        if self._spec.discrete:
+        if self.spec.discrete:
             # It moves its target network with every bout of learning, not with every gradient step.
             return DQN(
                 **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
@@ -185,8 +197,8 @@ class Learner:
 
     def actor(self) -> Network:
         """The current policy on the environment's own observations (the absorbing indicator is 0)."""
-        size = self._spec.obs_size
-        zeros, scale = np.zeros(size), np.array(self._spec.obs_scale)
+        size = self.spec.obs_size
+        zeros, scale = np.zeros(size), np.array(self.spec.obs_scale)
         if isinstance(self._model, sbx.DDPG):
             net = Network.from_flax(self._model.policy.actor_state.params["params"], zeros, scale, tanh=True)
         elif isinstance(self._model, DDPG):
@@ -206,15 +218,16 @@ class Learner:
         truth = sum(float(e.rewards.sum()) for e in episodes)
         return total / len(seeds), truth / len(seeds), sum(len(e.act) for e in episodes)
 
-    def disturbed(self, policy: Policy) -> Policy:
-        """It with white noise on its actions, as large as exploration's and the same for every policy."""
-        rng = np.random.default_rng(0)
 
-        def act(obs: Array) -> Array:
-            chosen = self._spec.executed(policy(obs))
-            return np.clip(chosen + self.settings.noise * rng.standard_normal(chosen.shape), -1, 1)
+def disturbed(policy: Policy, spec: EnvSpec, noise: float) -> Policy:
+    """The policy with white noise of this standard deviation on its actions, the same for every policy."""
+    rng = np.random.default_rng(0)
 
-        return act
+    def act(obs: Array) -> Array:
+        chosen = spec.executed(policy(obs))
+        return np.clip(chosen + noise * rng.standard_normal(chosen.shape), -1, 1)
+
+    return act
 
 
 class _Keeper(BaseCallback):
@@ -226,6 +239,7 @@ class _Keeper(BaseCallback):
         self.curve: list[tuple[float, float]] = []
         self.true_curve: list[tuple[float, float]] = []
         self.check_steps = 0
+        self.checkpoints: list[Network] = []
         self.equals: list[Network] = []
         self.best_return = -np.inf
         self._check()
@@ -241,6 +255,7 @@ class _Keeper(BaseCallback):
         policy = self.learner.actor()
         score, truth, steps = self.learner.check(policy, self.seeds)
         self.check_steps += steps
+        self.checkpoints.append(policy)
         self.curve.append((float(self.done_steps), score))
         self.true_curve.append((float(self.done_steps), truth))
         untrained = self.curve[0][1]
@@ -254,7 +269,8 @@ class _Keeper(BaseCallback):
             return self.equals[0]
         steadiness = []
         for policy in self.equals:
-            score, _, steps = self.learner.check(self.learner.disturbed(policy), self.seeds)
+            noisy = disturbed(policy, self.learner.spec, self.learner.settings.noise)
+            score, _, steps = self.learner.check(noisy, self.seeds)
             self.check_steps += steps
             steadiness.append(score)
         return self.equals[max(range(len(steadiness)), key=lambda i: (steadiness[i], i))]
@@ -274,7 +290,8 @@ class _TrainingEnv(VecEnv):
         self._spec = spec
         self._batch = copies_of(spec, copies)
         self._obs_scale = np.array(spec.obs_scale)
-        self._absorbing = protocol == "absorbing"
+        self._state = protocol in ("absorbing", "state")
+        self._offset = protocol in ("absorbing", "offset")
         self._rng = rng
         self._obs = np.zeros((copies, spec.obs_size))
         self._age = np.zeros(copies, np.int64)
@@ -286,7 +303,7 @@ class _TrainingEnv(VecEnv):
     def raw_rewards(self, obs: Array, act: Array, next_obs: Array, true: Array) -> Array:
         """(B,): what each step pays before normalisation. Raises FloatingPointError if that is not finite."""
         rewards = true if self.reward is None else self.reward(obs, act, next_obs)
-        if self.reward is not None and self._absorbing:
+        if self.reward is not None and self._offset:
             rewards = rewards - self.reward.absorbing
         if rewards.shape != true.shape or not np.isfinite(rewards).all():
             raise FloatingPointError("the reward must give one finite number for each step")
@@ -299,7 +316,7 @@ class _TrainingEnv(VecEnv):
         raw[alive] = self.raw_rewards(obs[alive], act[alive], next_obs[alive], true[alive])
         size = float(np.abs(raw[alive]).mean())
         self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
-        self._centre = float(raw[alive].mean()) if self._absorbing else 0.0
+        self._centre = float(raw[alive].mean()) if self._state else 0.0
         return (raw - self._centre) / self._size
 
     def reset(self) -> NDArray[np.float32]:
@@ -324,7 +341,7 @@ class _TrainingEnv(VecEnv):
         self._obs = next_obs
         self._age += 1
         self._absorbed_for[~alive] += 1
-        ended = terminated & (not self._absorbing)
+        ended = terminated & (not self._state)
         self._absorbed_for[terminated & ~ended] = 0
         at_horizon = alive & ~terminated & (self._age == spec.horizon)
         truncated = at_horizon | (self._absorbed_for == ABSORBING_STEPS)

@@ -25,12 +25,12 @@ from pebble.concurrent import process as in_a_process
 
 from harness.codec import decode, encode, printable, usable
 from harness.environment import numeric, of_this_process
-from harness.files import appending
+from harness.files import appending, sha256
 from harness.keys import cell_key
 from harness.orphans import end_descendants, end_orphans
 from harness.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
 from harness.progress import Progress, progress_for
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, failed_rows
+from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, failed_rows, policies_of
 from harness.store import LOG
 
 ENV_COST = {"cartpole": 1.0, "pendulum": 2.0, "highway": 3.0, "cartpole_discrete": 1.0, "gridworld": 0.1}
@@ -42,7 +42,7 @@ METHOD_COST = {
     **dict.fromkeys(CONTROLS, 1.0),
     "control_shuffled": 2.0,
 }
-EXPERT_COST = 1.0
+EXPERT_COST = 0.3
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""
 LOOK_EVERY = 1.0
 """Seconds between looks for processes that cells left behind."""
@@ -51,21 +51,23 @@ LOOK_EVERY = 1.0
 class Work(Protocol):
     """The module that does what is scheduled here; named, so that only the cells' processes import it."""
 
-    def train_expert(self, env: str, conditions: Conditions) -> None: ...
+    def prepare(self, env: str, seed: int, conditions: Conditions) -> None: ...
 
     def run_cell(self, cell: Cell, conditions: Conditions, directory: Path) -> CellResult: ...
 
 
 @dataclass(frozen=True)
 class Task:
-    """A cell to compute or, where there is none, the env's expert to train, which its cells wait for."""
+    """A cell to compute or, where there is none, what all cells of its env and seed share, the expert and
+    its demonstrations, which they wait for."""
 
     env: str
+    seed: int
     cell: Cell | None = None
 
     @property
     def name(self) -> str:
-        return self.cell.name if self.cell else f"{self.env}__expert"
+        return self.cell.name if self.cell else f"{self.env}__expert__seed{self.seed}"
 
     @property
     def cost(self) -> float:
@@ -104,8 +106,8 @@ class Grid:
         """Computes every cell. On an exception, KeyboardInterrupt included, every process is killed first."""
         if not cells:
             return
-        tasks = [Task(env) for env in {cell.env: None for cell in cells}]
-        tasks += [Task(cell.env, cell) for cell in cells]
+        tasks = [Task(env, seed) for env, seed in {(cell.env, cell.seed): None for cell in cells}]
+        tasks += [Task(cell.env, cell.seed, cell) for cell in cells]
         tasks.sort(key=lambda task: (task.cell is not None, -task.cost))
         with (
             fresh_processes(self.preload, self.conditions.deterministic) as context,
@@ -119,18 +121,19 @@ class Grid:
         # pebble's stubs call this argument mp_context, its code context.
         options = {"name": NAME, "context": context, "timeout": self.timeout}
         launch = in_a_process(**options)(attempt)  # type: ignore[call-overload]
-        key = cell_key(dataclasses.asdict(self.conditions), numeric(self.conditions.deterministic))
+        variables = numeric(self.conditions.deterministic)
         running: dict[Future[Outcome], Task] = {}
-        trained: set[str] = set()
+        prepared: set[tuple[str, int]] = set()
         lost: list[Task] = []
         tried_again: set[Task] = set()
 
         def start(task: Task) -> None:
             progress.started(task.name)
+            key = cell_key(task.env, dataclasses.asdict(self.conditions), variables)
             running[_launched(launch, self.work, task, self.conditions, self.directory, key)] = task
 
         while waiting or running or lost:
-            ready = [task for task in waiting if task.cell is None or task.env in trained]
+            ready = [task for task in waiting if task.cell is None or (task.env, task.seed) in prepared]
             for task in ready[: self.workers - len(running)]:
                 waiting.remove(task)
                 start(task)
@@ -145,13 +148,14 @@ class Grid:
                 elif task.cell:
                     self._keep(task.cell, outcome, progress)
                 elif not outcome.error:
-                    trained.add(task.env)
+                    prepared.add((task.env, task.seed))
                     progress.finished(task.name, "ok")
                 else:
                     progress.finished(task.name, "failed", outcome.error)
-                    for orphan in [t.cell for t in waiting if t.env == task.env and t.cell]:
+                    orphans = [t for t in waiting if (t.env, t.seed) == (task.env, task.seed)]
+                    for orphan in [t.cell for t in orphans if t.cell]:
                         self._keep(orphan, Outcome(error=f"no expert: {outcome.error}"), progress)
-                    waiting[:] = [t for t in waiting if t.env != task.env]
+                    waiting[:] = [t for t in waiting if t not in orphans]
             end_orphans()
             wake_server()
 
@@ -208,16 +212,16 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
             os.dup2(log.fileno(), 2)
         faulthandler.enable()
         variables = of_this_process()  # as they are now: what a method sets later is its own affair
-        _check_key(key, conditions, variables)
+        _check_key(key, task.env, conditions, variables)
         module = cast(Work, importlib.import_module(work))
         if task.cell is None:
-            module.train_expert(task.env, conditions)
+            module.prepare(task.env, task.seed, conditions)
             return Outcome()
         result = module.run_cell(task.cell, conditions, directory)
-        _check(result, task.cell)
+        _check(result, task.cell, conditions.protocol, directory)
         encoded = encode(result)
         decode(encoded)
-        _check_key(key, conditions, variables)
+        _check_key(key, task.env, conditions, variables)
         return Outcome(result=encoded)
     except BaseException as error:
         with contextlib.suppress(BaseException):
@@ -232,18 +236,25 @@ def attempt(work: str, task: Task, conditions: Conditions, directory: Path, key:
                 stream.flush()
 
 
-def _check_key(key: str, conditions: Conditions, variables: dict[str, str]) -> None:
-    if cell_key(dataclasses.asdict(conditions), variables) != key:
+def _check_key(key: str, env: str, conditions: Conditions, variables: dict[str, str]) -> None:
+    if cell_key(env, dataclasses.asdict(conditions), variables) != key:
         raise RuntimeError(
             "the program, its packages or its environment are not those that the run began with; "
             "were packages changed, or was Python started with -E or -I?"
         )
 
 
-def _check(result: CellResult, cell: Cell) -> None:
+def _check(result: CellResult, cell: Cell, protocol: str, directory: Path) -> None:
     if result.cell != cell or not result.rows:
         raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
+    if (policies := tuple(row.policy for row in result.rows)) != policies_of(cell):
+        raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
+    for name, digest in result.recordings.items():
+        if sha256(directory / "recordings" / name) != digest:
+            raise ValueError(f"the recording {name} is not what was recorded")
     for row in result.rows:
+        if row.protocol != protocol:
+            raise ValueError(f"{row.policy}: of protocol {row.protocol}, not {protocol}")
         for name in ("return_mean", "discounted_mean", "length_mean"):
             value = getattr(row, name)
             if row.status == "ok" and not usable(value):

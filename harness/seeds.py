@@ -7,9 +7,14 @@ import zlib
 import numpy as np
 
 EVALUATION = 10_000
-"""Evaluation episodes: seed k uses 1,000 seeds from here + 1,000 k. Nothing is ever tuned on these."""
+"""Evaluation episodes: seed k uses 1,000 seeds from here + 1,000 k. No hyper-parameter is tuned on these; the
+rule by which checkpoints are chosen was changed after scores of seed 0 had been seen."""
 DEMONSTRATION = 1 << 20
 """Demonstration episodes: seed k uses 1,000 seeds from here + 1,000 k."""
+TUNING = 1 << 22
+"""Episodes that shipped experts are chosen by."""
+HELD_OUT = 1 << 23
+"""Episodes that shipped experts are measured on, and nothing else is."""
 TRAINING = 1 << 24
 """Every other episode's seed is drawn from here to 2^31."""
 
@@ -27,6 +32,16 @@ def evaluation_seeds(seed: int, episodes: int) -> range:
 def demonstration_seeds(seed: int, episodes: int) -> range:
     """Episode seeds of the demonstrations of run seed `seed`."""
     return range(DEMONSTRATION + 1000 * seed, DEMONSTRATION + 1000 * seed + episodes)
+
+
+def tuning_seeds(episodes: int) -> range:
+    """Episode seeds that shipped experts are chosen by."""
+    return range(TUNING, TUNING + episodes)
+
+
+def held_out_seeds(episodes: int) -> range:
+    """Episode seeds that shipped experts are measured on, and nothing else is."""
+    return range(HELD_OUT, HELD_OUT + episodes)
 
 
 def training_seeds(rng: np.random.Generator, episodes: int) -> list[int]:

@@ -43,16 +43,19 @@ class Simulator:
         self,
         policy: Policy,
         seeds: Sequence[int],
-        leave: tuple[NDArray[np.int64], Array] | None = None,
+        first: Sequence[Array] | None = None,
+        most: int | None = None,
     ) -> list[Trajectory]:
-        """One trajectory for each seed, in their order. leave: (N,), (N, A), for each episode the step at
-        which the policy is not followed, and the action that is taken instead."""
+        """One trajectory for each seed, in their order. first: for each episode actions (T, A) that it begins
+        with, whatever the policy says. most: steps after those at which it is cut, before the horizon."""
         spec, lanes = self.spec, min(self.lanes, len(seeds))
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
         act = np.empty((lanes, spec.horizon, spec.act_size))
         rewards = np.empty((lanes, spec.horizon))
         length = np.zeros(lanes, np.int64)
         waiting = iter(range(len(seeds)))
+        begun = np.array([len(actions) for actions in first] if first is not None else [0] * len(seeds))
+        last = np.minimum(spec.horizon, begun + (spec.horizon if most is None else most))
         playing: dict[int, int] = {}
         done: dict[int, Trajectory] = {}
 
@@ -69,15 +72,15 @@ class Simulator:
             chosen = spec.executed(policy(obs[places, now]))
             if len(chosen) != len(places):
                 raise ValueError(f"a policy gave {len(chosen)} actions for {len(places)} observations")
-            if leave is not None:
-                episodes = [playing[place] for place in places.tolist()]
-                here = leave[0][episodes] == now
-                chosen = np.where(here[:, None], leave[1][episodes], chosen)
+            episodes = [playing[place] for place in places.tolist()]
+            if first is not None:
+                for i in np.flatnonzero(now < begun[episodes]):
+                    chosen[i] = first[episodes[i]][now[i]]
             act[places, now] = chosen
             stepped = self._batch.step(places.tolist(), act[places, now])
             obs[places, now + 1], rewards[places, now], terminated = stepped
             length[places] += 1
-            for i in np.flatnonzero(terminated | (now + 1 == spec.horizon)):
+            for i in np.flatnonzero(terminated | (now + 1 == last[episodes])):
                 place, end = int(places[i]), int(now[i]) + 1
                 ending = self._batch.why_ended(place) if terminated[i] else "time limit"
                 done[playing.pop(place)] = Trajectory(

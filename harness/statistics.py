@@ -1,4 +1,4 @@
-"""Statistics over seeds: the interquartile mean, and bootstrap intervals that reproduce."""
+"""Statistics over seeds: means and interquartile means, with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
+NORMAL = 1.959964
+"""Standard errors that the normal 95 % interval reaches to either side."""
 
 
-def mean_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
-    """The 95 % percentile bootstrap interval of the mean of independent values.
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """The 95 % interval of the mean of independent values, by Student's t.
 
-    With fewer than two values there is none: (NaN, NaN). With equal values it is that value, which says
-    that they did not vary here, not that they could not. Of few values the interval is too narrow: of
-    three normal ones it covers the truth 77 times in 100, of five 87 times. Equal values and `seed` give
-    an equal interval, in whatever order they come. Raises ValueError for values that are not finite.
+    It covers the mean of normal values 95 times in 100, however few they are; that of scores which pile up at
+    a bound less often (docs/statistics.md). With fewer than two values there is none: (NaN, NaN). With equal
+    values it is that value, which says that they did not vary here, not that they could not. Raises
+    ValueError for values that are not finite.
     """
     if not np.isfinite(values).all():
         raise ValueError(f"values must be finite, not {list(values)}")
@@ -27,17 +29,17 @@ def mean_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float]
     ordered = np.sort(np.asarray(values, np.float64))
     if ordered[0] == ordered[-1]:
         return float(ordered[0]), float(ordered[0])
-    from scipy.stats import bootstrap
+    from scipy.stats import t
 
-    interval = bootstrap(
-        (ordered,),
-        np.mean,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return float(interval.low), float(interval.high)
+    reach = float(
+        t.ppf(0.5 + CONFIDENCE / 2, len(ordered) - 1) * ordered.std(ddof=1) / math.sqrt(len(ordered))
+    )
+    return float(ordered.mean()) - reach, float(ordered.mean()) + reach
+
+
+def normal_interval(mean: float, error: float) -> tuple[float, float]:
+    """The 95 % interval of a mean with this standard error, of so many values that it is normal."""
+    return mean - NORMAL * error, mean + NORMAL * error
 
 
 def interquartile_mean(values: Sequence[float]) -> float:

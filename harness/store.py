@@ -7,19 +7,41 @@ import errno
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
+from io import FileIO
 from pathlib import Path
-
-from filelock import lock_descriptor
+from types import MappingProxyType
 
 from harness.codec import decode, encode, printable
 from harness.environment import numeric
-from harness.files import append, appending, locked, opened, read, remove_unfinished, sha256, write_atomic
+from harness.files import (
+    append,
+    appending,
+    locked,
+    opened,
+    read,
+    remove_unfinished,
+    sha256,
+    share_lock,
+    write_atomic,
+)
 from harness.keys import REPORT_PACKAGES, REPORT_SOURCES, cell_key, key_of, origin, versions
 from harness.registry import BadInput
-from harness.request import FOLDERS, LOCK, REQUEST, Request, as_text, existing, merged, write_request
-from harness.results import Cell, CellResult
+from harness.request import (
+    FOLDERS,
+    LOCK,
+    LOCK_MARK,
+    REQUEST,
+    Request,
+    as_text,
+    existing,
+    merged,
+    write_request,
+)
+from harness.results import REFERENCE, Cell, CellResult
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
@@ -27,6 +49,7 @@ SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
+OTHER_VERSION = "computed by another version of the program, its packages or its experts"
 CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
 """Names of files that hold a cell."""
 
@@ -34,17 +57,37 @@ CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
 class RunDirectory:
     """A run's directory. Made by `open_for_run`, `open_for_report` and `open_to_verify`.
 
-    request: what its run.json says. key: what cells must have been computed under to count; '' where all do.
+    request: what its run.json says. keys: for each environment, what cells must have been computed under to
+    count; empty where all of one version do.
     """
 
-    def __init__(self, path: Path, request: Request, key: str = "") -> None:
-        self.path, self.request, self.key = path, request, key
+    def __init__(
+        self,
+        path: Path,
+        request: Request,
+        lock: FileIO | None = None,
+        keys: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.path, self.request, self.lock, self.keys = path, request, lock, keys
+
+    def check(self) -> None:
+        """Raises OSError where the path leads no more to what was opened: moved, deleted, in another's hands,
+        or asked for something else by now."""
+        try:
+            there = os.stat(self.path / LOCK, follow_symlinks=False)
+            same = self.lock is None or os.path.samestat(there, os.fstat(self.lock.fileno()))
+            same &= existing(self.path) == self.request
+        except (OSError, BadInput):
+            same = False
+        if not same:
+            raise OSError(errno.ENOENT, "moved, deleted or changed while the run goes on", str(self.path))
 
     def save(self, result: CellResult) -> None:
         """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
-        if not (self.path / REQUEST).is_file():
-            raise OSError(errno.ENOENT, f"moved or deleted; cannot store {result.cell.name}", str(self.path))
-        keyed = dataclasses.replace(result, key=self.key, origin=origin())
+        self.check()
+        now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
+        facts = {"key": self.keys[result.cell.env], "origin": origin(), "finished": now}
+        keyed = dataclasses.replace(result, **facts)  # type: ignore[arg-type]
         name = f"cells/{result.cell.name}.json"
         write_atomic(self.path / name, encode(keyed))
         noted = [(sha256(self.path / name), name)]
@@ -61,11 +104,15 @@ class RunDirectory:
                 results[result.cell] = result
             except (ValueError, OSError) as error:
                 unusable[path] = _reason(error)
+        for cell in [] if self.keys else _of_other_versions(results):
+            del results[cell]
+            unusable[self.path / "cells" / f"{cell.name}.json"] = OTHER_VERSION
         return dict(sorted(results.items())), unusable
 
     def seal(self, results: Sequence[CellResult], files: Iterable[Path]) -> None:
         """Notes what the run holds: these results and `files`, rebuilt from them by this version. Of cells
         that were noted before and are not among these, the lines stay."""
+        self.check()
         known = {"", *(result.cell.name for result in results)}
         lines = {name: digest for name, digest in self._listed().items() if _cell_of(name) not in known}
         for result in results:
@@ -91,10 +138,18 @@ class RunDirectory:
         except (OSError, ValueError):
             return False
 
+    def swapped(self, results: Iterable[CellResult]) -> dict[Path, str]:
+        """Cells among these whose files are not those that were noted when they were stored."""
+        noted = self._listed()
+        names = {f"cells/{result.cell.name}.json" for result in results} & noted.keys()
+        damages = {self.path / name: _damage(self.path / name, noted[name]) for name in sorted(names)}
+        return {path: damage for path, damage in damages.items() if damage}
+
     def forgotten(self, results: Iterable[CellResult]) -> list[str]:
         """The names of cells that were stored here, are not among these, and have no file any more."""
         known = {result.cell.name for result in results}
-        cells = [_cell_of(name) for name in self._listed() if name.startswith("cells/")]
+        listed = [Path(name) for name in self._listed() if name.startswith("cells/")]
+        cells = [path.stem for path in listed if CELL_FILE.fullmatch(path.name)]
         there = {path.stem for path in self._cell_files()}
         return sorted({*cells} - known - there)
 
@@ -140,7 +195,8 @@ class RunDirectory:
             return []
         except OSError as error:
             raise BadInput(f"cannot read {folder}: {error.strerror}") from error
-        return sorted(folder / name for name in names if CELL_FILE.fullmatch(name))
+        ours = tuple(f"{env}__" for env in self.request.envs)
+        return sorted(folder / n for n in names if CELL_FILE.fullmatch(n) and n.startswith(ours))
 
     def _load(self, path: Path) -> CellResult:
         """Raises ValueError or OSError where the file holds no cell of this run."""
@@ -151,9 +207,9 @@ class RunDirectory:
             raise ValueError("this run was not asked for it")
         if any(row.protocol != self.request.conditions.protocol for row in result.rows):
             raise ValueError("it was computed under another protocol")
-        if self.key not in ("", result.key):
-            raise ValueError("computed by another version of the program or its packages")
-        if self.key and (damaged := self.damaged_recordings([result])):
+        if self.keys and result.key != self.keys[result.cell.env]:
+            raise ValueError(OTHER_VERSION)
+        if self.keys and (damaged := self.damaged_recordings([result])):
             raise ValueError(next(iter(damaged.values())))
         return result
 
@@ -205,7 +261,7 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         raise BadInput(f"cannot write to {path}: {error.strerror}") from error
     except RecursionError as error:
         raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
-    with held(path):
+    with held(path) as lock:
         grown = merged(path, request)
         for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
             _check_can_append(file)
@@ -213,19 +269,20 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
         for folder, kind in FOLDERS.items():
             remove_unfinished(path / folder, rf".+\.{kind}")
         write_request(path, grown)
-        with appending(path / SUMS):  # which is there from now on
-            pass
-        conditions = grown.conditions
-        key = cell_key(dataclasses.asdict(conditions), numeric(conditions.deterministic))
-        yield RunDirectory(path, grown, key)
+        _mend_last_line(path / SUMS)
+        conditions, variables = dataclasses.asdict(grown.conditions), numeric(grown.conditions.deterministic)
+        keys = {env: cell_key(env, conditions, variables) for env in grown.envs}
+        yield RunDirectory(path, grown, lock, keys)
 
 
 @contextmanager
 def open_for_report(path: Path) -> Iterator[RunDirectory]:
     """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
     request = existing(path)
-    with held(path):
-        yield RunDirectory(path, request)
+    with held(path) as lock:
+        with suppress(OSError):  # what is no such list is replaced
+            _mend_last_line(path / SUMS)
+        yield RunDirectory(path, request, lock)
 
 
 @contextmanager
@@ -236,14 +293,15 @@ def open_to_verify(path: Path) -> Iterator[RunDirectory]:
     with ExitStack() as stack:
         with suppress(OSError):
             lock = stack.enter_context(opened(path / LOCK))
-            if not lock_descriptor(lock.fileno(), blocking=False):
+            if not share_lock(lock.fileno()):
                 raise BadInput(_in_use(path))
         yield RunDirectory(path, request)
 
 
 @contextmanager
-def held(path: Path) -> Iterator[None]:
-    """This process alone has the directory until the context ends. Raises BadInput where another has it."""
+def held(path: Path) -> Iterator[FileIO]:
+    """This process alone has the directory, and this lock on it, until the context ends. Raises BadInput
+    where another has it."""
     with ExitStack() as stack:
         try:
             lock = stack.enter_context(locked(path / LOCK))
@@ -253,15 +311,28 @@ def held(path: Path) -> Iterator[None]:
             raise BadInput(_in_use(path))
         with suppress(OSError):
             lock.truncate(0)
-            lock.write(str(os.getpid()).encode())
-        yield
+            lock.write(f"{LOCK_MARK}{os.getpid()}".encode())
+        yield lock
 
 
 def _in_use(path: Path) -> str:
     holder = "?"
     with suppress(OSError):
-        holder = printable(read(path / LOCK)[:20].decode(errors="replace").strip()) or "?"
+        text = read(path / LOCK)[:40].decode(errors="replace").removeprefix(LOCK_MARK)
+        holder = printable(text.strip()) or "?"
     return f"{path} is in use by another run (process {holder})"
+
+
+def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
+    """Cells that cannot be compared with the rest of their environment: that is of the version of most of its
+    references, or of most cells where it has none."""
+    others = []
+    for env in {cell.env for cell in results}:
+        mine = [cell for cell in results if cell.env == env]
+        deciding = [cell for cell in mine if cell.method == REFERENCE] or mine
+        ((key, _),) = Counter(results[cell].key for cell in sorted(deciding)).most_common(1)
+        others += [cell for cell in mine if results[cell].key != key]
+    return others
 
 
 def _lines(noted: Iterable[tuple[str, str]]) -> str:
@@ -307,6 +378,15 @@ def _damage(file: Path, digest: str) -> str:
 
 def _reason(error: Exception) -> str:
     return printable(getattr(error, "strerror", None) or str(error))
+
+
+def _mend_last_line(sums: Path) -> None:
+    """Ends the list of checksums, made if it is not there, with a whole line, where a crash left a part of
+    one."""
+    with appending(sums) as file:
+        data = read(sums)
+        if not data.endswith(b"\n"):
+            file.truncate(data.rfind(b"\n") + 1)
 
 
 def _check_can_append(file: Path) -> None:

@@ -25,7 +25,7 @@ class TaskWorld:
         self.gamma = spec.gamma
         self.phi = spec.phi
         self.env_steps = 0
-        self.rl_steps = 0
+        self.check_steps = 0
         self.rl_solves = 0
         self.model = spec.tabular.model if spec.tabular else None
         self._spec = spec
@@ -46,7 +46,7 @@ class TaskWorld:
             self._solver = solver_for(self._spec, self._protocol, rng, self._library)
         solution = self._solver.solve(reward, steps)
         self.env_steps += solution.env_steps
-        self.rl_steps += solution.rl_steps
+        self.check_steps += solution.check_steps
         self.rl_solves += 1
         return solution.policy
 

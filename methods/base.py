@@ -107,12 +107,13 @@ class World(Protocol):
 
 @dataclass(frozen=True)
 class Learned:
-    """What a method found: the apprentice policy pi*, the reward R* (None: it learns none), and curves
-    of its training by name, such as losses, one value an iteration."""
+    """What a method found: the apprentice policy pi*, the reward R* (None: it learns none), curves of its
+    training by name, such as losses, one value an iteration, and numbers about the fit by name."""
 
     policy: Policy
     reward: Reward | None
     curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    details: Mapping[str, float] = field(default_factory=dict)
 
 
 class Method(Protocol):

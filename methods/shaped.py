@@ -17,6 +17,7 @@ than its end; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +67,7 @@ class Shaped(Regression):
         policy = Network.from_torch(f, mean, std, tanh=True).scaled(spread)
         reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)
-        return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve})
+        return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve}, reward.size_of_l(obs))
 
 
 def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch.Tensor:
@@ -84,6 +85,17 @@ class ShapedReward:
     f: Network
     chol: Network
     absorbing: float = 0.0
+
+    def size_of_l(self, obs: Array) -> dict[str, float]:
+        """What is left of L: the eigenvalues of L L^T over the observations, beside those of I, which are
+        1."""
+        flat = self.chol(obs)
+        size = math.isqrt(flat.shape[1])
+        eigenvalues = np.square(np.linalg.svd(flat.reshape(-1, size, size), compute_uv=False))
+        return {
+            "eigenvalues of LLᵀ, mean": float(eigenvalues.mean()),
+            "eigenvalues of LLᵀ, largest": float(eigenvalues.max()),
+        }
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         d = act - self.f(obs)

@@ -76,7 +76,7 @@ class ShapedML(Shaped):
         reward = ShapedReward(f, Network.from_torch(chol, f.mean, f.std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)
         curves = {**learned.curves, "negative log-likelihood": curve}
-        return Learned(f, replace(reward, absorbing=absorbing), curves)
+        return Learned(f, replace(reward, absorbing=absorbing), curves, reward.size_of_l(demos.pairs()[0]))
 
     def _precision(self, demos: Episodes, world: World, f: Network, rng: np.random.Generator) -> Array:
         """C^-1 (A, A); its smallest eigenvalue is that of `softness`."""

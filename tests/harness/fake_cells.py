@@ -5,6 +5,7 @@ As a script it is the real command line with these cells, for tests that send it
 """
 
 import ctypes
+import dataclasses
 import functools
 import json
 import math
@@ -20,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from harness.environment import SAME_INSTRUCTIONS
+from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row, policies_of
 
 
@@ -56,7 +58,7 @@ def _raise(error: BaseException, *_: object) -> None:
     raise error
 
 
-def train_expert(env: str, conditions: Conditions) -> None:
+def prepare(env: str, seed: int, conditions: Conditions) -> None:
     if env == "nowhere":
         raise RuntimeError("no gradient")
 
@@ -112,6 +114,12 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     if behaviour == "makes_temporary_files":
         with tempfile.NamedTemporaryFile(dir=os.environ["TMPDIR"]):
             pass
+    if behaviour == "other_protocol":
+        return CellResult(cell, _rows(cell, dataclasses.replace(conditions, protocol="another"), 1.0))
+    if behaviour == "ghost_recording":
+        return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ghost.rrd": "0" * 64})
+    if behaviour == "one_row":
+        return CellResult(cell, _rows(cell, conditions, 1.0)[:1])
     if behaviour == "many_curves":
         return CellResult(cell, _rows(cell, conditions, 1.0), {f"curve {i}": [(0.0, 1.0)] for i in range(99)})
     if behaviour == "escape":
@@ -149,7 +157,7 @@ def _leave_one_behind(directory: Path) -> None:
         time.sleep(0.01)
 
 
-def write_report(directory: Path, results: list[CellResult]) -> list[Path]:
+def write_report(directory: Path, request: Request, results: list[CellResult]) -> list[Path]:
     names = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html")
     for name in names:
         (directory / name).write_text(f"a table of {len(results)} cells\n")

@@ -1,8 +1,10 @@
-"""A reward's rank correlation with the true advantage, where that is known."""
+"""The distance of a reward from the true one, where it is known."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +13,14 @@ from scipy import linalg
 
 from envs import SPECS, EnvSpec, cartpole
 from envs.spec import Tabular
-from harness.advantage import deviations, known_correlation, sampled_correlation
+from harness.advantage import (
+    Comparison,
+    compare,
+    known_comparison,
+    policy_advantage,
+    replay,
+    sampled_comparison,
+)
 from harness.controls import Constant
 from harness.seeds import rng_for
 from harness.simulator import Simulator
@@ -19,10 +28,11 @@ from harness.world import TaskWorld, without_rewards
 from methods.base import Array, Reward
 from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML
-from methods.tabular import value_iteration
+from methods.tabular import action_values, greedy, soft_policy, soft_value_iteration, value_iteration
 from tests.harness.rewards import Seek
 
 SEEDS = range(40)
+GAMMA = 0.9
 
 
 def best(obs: Array) -> Array:
@@ -30,38 +40,107 @@ def best(obs: Array) -> Array:
     return obs
 
 
-def correlation(spec: EnvSpec, reward: Reward | None) -> float:
-    return sampled_correlation(reward, deviations(spec, best, SEEDS, rng_for(0, "advantage")))
+def compared(spec: EnvSpec, reward: Reward | None) -> Comparison:
+    return sampled_comparison(reward, replay(spec, best, SEEDS, rng_for(0, "advantage")))
 
 
-def test_a_reward_that_orders_actions_like_the_advantage_correlates_fully(steady: EnvSpec) -> None:
-    # What one action misses is all that it loses: nothing depends on it later.
-    assert correlation(steady, None) == pytest.approx(1)
-    assert correlation(steady, Seek(scale=30.0)) == pytest.approx(1)
-    assert correlation(steady, Seek(scale=-1.0)) == pytest.approx(-1)
-    assert abs(correlation(steady, Seek(side=0.0))) < 0.9
+@dataclass(frozen=True)
+class Other:
+    """A reward with something done to what it pays."""
+
+    reward: Reward
+    change: Callable[[Array, Array, Array], Array]
+    absorbing: float
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.change(self.reward(obs, act, next_obs), obs, next_obs)
+
+
+def test_the_true_reward_and_its_equals_have_distance_0_and_its_negative_1(steady: EnvSpec) -> None:
+    assert compared(steady, None) == (0, pytest.approx(1))
+    assert compared(steady, Seek()) == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
+    assert compared(steady, Seek(scale=30.0)) == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
+    assert compared(steady, Seek(scale=-1.0)) == (pytest.approx(1, abs=1e-3), pytest.approx(-1, abs=1e-3))
+    assert 0.05 < compared(steady, Seek(side=0.0)).distance < 0.9
+    shifted = Other(Seek(), lambda paid, *_: 3 * paid + 7, absorbing=7.0)
+    assert compared(steady, shifted).distance < 1e-3
+
+
+def test_potential_shaping_changes_nothing_but_what_discounting_leaves_at_the_end(steady: EnvSpec) -> None:
+    long = dataclasses.replace(steady, gamma=0.5)  # its ten steps are the whole of it
+
+    def shaping(paid: Array, obs: Array, next_obs: Array) -> Array:
+        return paid + 0.5 * np.sin(9 * next_obs[:, 0]) - np.sin(9 * obs[:, 0])
+
+    assert compared(long, Other(Seek(), shaping, 0.0)).distance < 0.02
 
 
 def test_what_an_early_end_costs_counts(fragile: EnvSpec) -> None:
-    # Missing by more than 0.5 loses every later reward, so how early it happens matters most.
-    assert 0.5 < correlation(fragile, None) < 0.999
+    # Missing by more than 0.5 loses every later reward, which Seek says too, for after the end there is none.
+    assert compared(fragile, Seek()).distance < 1e-3
+    lasting = compared(fragile, Constant(0.0, absorbing=-1.0))
+    assert 0 < lasting.distance < 0.5
 
 
-def test_a_reward_or_an_advantage_that_never_varies_has_no_correlation(steady: EnvSpec) -> None:
-    assert math.isnan(correlation(steady, Constant(1.0, absorbing=1.0)))
+@pytest.mark.parametrize("level", [1.0, -1.0, 0.0])
+def test_a_reward_that_never_varies_has_no_distance(steady: EnvSpec, level: float) -> None:
+    assert all(map(math.isnan, compared(steady, Constant(level, absorbing=level))))
+    tabular = SPECS["gridworld"].tabular
+    assert tabular is not None
+    assert all(map(math.isnan, known_comparison(Constant(level, absorbing=level), tabular, 0.95)))
 
 
-def test_only_the_one_action_is_another(fragile: EnvSpec) -> None:
-    moments, actions = np.array([0, 3, 9, 2]), np.array([[0.1], [-0.2], [0.3], [2.0]])
+def test_replays_differ_in_one_action_and_what_follows(fragile: EnvSpec) -> None:
+    first = [np.zeros((0, 1)), np.array([[0.1]]), np.full((9, 1), 0.2), np.array([[0.1], [2.0]])]
     kept = Simulator(fragile).run(best, range(4))
     for lanes in (1, 4):
-        left = Simulator(fragile, lanes).run(best, range(4), leave=(moments, actions))
-        for episode, before, moment, action in zip(left, kept, moments, actions, strict=True):
-            expected = before.act.copy()
-            expected[moment] = action
-            np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
-            np.testing.assert_array_equal(episode.obs[: moment + 1], before.obs[: moment + 1])
-        assert len(left[3].act) == 3
+        for most in (None, 2):
+            left = Simulator(fragile, lanes).run(best, range(4), first, most)
+            for episode, before, begun in zip(left, kept, first, strict=True):
+                expected = before.act.copy()
+                expected[: len(begun)] = begun
+                np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
+                np.testing.assert_array_equal(episode.obs[0], before.obs[0])
+                assert episode.terminated or len(episode.act) == min(10, len(begun) + (most or 10))
+    replays = replay(fragile, best, SEEDS, rng_for(0, "advantage"))
+    assert len(replays.lengths) == 2 * len(SEEDS)
+    starts = np.cumsum(replays.lengths + 1) - replays.lengths - 1
+    left_at, kept_at = np.split(replays.obs[starts], 2)
+    np.testing.assert_array_equal(left_at, kept_at)
+    firsts = replays.act[starts - np.arange(len(starts))]
+    assert not np.isclose(*np.split(firsts, 2)).any()
+
+
+def random_mdp(rng: np.random.Generator) -> tuple[Array, Array]:
+    """P (16, 3, 16) and R (16, 3)."""
+    P = rng.dirichlet(np.full(16, 0.3), size=(16, 3))
+    return P, rng.normal(size=(16, 3))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_equivalent_rewards_of_random_tasks_have_distance_0_and_the_opposite_1(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    P, r = random_mdp(rng)
+    q = value_iteration(P, r, GAMMA)[1]
+    expert = greedy(q)
+    true = policy_advantage(P, r, expert, GAMMA)
+
+    def distance(reward: Array) -> float:
+        return compare(policy_advantage(P, reward, expert, GAMMA), true).distance
+
+    potential = rng.normal(size=16)
+    soft = soft_value_iteration(P, r, GAMMA)[1]
+    same = {
+        "affine": 2 * r + 5,
+        "shaped by a potential": action_values(P, r, potential, GAMMA) - potential[:, None],
+        "the optimal advantage": q - q.max(axis=1, keepdims=True),
+        "the soft-optimal policy's logarithm": np.log(soft_policy(soft)),
+    }
+    for name, reward in same.items():
+        assert distance(reward) == pytest.approx(0, abs=1e-6), name
+    assert distance(-r) == pytest.approx(1)
+    assert 0.3 < distance(rng.normal(size=r.shape)) < 1
+    assert math.isnan(distance(np.full(r.shape, 3.0)))
 
 
 @dataclass(frozen=True)
@@ -78,12 +157,12 @@ class TrulyShaped:
         return self.tabular.reward[here] + self.gamma * value[there] - value[here]
 
 
-def test_where_the_model_is_known_the_shaped_true_reward_correlates_fully() -> None:
+def test_where_the_model_is_known_so_is_the_distance() -> None:
     spec = SPECS["gridworld"]
     assert spec.tabular is not None
-    shaped = TrulyShaped(spec.tabular, spec.gamma)
-    assert known_correlation(shaped, spec.tabular, spec.gamma) > 0.99
-    assert known_correlation(None, spec.tabular, spec.gamma) < 0.9
+    assert known_comparison(None, spec.tabular, spec.gamma) == (0, pytest.approx(1))
+    shaped = known_comparison(TrulyShaped(spec.tabular, spec.gamma), spec.tabular, spec.gamma)
+    assert shaped == (pytest.approx(0, abs=1e-6), pytest.approx(1))
 
 
 def best_feedback() -> Array:
@@ -101,8 +180,8 @@ def best_feedback() -> Array:
 
 
 @pytest.mark.parametrize("method", [Shaped(iterations=200), ShapedML(iterations=200)])
-def test_of_the_best_cart_pole_policy_the_shaped_reward_is_the_advantage(method: Shaped) -> None:
-    """What a learned expert leaves of less is its own distance from the best."""
+def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages(method: Shaped) -> None:
+    """Near upright; what a learned expert leaves of it is its own distance from the best."""
     spec, K = SPECS["cartpole"], best_feedback()
 
     def regulate(obs: Array) -> Array:
@@ -111,5 +190,9 @@ def test_of_the_best_cart_pole_policy_the_shaped_reward_is_the_advantage(method:
     demos = without_rewards(Simulator(spec).run(regulate, range(20)))
     learned = method.fit(demos, TaskWorld(spec, "absorbing", "sbx"), np.random.default_rng(0))
     assert learned.reward is not None
-    held_out = deviations(spec, regulate, range(100, 300), np.random.default_rng(0))
-    assert sampled_correlation(learned.reward, held_out) > 0.999
+    replays = replay(spec, regulate, range(100, 500), np.random.default_rng(0))
+    from_its_own_states = slice(0, None, 2)
+    own, true = replays.advantage_of(learned.reward), replays.advantage
+    found = compare(own[from_its_own_states], true[from_its_own_states])
+    assert found.rank > 0.999
+    assert found.distance < 0.1

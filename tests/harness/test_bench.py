@@ -52,7 +52,7 @@ def test_a_share_is_of_the_time_between_one_cell_and_the_next(monkeypatch: pytes
 
     monkeypatch.setattr(bench, "REPEATS", 2)
     monkeypatch.setattr(bench, "compute", compute)
-    monkeypatch.setattr(bench, "deviations_for", lambda *asked: None)
+    monkeypatch.setattr(bench, "prepare", lambda *asked: None)
     assert bench._beside_the_work() == pytest.approx([20, 40])
 
 

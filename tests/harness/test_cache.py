@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.metadata
 import os
 import tempfile
@@ -12,14 +11,15 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from envs import SPECS, EnvSpec
+from envs import SPECS
 from harness import cache, experts
 from harness.cache import Kept, cache_file, kept, load
 from harness.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
-from harness.experts import deviations_for, expert_for
-from harness.keys import program
-from harness.results import Library
-from harness.rl_settings import SETTINGS, Settings
+from harness.experts import demonstrations_for, expert_for, prepare, replays_for
+from harness.keys import experts_version, program
+from harness.results import Conditions
+from harness.seeds import demonstration_seeds
+from harness.simulator import Simulator
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})
@@ -37,18 +37,18 @@ def never() -> Kept:
 
 
 def test_it_is_computed_once(folder: Path) -> None:
-    first = kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
-    again = kept("thing", CARTPOLE, "smoke", "sb3", never)
+    first = kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    again = kept("thing", "cartpole", ["smoke"], never)
     assert first is VALUE
     assert again.facts == VALUE.facts
     assert again.arrays.keys() == VALUE.arrays.keys()
     for name, array in VALUE.arrays.items():
         np.testing.assert_array_equal(again.arrays[name], array)
-    assert [path.name.split("__")[:3] for path in folder.iterdir()] == [["thing", "cartpole", "smoke"]]
+    assert [path.name.split("__")[:2] for path in folder.iterdir()] == [["thing", "cartpole"]]
 
 
 def test_whatever_bit_is_flipped_it_is_computed_again(folder: Path) -> None:
-    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
     (path,) = folder.iterdir()
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
@@ -62,7 +62,7 @@ def test_whatever_bit_is_flipped_it_is_computed_again(folder: Path) -> None:
     for damaged in (b"", whole[: len(whole) // 2], bytes(range(256)) * 9, b"{}"):
         path.write_bytes(damaged)
         assert load(path) is None
-    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
     again = load(path)
     assert again is not None
     assert again.facts == VALUE.facts
@@ -87,20 +87,20 @@ def test_where_it_cannot_be_written_it_is_kept_for_the_run(
 
     if kind != "a file":
         monkeypatch.setattr(cache, "write_atomic", refuse)
-    assert kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE) is VALUE
-    assert kept("thing", CARTPOLE, "smoke", "sb3", never).facts == VALUE.facts
+    assert kept("thing", "cartpole", ["smoke"], lambda: VALUE) is VALUE
+    assert kept("thing", "cartpole", ["smoke"], never).facts == VALUE.facts
     assert len(list((tmp_path / "run/cache").iterdir())) == 1
 
 
 def test_no_name_is_the_usual_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, "")
-    assert cache_file("thing", CARTPOLE, "smoke", "sb3").parent == DEFAULT_CACHE
+    assert cache_file("thing", "cartpole", ["smoke"]).parent == DEFAULT_CACHE
     assert Path("results/cache") == DEFAULT_CACHE
 
 
 @pytest.mark.parametrize("kind", ["deep", "pipe", "folder", "link"])
 def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
-    kept("thing", CARTPOLE, "smoke", "sb3", lambda: VALUE)
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
     (path,) = folder.iterdir()
     path.unlink()
     if kind == "deep":
@@ -116,36 +116,54 @@ def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
     assert load(path) is None
 
 
-def test_an_expert_and_its_advantages_are_computed_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one, sample = expert_for("cartpole", "smoke", "sb3"), deviations_for("cartpole", "smoke", "sb3", 3)
-    for name in ("solver_for", "deviations"):
+def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3", experts="trained")
+    asked = ("cartpole", 3, conditions)
+    one, demos, replays = (
+        expert_for(*asked),
+        demonstrations_for(*asked[:2], 4, conditions),
+        replays_for(*asked),
+    )
+    prepare(*asked)
+    before = len(list(folder.iterdir()))
+    for name in ("solver_for", "replay", "Simulator"):
         monkeypatch.setattr(experts, name, lambda *_: never())
-    other, again = expert_for("cartpole", "smoke", "sb3"), deviations_for("cartpole", "smoke", "sb3", 3)
-    obs = np.eye(4)
-    np.testing.assert_array_equal(one.policy(obs), other.policy(obs))
-    assert one.curve == other.curve
-    assert one.seconds == other.seconds > 0
-    for name, array in vars(sample).items():
-        np.testing.assert_array_equal(getattr(again, name), array)
-    assert len(list(folder.iterdir())) == 2
+    prepare(*asked)
+    other, again = expert_for(*asked), demonstrations_for(*asked[:2], 4, conditions)
+    assert (one.name, one.curve, one.seconds) == (other.name, other.curve, other.seconds)
+    np.testing.assert_array_equal(one.policy(np.eye(4)), other.policy(np.eye(4)))
+    for mine, its in zip((*demos.obs, *demos.act), (*again.obs, *again.act), strict=True):
+        np.testing.assert_array_equal(mine, its)
+    for name, array in vars(replays).items():
+        np.testing.assert_array_equal(getattr(replays_for(*asked), name), array)
+    assert len(list(folder.iterdir())) == before == 4
     with pytest.raises(pytest.fail.Exception, match="again"):
-        deviations_for("cartpole", "smoke", "sb3", 4)
+        replays_for("cartpole", 4, conditions)
+
+
+def test_demonstrations_come_back_as_they_were_drawn() -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    first, again = (demonstrations_for("cartpole", 2, 6, conditions) for _ in range(2))
+    drawn = Simulator(CARTPOLE).run(expert_for("cartpole", 2, conditions).policy, demonstration_seeds(2, 6))
+    for demos in (first, again):
+        assert demos.terminated == tuple(e.terminated for e in drawn)
+        for obs, act, episode in zip(demos.obs, demos.act, drawn, strict=True):
+            np.testing.assert_array_equal(obs, episode.obs)
+            np.testing.assert_array_equal(act, episode.act)
+
+
+def test_run_seeds_take_the_shipped_experts_in_turn() -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    names = [expert_for("cartpole", seed, conditions).name for seed in range(7)]
+    version = experts_version("cartpole")
+    assert names == [f"{version}:{seed % 5}" for seed in range(7)]
 
 
 def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    def key(
-        name: str = "expert", spec: EnvSpec = CARTPOLE, budget: str = "smoke", library: Library = "sb3"
-    ) -> Path:
-        return cache_file(name, spec, budget, library)
+    def key(name: str = "expert", env: str = "cartpole", asked: object = "smoke") -> Path:
+        return cache_file(name, env, asked)
 
-    longer = dataclasses.replace(CARTPOLE, rl_steps={**CARTPOLE.rl_steps, "smoke": 2000})
-    keys = [key(), key("other"), key(spec=SPECS["pendulum"]), key(budget="quick"), key(library="sbx")]
-    keys.append(key(spec=longer))
-    with monkeypatch.context() as changed:
-        changed.setitem(SETTINGS, "cartpole", Settings(noise=0.5))
-        keys.append(key())
+    keys = [key(), key("other"), key(env="pendulum"), key(asked="quick")]
     with monkeypatch.context() as changed:
         changed.setattr(importlib.metadata, "version", lambda package: "0")
         keys.append(key())

@@ -35,6 +35,7 @@ from harness.world import solver_for
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)
+SMOKE = Conditions("smoke", "absorbing", "sb3")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -47,7 +48,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def run(cell: Cell, directory: Path) -> CellResult:
-    return run_cell(cell, Conditions("smoke", "absorbing", "sb3"), directory)
+    return run_cell(cell, SMOKE, directory)
 
 
 def timeless(result: CellResult) -> str:
@@ -70,7 +71,7 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert 1 <= star.length_mean <= 500
     assert 0 < star.discounted_mean < star.return_mean <= star.length_mean
     assert star.fit_seconds > 0
-    assert (star.env_steps, star.rl_steps, star.rl_solves) == (0, 0, 0)
+    assert (star.env_steps, star.check_steps, star.rl_solves) == (0, 0, 0)
     assert (skipped.policy, skipped.status, skipped.reason) == ("pi_R", "skipped", "learns no reward")
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
@@ -178,14 +179,14 @@ def test_demonstrations_are_the_experts_and_of_no_evaluation_episode(
     assert shown == starts(demonstration_seeds(3, count))
     assert not any(start in shown for start in starts(evaluation_seeds(3, 1000)))
     obs, act = spy.demos.pairs()
-    np.testing.assert_allclose(expert_for("cartpole", "smoke", "sb3").policy(obs), act)
+    np.testing.assert_allclose(expert_for("cartpole", 3, SMOKE).policy(obs), act)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_every_solve_of_a_cell_is_under_its_protocol(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str
 ) -> None:
-    expert_for("cartpole", "smoke", "sb3")  # which is always trained under the same
+    expert_for("cartpole", 1, SMOKE)  # whatever it takes
     asked: list[tuple[str, str]] = []
 
     def solver(spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library) -> object:
@@ -216,11 +217,14 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     expert, random = result.rows
     assert [row.policy for row in result.rows] == ["expert", "random"]
     assert {row.status for row in result.rows} == {"ok"}
-    assert (expert.rl_steps, expert.rl_solves) == (600, 1)
-    assert expert.env_steps > 600
-    assert (random.env_steps, random.rl_steps, random.rl_solves) == (0, 0, 0)
+    shipped = SPECS["cartpole"].shipped
+    assert shipped is not None
+    assert (expert.env_steps, expert.rl_solves) == (shipped.steps, 1)
+    assert expert.check_steps > 0
+    assert (random.env_steps, random.check_steps, random.rl_solves) == (0, 0, 0)
+    assert result.below_bar
     assert random.length_mean < 100
-    assert result.curves["expert"] == expert_for("cartpole", "smoke", "sb3").curve
+    assert result.curves["expert"] == expert_for("cartpole", 0, SMOKE).curve
     assert set(result.endings) == {"expert", "random"}
     (warning,) = result.warnings
     assert "misses its bar" in warning
@@ -246,7 +250,8 @@ def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
 def test_a_control_has_pi_r_alone(tmp_path: Path) -> None:
     result = run(Cell("cartpole", "control_plus1", 1), tmp_path)
     (row,) = result.rows
-    assert (row.policy, row.status, row.rl_steps, row.rl_solves) == ("pi_R", "ok", 600, 1)
+    assert (row.policy, row.status, row.env_steps, row.rl_solves) == ("pi_R", "ok", 600, 1)
+    assert row.check_steps > 0
     assert {y for _, y in result.curves["pi_R"]} == {0.0}
 
 
@@ -258,15 +263,15 @@ def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None
     assert reference.warnings == []
     expert, random = reference.rows
     assert expert.return_mean > max(0, random.return_mean, constant.rows[0].return_mean)
-    assert (expert.env_steps, expert.rl_steps, expert.rl_solves) == (0, 0, 1)
+    assert (expert.env_steps, expert.check_steps, expert.rl_solves) == (0, 0, 1)
     star, retrained = method.rows
     assert (star.policy, retrained.policy) == ("pi_star", "pi_R")
     for row in (star, retrained, *control.rows):
         assert (row.status, row.length_mean) == ("ok", 50)
-        assert (row.env_steps, row.rl_steps) == (0, 0)
+        assert (row.env_steps, row.check_steps) == (0, 0)
         assert row.rl_solves == 1 or row is star
     assert reference.endings["expert"] == {"time limit": 5}
-    assert [p for p in cache.iterdir() if "gridworld" in p.name] == []
+    assert [p.name.split("__")[0] for p in cache.iterdir() if "gridworld" in p.name] == ["demonstrations0"]
     assert "gridworld__maxmargin__seed0__pi_star.rrd" in recordings(tmp_path)
 
 

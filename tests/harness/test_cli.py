@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from harness import cli, registry, store
+from harness.request import Request
 from harness.results import CellResult
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
@@ -203,23 +204,22 @@ def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
     assert computed(tmp_path / "run").count("cartpole__control_true__seed0") == 2
 
 
-def test_a_cell_that_is_lost_again_and_again_is_named_in_a_line(
+def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     save = store.RunDirectory.save
 
     def lose(self: store.RunDirectory, result: CellResult) -> None:
         save(self, result)
-        if result.cell.method == "control_true":
+        if result.cell.method == "control_true" and result.rows[0].status == "ok":
             (tmp_path / "run/cells/cartpole__control_true__seed0.json").unlink()
 
     monkeypatch.setattr(store.RunDirectory, "save", lose)
-    code, _, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert code == 2
-    last = err.splitlines()[-1]
-    assert (
-        last == "irl-bench: error: run: cannot use the stored cell cartpole__control_true__seed0: it is gone"
-    )
+    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (1, True)
+    reason = "its stored result cannot be used: it is gone"
+    assert f"FAILED: cartpole__control_true__seed0: {reason}" in err
+    assert main("verify", "run")[0] == 0
 
 
 def test_a_cache_that_cannot_be_written_to_is_told(
@@ -250,9 +250,9 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     built: list[int] = []
     write_report = sys.modules["harness.report"].write_report
 
-    def count(directory: Path, results: list[CellResult]) -> list[Path]:
+    def count(directory: Path, request: Request, results: list[CellResult]) -> list[Path]:
         built.append(len(results))
-        return write_report(directory, results)
+        return write_report(directory, request, results)
 
     monkeypatch.setattr(sys.modules["harness.report"], "write_report", count)
     out = ("--out", "run")
@@ -269,7 +269,7 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
 
 def test_nothing_is_left_behind_in_the_lock(main: Main, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
-    (tmp_path / "run/.lock").write_text("1")  # of a run that died
+    (tmp_path / "run/.lock").write_text("irl-bench 1")  # of a run that died
     assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
     with store.open_for_report(tmp_path / "run"):
         assert main("report", "run")[0] == 2

@@ -20,7 +20,8 @@ from harness import figures
 from harness.codec import LARGEST, checksum, decode, encode, printable
 from harness.leaderboard import leaderboard, scored_rows
 from harness.report import write_report
-from harness.results import MOST_CURVES, MOST_POINTS, Cell, CellResult, Row
+from harness.request import Request
+from harness.results import MOST_CURVES, MOST_POINTS, Cell, CellResult, Conditions, Row
 
 ODD: list[Any] = [
     *(
@@ -55,6 +56,9 @@ def cell_with(seed: int = 0, **changes: Any) -> CellResult:
     return CellResult(
         Cell("cartpole", "shaped", seed), rows, curves, endings, ["low"], {"a.rrd": "0" * 64}, "key", origin
     )
+
+
+REQUEST = Request(("bc",), ("cartpole",), 5, Conditions("quick", "absorbing", "sbx"))
 
 
 def reference(seed: int = 0) -> CellResult:
@@ -115,7 +119,7 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
             continue
         assert found.cell.name.replace("_", "").replace(".", "").isalnum()
         if counts["taken"] % 10 == 0:
-            write_report(tmp_path, [found, reference()])
+            write_report(tmp_path, REQUEST, [found, reference()])
         assert leaderboard(scored_rows([found, reference()]))
     assert counts["refused"] > 1000
     assert counts["taken"] > 50
@@ -147,7 +151,7 @@ def test_extreme_numbers_can_be_drawn(tmp_path: Path) -> None:
     cell = CellResult(
         cell_with().cell, [Row(**{**vars(cell_with().rows[1]), "return_mean": LARGEST})], curves
     )
-    files = write_report(tmp_path, [decode(encode(cell)), reference()])
+    files = write_report(tmp_path, REQUEST, [decode(encode(cell)), reference()])
     assert all(file.stat().st_size > 0 for file in files)
 
 
@@ -160,7 +164,7 @@ def test_much_is_refused_at_once_and_what_is_taken_is_reported_in_seconds(tmp_pa
     most = {f"curve {i}": [(float(x), 1.0) for x in range(MOST_POINTS)] for i in range(MOST_CURVES)}
     cells = [CellResult(cell_with(s).cell, cell_with(s).rows, most) for s in range(5)]
     started = time.process_time()
-    write_report(tmp_path, [*cells, *map(reference, range(5))])
+    write_report(tmp_path, REQUEST, [*cells, *map(reference, range(5))])
     assert time.process_time() - started < 60
 
 
@@ -169,7 +173,7 @@ def test_texts_are_shown_and_do_nothing(tmp_path: Path) -> None:
     failed = cell_with(status="failed", reason=said)
     failed.warnings.append(said)
     failed.origin["processor"] = said
-    write_report(tmp_path, [decode(encode(failed)), reference()])
+    write_report(tmp_path, REQUEST, [decode(encode(failed)), reference()])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script>" not in page
     assert "&lt;script&gt;" in page

@@ -16,6 +16,7 @@ from harness.controls import Constant
 from harness.environment import CACHE_VARIABLE
 from harness.exact import ExactSolver, expected_rewards
 from harness.experts import expert_for
+from harness.results import Conditions
 from methods.base import Array, Policy, Reward
 from methods.tabular import policy_value, value_iteration
 
@@ -125,7 +126,7 @@ def test_rewards_that_are_not_finite_are_refused(paid: float) -> None:
 
 def test_a_solution_takes_no_steps_and_holds_no_reward() -> None:
     solution: Any = ExactSolver(WORLD, GAMMA, np.random.default_rng(0)).solve(None, 1000)
-    assert (solution.curve, solution.env_steps, solution.rl_steps) == ([], 0, 0)
+    assert (solution.curve, solution.env_steps, solution.check_steps) == ([], 0, 0)
     assert type(solution.policy.model) is Model
 
 
@@ -138,12 +139,14 @@ def test_policies_answer_observations_one_by_one_and_in_batches() -> None:
 
 def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    one, other = expert_for("gridworld", "smoke", "sb3"), expert_for("gridworld", "full", "sb3")
+    one, other = (
+        expert_for("gridworld", 0, Conditions(budget, "absorbing", "sb3")) for budget in ("smoke", "full")
+    )
     assert not (tmp_path / "cache").exists()
     assert SPECS["gridworld"].gamma == GAMMA
     assert value(one.policy) == pytest.approx(best_value(), abs=1e-6)
     np.testing.assert_array_equal(one.policy(WORLD.obs), other.policy(WORLD.obs))
-    assert (one.curve, one.env_steps, one.rl_steps) == ([], 0, 0)
+    assert (one.name, one.curve, one.env_steps, one.check_steps) == ("exact", [], 0, 0)
 
 
 def test_the_task_is_worth_solving() -> None:

@@ -16,7 +16,7 @@ from harness.codec import checksum, encode
 from harness.files import append, appending, read, sha256, write_atomic
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.request import Request
+from harness.request import Request, write_request
 from harness.results import Cell, CellResult, Conditions, Row
 from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
 
@@ -101,7 +101,7 @@ def test_reproduce_and_run_leave_each_others_directories_alone(
 
 
 def test_a_study_that_was_killed_at_once_can_be_started_again(tmp_path: Path) -> None:
-    (tmp_path / ".lock").write_text("123456")
+    (tmp_path / ".lock").write_text("irl-bench 123456")
     (tmp_path / ".study.json.0123456789abcdef.tmp").write_text("{")
     with open_study(tmp_path):
         assert (tmp_path / "study.json").exists()
@@ -226,7 +226,7 @@ def test_what_has_other_names_besides_is_not_written_to(run: Path, name: str) ->
     assert mine.read_text() == "mine"
 
 
-@pytest.mark.parametrize("text", ["another program's", "1" * 30, "1\n"])
+@pytest.mark.parametrize("text", ["another program's", "4242", "irl-bench 1\n"])
 @pytest.mark.parametrize("command", ["run", "reproduce"])
 def test_a_lock_of_another_program_marks_no_new_directory(tmp_path: Path, text: str, command: str) -> None:
     (tmp_path / ".lock").write_text(text)
@@ -432,9 +432,95 @@ def test_folders_that_cannot_be_read_are_told(run: Path, monkeypatch: pytest.Mon
 def test_a_moved_or_deleted_directory_ends_a_run_in_a_line(tmp_path: Path) -> None:
     with open_for_run(tmp_path / "run", REQUEST) as directory:
         (tmp_path / "run").rename(tmp_path / "moved")
-        with pytest.raises(OSError, match="moved or deleted; cannot store cartpole__bc__seed0"):
+        with pytest.raises(OSError, match="moved, deleted or changed while the run goes on"):
             directory.save(result())
     assert not (tmp_path / "run/cells").exists()
+
+
+def test_a_run_does_not_write_into_another_one_that_took_its_place(tmp_path: Path) -> None:
+    other = dataclasses.replace(REQUEST, conditions=dataclasses.replace(CONDITIONS, budget="quick"))
+    for request in (other, REQUEST):  # of other conditions, and of the same
+        with open_for_run(tmp_path / "run", REQUEST) as directory:
+            (tmp_path / "run").rename(tmp_path / f"moved {request.conditions.budget}")
+            with open_for_run(tmp_path / "run", request):
+                before = snapshot(tmp_path / "run")
+                for write in (lambda: directory.save(result()), lambda: directory.seal([], [])):
+                    with pytest.raises(OSError, match="changed while the run goes on"):
+                        write()
+                assert snapshot(tmp_path / "run") == before
+        (tmp_path / "run").rename(tmp_path / f"second {request.conditions.budget}")
+
+
+def test_a_request_that_changes_while_the_run_goes_on_ends_it(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST) as directory:
+        directory.save(result())
+        (tmp_path / "run.json").write_text((tmp_path / "run.json").read_text().replace("smoke", "quick"))
+        for write in (lambda: directory.save(result()), lambda: directory.seal([result()], [])):
+            with pytest.raises(OSError, match="changed while the run goes on"):
+                write()
+
+
+def test_a_run_that_would_grow_beyond_what_can_be_read_is_refused(tmp_path: Path) -> None:
+    write_request(tmp_path, dataclasses.replace(REQUEST, methods=tuple(f"m{i}" for i in range(200))))
+    before = snapshot(tmp_path)
+    with pytest.raises(BadInput, match="cannot hold so much"), open_for_run(tmp_path, REQUEST):
+        pass
+    assert snapshot(tmp_path) == before
+
+
+def test_a_torn_last_line_of_the_list_is_mended_by_the_next_writer(run: Path) -> None:
+    whole = (run / SUMS).read_bytes()
+    for command in ("run", "report"):
+        (run / SUMS).write_bytes(whole + whole[:90])
+        (run / "report.key").unlink()
+        assert main(["verify", str(run)]) == 1
+        if command == "run":
+            with open_for_run(run, REQUEST):
+                assert (run / SUMS).read_bytes() == whole
+        assert main(["report", str(run)]) == 0
+        assert main(["verify", str(run)]) == 0
+
+
+def test_a_swapped_cell_is_told_by_report(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    strange(run, return_mean=999.0)
+    assert main(["report", str(run)]) == 1
+    assert "cartpole__bc__seed0.json: its checksum does not match" in capsys.readouterr().err
+
+
+def test_two_may_verify_at_once(run: Path) -> None:
+    with open_to_verify(run):
+        assert main(["verify", str(run)]) == 0
+        with pytest.raises(BadInput, match="in use"), open_for_report(run):
+            pass
+
+
+def test_a_file_system_that_cannot_sync_folders_will_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsync = os.fsync
+
+    def refuse(handle: int) -> None:
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(22, "Invalid argument")
+        fsync(handle)
+
+    monkeypatch.setattr("harness.files.os.fsync", refuse)
+    write_atomic(tmp_path / "file", "text")
+    assert (tmp_path / "file").read_text() == "text"
+
+
+def test_a_users_cells_of_other_names_are_nobodys_damage(run: Path) -> None:
+    (run / "cells/old_cartpole__bc__seed0.json").write_text("mine")
+    assert main(["verify", str(run)]) == 0
+
+
+def test_a_study_with_a_strangers_run_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    with open_study(tmp_path):
+        pass
+    (tmp_path / "native").mkdir()
+    (tmp_path / "native/mine").write_text("mine")
+    assert main(["reproduce", "--out", str(tmp_path)]) == 2
+    assert not (tmp_path / "absorbing").exists()
 
 
 # Special files, and what may not be read.

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import itertools
 import math
@@ -12,13 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from scipy.stats import norm, sem, t
 
 from harness import figures
-from harness.leaderboard import leaderboard, overall, scored_rows
+from harness.leaderboard import Entry, indistinct, leaderboard, overall, scored_rows
 from harness.report import write_report
-from harness.results import COLUMNS, CONTROLS, Cell, CellResult, PolicyName, Row
+from harness.request import Request
+from harness.results import COLUMNS, CONTROLS, Cell, CellResult, Conditions, PolicyName, Row
 
 ENVS = ("cartpole", "pendulum")
+REQUEST = Request(("bc", "shaped", "maxmargin"), ENVS, 3, Conditions("quick", "absorbing", "sbx"))
 RETURNS = {
     ("reference", "expert"): 500.0,
     ("reference", "random"): 20.0,
@@ -115,7 +119,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("report")
     (directory / "recordings").mkdir()
     (directory / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
-    write_report(directory, with_warning(make_results()))
+    write_report(directory, REQUEST, with_warning(make_results()))
     return directory
 
 
@@ -131,7 +135,7 @@ def with_warning(results: list[CellResult]) -> list[CellResult]:
 def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) -> None:
     results = make_results()
     rows = read_csv(report / "scores.csv")
-    assert tuple(rows[0]) == COLUMNS
+    assert tuple(rows[0]) == (*COLUMNS, "budget", "rl", "program", "finished")
     assert len(rows) == sum(len(result.rows) for result in results)
     order = ["reference", "bc", "maxmargin", "shaped", *CONTROLS]
     policies: list[PolicyName] = ["expert", "random", "pi_star", "pi_R"]
@@ -151,7 +155,7 @@ def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) 
 def test_equal_results_give_equal_files_in_whatever_order_they_come(report: Path, tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
     (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
-    write_report(tmp_path, with_warning(make_results())[::-1])
+    write_report(tmp_path, REQUEST, with_warning(make_results())[::-1])
     files = sorted(path.relative_to(report) for path in report.rglob("*") if path.is_file())
     figures = [f"figures/{env}_{kind}.png" for env in ENVS for kind in ("rl", "scores", "training")]
     tables = ["leaderboard.csv", "leaderboard.md", "report.html", "scores.csv"]
@@ -168,7 +172,10 @@ def test_leaderboard_aggregates_over_seeds_and_measures_rewards_against_the_best
     assert (shaped.seeds, shaped.seeds_ok, shaped.status, shaped.role) == (3, 3, "ok", "method")
     assert shaped.return_mean == 435
     assert shaped.score_mean == pytest.approx((435 - 20) / 480)
-    assert 430 <= shaped.return_low < 435 < shaped.return_high <= 440
+    assert (shaped.return_low, shaped.return_high) == pytest.approx(
+        t.interval(0.95, 2, 435, sem([430, 435, 440]))
+    )
+    assert shaped.varies == "seeds"
     assert shaped.env_steps == 15_000
     assert shaped.above_best_lower_control == pytest.approx((435 - 105) / 480)
     assert math.isnan(found["shaped", "pi_star"].above_best_lower_control)
@@ -201,12 +208,12 @@ def test_one_lower_control_less_leaves_nothing_to_be_above_of() -> None:
 
 def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -> None:
     results = [r for r in make_results(seeds=1) if r.cell.method != "reference" or r.cell.env == "pendulum"]
-    write_report(tmp_path, results)
+    write_report(tmp_path, REQUEST, results)
     for row in read_csv(tmp_path / "scores.csv"):
         known = row["env"] == "pendulum" and row["status"] == "ok"
         assert (row["normalized_score"] != "") == known
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
-    assert "| shaped | method | pi_R | 1 of 1 | n/a | n/a | n/a | 440.0 |" in cartpole
+    assert "| shaped | method | pi_R | 1 of 1 | n/a |  | n/a | n/a | n/a | 440.0 [439.9, 440.1] |" in cartpole
     assert "nan" not in (tmp_path / "leaderboard.md").read_text()
     text = Page((tmp_path / "report.html").read_text()).text
     assert "cartpole, seed 0: no normalized scores" in text
@@ -230,6 +237,147 @@ def test_a_seed_without_a_reference_is_named() -> None:
     for entry in shaped:
         assert (entry.seeds_ok, entry.status) == (3, "ok")
         assert entry.note == "not scored (seed 1): no expert better than a random policy to measure by"
+
+
+def entry_of(results: list[CellResult], method: str, policy: str) -> Entry:
+    return next(e for e in leaderboard(scored_rows(results)) if (e.method, e.policy) == (method, policy))
+
+
+def test_differences_to_the_best_are_paired_by_seed() -> None:
+    results = make_results(("cartpole",))
+    assert math.isnan(entry_of(results, "shaped", "pi_R").behind_mean)  # it is the best
+    behind = entry_of(results, "maxmargin", "pi_R")  # it failed in the last seed
+    # Both lose 5 a seed, so the difference does not vary, though both do.
+    assert behind.behind_mean == behind.behind_low == behind.behind_high == pytest.approx(90 / 480)
+    assert not behind.tied
+    star = entry_of(results, "shaped", "pi_star")  # bc's is the best
+    assert star.behind_mean == pytest.approx(20 / 480)
+    assert math.isnan(entry_of(results, "control_true", "pi_R").behind_mean)
+
+
+def test_what_is_not_told_apart_from_the_best_is_tied() -> None:
+    results = make_results(("cartpole",))
+    swing = iter([30.0, -20.0, 10.0])
+    for result in results:
+        if result.cell.method == "maxmargin":
+            level = 440 - next(swing)
+            result.rows[:] = [
+                make_row("cartpole", "maxmargin", result.cell.seed, p, return_mean=level)
+                for p in ("pi_star", "pi_R")
+            ]
+    tied = entry_of(results, "maxmargin", "pi_R")
+    assert tied.tied == (tied.behind_low <= 0 <= tied.behind_high)
+    assert tied.tied
+
+
+def test_one_seed_has_the_interval_over_episodes_and_says_so(tmp_path: Path) -> None:
+    results = make_results(("cartpole",), seeds=1)
+    shaped = entry_of(results, "shaped", "pi_R")
+    error = (1 / 3) / math.sqrt(100)
+    assert (shaped.return_low, shaped.return_high) == pytest.approx(norm.interval(0.95, 440, error))
+    assert shaped.score_high - shaped.score_low == pytest.approx(
+        (shaped.return_high - shaped.return_low) / 480
+    )
+    assert shaped.varies == "episodes"
+    write_report(tmp_path, REQUEST, results)
+    assert "one seed: intervals are over episodes" in (tmp_path / "leaderboard.md").read_text()
+
+
+def test_what_an_uninformed_control_wins_is_left_out_of_the_summary_and_said(tmp_path: Path) -> None:
+    results = make_results()
+    for result in results:
+        if result.cell.method == "control_survival":
+            value = 500.0 if result.cell.env == "pendulum" else 200.0
+            result.rows[:] = [make_row(*dataclasses.astuple(result.cell), "pi_R", return_mean=value)]
+    rows = scored_rows(results)
+    left_out = indistinct(leaderboard(rows))
+    assert list(left_out) == ["pendulum"]
+    assert "control_survival scores 1.00 there, the best method 0.86" in left_out["pendulum"]
+    assert overall(rows, tuple(left_out)) == []  # one env is left
+    write_report(tmp_path, REQUEST, results)
+    for name in ("leaderboard.md", "report.html"):
+        assert "pendulum is left out: control\\_survival" in (text := (tmp_path / name).read_text()) or (
+            "pendulum is left out: control_survival" in text
+        )
+
+
+def test_the_share_of_bad_runs_is_told() -> None:
+    results = make_results()
+    (shaped,) = (x for x in overall(scored_rows(results)) if (x.method, x.policy) == ("shaped", "pi_R"))
+    assert shaped.below == 1.0  # all below 0.95
+    (true,) = (x for x in overall(scored_rows(results)) if x.method == "control_true")
+    assert true.below == 0.0
+
+
+@pytest.mark.parametrize("why", ["smoke", "below its bar", ""])
+def test_what_is_no_result_is_headed_so_everywhere(tmp_path: Path, why: str) -> None:
+    results = make_results(seeds=1)
+    if why == "below its bar":
+        results = [replace(r, below_bar=r.cell == Cell("pendulum", "reference", 0)) for r in results]
+    conditions = Conditions("smoke" if why == "smoke" else "quick", "absorbing", "sbx")
+    files = write_report(tmp_path, replace(REQUEST, conditions=conditions), results)
+    table, page = ((tmp_path / name).read_text() for name in ("leaderboard.md", "report.html"))
+    assert table.startswith("# NOT A RESULT: Leaderboard" if why else "# Leaderboard")
+    assert ("<h1>NOT A RESULT" in page) == bool(why)
+    for env in ENVS:
+        flagged = why == "smoke" or (why != "" and env == "pendulum")
+        assert (f"## {env}: NOT A RESULT" in table) == flagged
+        assert f'<h2 id="{env}">{env}' in page
+    assert len(files) == 4 + 3 * len(ENVS)
+
+
+def test_figures_of_no_result_say_so() -> None:
+    results = make_results(("cartpole",), seeds=1)
+    rows = scored_rows(results)
+    plain, flagged = (
+        figures.draw("cartpole", leaderboard(rows), rows, results, 1, flag) for flag in ("", "NOT A RESULT")
+    )
+    for one, other in zip(plain, flagged, strict=True):
+        assert one.png != other.png
+
+
+def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
+    results = [
+        replace(
+            r,
+            origin={"irl-bench": "0.1.0 (abc)"},
+            finished="2026-11-23 10:00",
+            rows=[replace(row, expert="1a2b3c4d:0") for row in r.rows],
+        )
+        for r in make_results(("cartpole",))
+    ]
+    write_report(tmp_path, REQUEST, results)
+    for name in ("leaderboard.md", "report.html"):
+        text = (tmp_path / name).read_text()
+        for said in (
+            "budget quick, protocol absorbing, seeds 0 to 2, RL library sbx",
+            "experts shipped: 1a2b3c4d",
+            "computed 2026-11-23 by irl-bench 0.1.0 (abc)",
+            "command: irl-bench run --methods bc,shaped,maxmargin --envs cartpole,pendulum --seeds 3",
+        ):
+            assert said in text, said
+    (row, *_) = read_csv(tmp_path / "scores.csv")
+    assert (row["budget"], row["rl"], row["program"], row["expert"]) == (
+        "quick",
+        "sbx",
+        "0.1.0 (abc)",
+        "1a2b3c4d:0",
+    )
+
+
+def test_details_of_fits_are_told(tmp_path: Path) -> None:
+    results = [
+        replace(
+            r,
+            details={"eigenvalues of LLᵀ, mean": 1e-5 * (1 + r.cell.seed)}
+            if r.cell.method == "shaped"
+            else {},
+        )
+        for r in make_results(("cartpole",))
+    ]
+    write_report(tmp_path, REQUEST, results)
+    assert "| shaped | eigenvalues of LLᵀ, mean | 2e-05 |" in (tmp_path / "leaderboard.md").read_text()
+    assert "eigenvalues of LLᵀ, mean" in (tmp_path / "report.html").read_text()
 
 
 def test_overall_compares_only_what_every_env_has() -> None:
@@ -285,17 +433,19 @@ def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
                 {"\u8a9e": [(0.0, 1.0)]},
             )
         ]
-        write_report(tmp_path, results)
+        write_report(tmp_path, REQUEST, results)
     assert [str(one.message) for one in told] == []
 
 
 def test_markdown_tables_are_rectangular(report: Path) -> None:
-    tables = (report / "leaderboard.md").read_text().split("## ")[1:]
-    assert [table.split("\n")[0] for table in tables] == [
+    sections = (report / "leaderboard.md").read_text().split("## ")[1:]
+    tables = [part for section in sections for part in section.split("\n\n") if part.startswith("|")]
+    assert [section.split("\n")[0] for section in sections] == [
         *("Across environments", "cartpole", "pendulum"),
         "Computed with",
     ]
-    for table in tables[:-1]:
+    assert len(tables) == 4  # two for each env
+    for table in tables:
         lines = [line.replace(r"\|", "") for line in table.splitlines() if line.startswith("|")]
         assert len({line.count("|") for line in lines}) == 1
 
@@ -319,12 +469,14 @@ def test_page_shows_figures_with_words_endings_warnings_and_recordings(report: P
 
 
 def test_one_machine_is_no_warning(tmp_path: Path) -> None:
-    write_report(tmp_path, make_results())
+    write_report(tmp_path, REQUEST, make_results())
     assert "different machines" not in (tmp_path / "report.html").read_text()
 
 
 def test_no_results_make_an_empty_report(tmp_path: Path) -> None:
-    write_report(tmp_path, [])
+    write_report(tmp_path, REQUEST, [])
     assert read_csv(tmp_path / "scores.csv") == []
-    assert (tmp_path / "scores.csv").read_text() == ",".join(COLUMNS) + "\n"
+    assert (tmp_path / "scores.csv").read_text() == ",".join(
+        [*COLUMNS, "budget", "rl", "program", "finished"]
+    ) + "\n"
     assert "No results yet" in (tmp_path / "report.html").read_text()

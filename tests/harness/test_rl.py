@@ -64,7 +64,7 @@ def test_it_learns_the_task(steady: EnvSpec, library: Library) -> None:
     assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
     # Twenty episodes of ten steps at each checkpoint.
     assert learned.env_steps == STEPS + len(xs) * 20 * 10
-    assert learned.rl_steps == STEPS
+    assert learned.env_steps == STEPS
 
 
 def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
@@ -219,7 +219,8 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     solution = solve(steady, Seek(), steps=800)
     assert [value for _, value in solution.curve] == returns
     assert [value for _, value in solution.true_curve] == [-value for value in returns]
-    assert solution.env_steps == 800 + len(returns + disturbed)
+    assert (solution.env_steps, solution.check_steps) == (800, len(returns + disturbed))
+    assert all(map(same, solution.checkpoints, actors))
     assert same(solution.policy, actors[kept])
     assert next(scores, None) is None
 
@@ -248,13 +249,12 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
 
 
 def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) -> None:
-    learner = Learner(steady, "absorbing", np.random.default_rng(0), "sb3")
     obs = np.zeros((10_000, 1))
-    noise = learner.disturbed(lambda obs: obs)(obs)
+    noise = rl.disturbed(lambda obs: obs, steady, Settings.noise)(obs)
     assert noise.mean() == pytest.approx(0, abs=0.01)
     assert noise.std() == pytest.approx(Settings.noise, rel=0.05)
     assert np.abs(noise).max() <= 1
-    assert np.array_equal(noise, learner.disturbed(lambda obs: obs)(obs))
+    assert np.array_equal(noise, rl.disturbed(lambda obs: obs, steady, Settings.noise)(obs))
 
 
 @both_libraries

@@ -95,8 +95,8 @@ def test_the_longest_tasks_come_first_and_experts_before_all(
     cells = [Cell(env, m, 0) for env in ("cartpole", "highway") for m in ("bc", "maxent")]
     run(directory, cells, workers=1)
     started = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("start")]
-    assert started[:2] == ["highway__expert", "cartpole__expert"]
-    costs = {Task(cell.env, cell).name: Task(cell.env, cell).cost for cell in cells}
+    assert started[:2] == ["highway__expert__seed0", "cartpole__expert__seed0"]
+    costs = {task.name: task.cost for task in (Task(cell.env, cell.seed, cell) for cell in cells)}
     assert started[2:] == sorted(costs, key=lambda name: -costs[name])
 
 

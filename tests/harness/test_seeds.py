@@ -8,7 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for, training_seeds
+from harness.seeds import (
+    demonstration_seeds,
+    evaluation_seeds,
+    held_out_seeds,
+    rng_for,
+    training_seeds,
+    tuning_seeds,
+)
 
 RUNS = st.integers(0, 999)
 EPISODES = st.integers(1, 1000)
@@ -25,7 +32,8 @@ def test_evaluation_demonstration_and_training_never_meet(
     assert len(evaluation) == episodes
     assert len(demonstration) == other_episodes
     assert len(training) == 100
-    for one, other in combinations((set(evaluation), set(demonstration), set(training)), 2):
+    apart = (evaluation, demonstration, training, tuning_seeds(episodes), held_out_seeds(other_episodes))
+    for one, other in combinations(map(set, apart), 2):
         assert not one & other
     assert 0 <= min(evaluation) <= max(training) < 2**31
 

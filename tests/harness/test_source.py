@@ -167,9 +167,9 @@ def test_of_variables_cells_have_only_what_changes_no_number(
 
 @pytest.mark.parametrize("name", CHOSEN)
 def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, here = cell_key({}, numeric(False)), key_of((), None)
+    before, here = cell_key("cartpole", {}, numeric(False)), key_of((), None)
     monkeypatch.setenv(name, "another")
-    assert cell_key({}, numeric(False)) != before
+    assert cell_key("cartpole", {}, numeric(False)) != before
     assert key_of((), None) != here
     assert of_this_process()[name] == "another"
 
@@ -192,11 +192,75 @@ def test_what_hides_the_program_is_named_and_not_run(tmp_path: Path, package: st
     theirs = tmp_path / name.format(package)
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_text("print('theirs')")
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
     for arguments in (RUN, ["report", "run"], ["verify", "run"]):
+        env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
         command = [sys.executable, "-m", "harness", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (2, "")
         assert f"{theirs} hides this program's package {package!r}" in done.stderr
         assert done.stderr.count("\n") == 1
     assert not (tmp_path / "run").exists()
+    env["PYTHONPATH"] = str(ROOT)  # from the current folder alone nothing is imported
+    command = [sys.executable, "-m", "harness", "verify", "run"]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    assert "run holds no run" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["json", "random", "numpy", "signal", "harness"])
+def test_modules_of_the_current_folder_are_not_imported(tmp_path: Path, name: str) -> None:
+    (tmp_path / f"{name}.py").write_text("raise SystemExit('theirs')")
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "harness", "list"]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    if name == "harness":  # then Python finds theirs before ours
+        assert "theirs" in done.stderr
+    else:
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("package", ["msgspec", "rich", "filelock", "psutil", "pebble", "pandas", "jinja2"])
+def test_a_package_that_cannot_be_imported_is_one_line_before_anything_is_written(
+    tmp_path: Path, package: str
+) -> None:
+    (tmp_path / "broken" / package).mkdir(parents=True)
+    (tmp_path / "broken" / package / "__init__.py").write_text("raise ImportError('half installed')")
+    env = {**os.environ, "PYTHONPATH": f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"}
+    command = [sys.executable, "-m", "harness", *RUN]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "half installed" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "broken/torch-0.dist-info").mkdir(parents=True)
+    env = {**os.environ, "PYTHONPATH": f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"}
+    for arguments in (RUN, ["report", "run"]):
+        command = [sys.executable, "-m", "harness", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert "the package torch is not installed, or only in part" in done.stderr
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> None:
+    (copy / "harness/report.html.j2").unlink()
+    told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
+    assert process.returncode == 2
+    assert "report.html.j2 is missing" in told
+    assert not (copy / "run").exists()
+
+
+def test_a_module_that_hides_an_installed_one_is_part_of_the_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = key_of((), None)
+    (tmp_path / "highway_env").mkdir()
+    (tmp_path / "highway_env/__init__.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "highway_env", raising=False)
+    keys._elsewhere.cache_clear()
+    assert key_of((), None) != before
+    monkeypatch.undo()
+    keys._elsewhere.cache_clear()

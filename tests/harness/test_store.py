@@ -211,6 +211,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         "protocol": "absorbing",
         "rl": "sbx",
         "deterministic": False,
+        "experts": "shipped",
     }
 
 
@@ -266,7 +267,7 @@ def test_the_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
 
 
 def test_a_run_killed_before_its_first_whole_file_can_be_started_again(tmp_path: Path) -> None:
-    (tmp_path / ".lock").write_text("123456")
+    (tmp_path / ".lock").write_text("irl-bench 123456")
     (tmp_path / ".run.json.0123456789abcdef.tmp").write_text("{")
     with open_for_run(tmp_path, REQUEST):
         assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", SUMS, "run.json"]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from safetensors import SafetensorError, safe_open
 
-from envs import SPECS
 from harness.cache import Kept, cache_file, kept
 from harness.codec import encode
 from harness.environment import CACHE_VARIABLE
@@ -69,7 +68,7 @@ def test_a_strangers_run_is_read_and_never_executed(tmp_path: Path, payload: byt
     assert all(name in reported.stderr for name in bad)
     assert "a plain name" in reported.stderr
     assert "it is no stored cell" in reported.stderr
-    assert (run / "leaderboard.md").read_text().count("| bc |") == 1
+    assert (run / "leaderboard.md").read_text().count("| bc |") == 2  # scores, and costs
     (run / SUMS).write_text("".join(f"{'0' * 64}  {name}\n" for name in OUTSIDE))
     verified = harness("verify", str(run))
     assert verified.returncode == 1
@@ -83,11 +82,11 @@ def test_a_strangers_expert_is_no_expert(
     tmp_path: Path, payload: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    path = cache_file("expert", SPECS["cartpole"], "smoke", "sb3")
+    path = cache_file("expert", "cartpole", "smoke")
     path.parent.mkdir()
     path.write_bytes(payload)
     with pytest.raises(SafetensorError), safe_open(path, framework="numpy"):
         pass
     mine = Kept({"x": np.ones(3)}, {})
-    assert kept("expert", SPECS["cartpole"], "smoke", "sb3", lambda: mine) is mine
+    assert kept("expert", "cartpole", "smoke", lambda: mine) is mine
     assert os.listdir(tmp_path) == ["cache"]

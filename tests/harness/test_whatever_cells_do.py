@@ -31,6 +31,9 @@ ODD = {
     "surrogate": r"ValueError: caf\udce9 \x1b[2J; in run_cell",
     "group": "its process ended without a result, exit code 15",
     "many_curves": "ValueError: Expected `object` of length <= 30 - at `$.curves`",
+    "other_protocol": "ValueError: pi_star: of protocol another, not absorbing",
+    "ghost_recording": "FileNotFoundError: [Errno 2] No such file or directory",
+    "one_row": "ValueError: asked for pi_star, pi_R, got pi_star",
     "escape": "ValueError: Expected `str` of one plain line, or a plain name - at `$.warnings[0]`",
     "leaves_and_dies": "its process was killed by SIGKILL",
 }

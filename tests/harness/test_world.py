@@ -20,7 +20,7 @@ from harness.results import CONTROLS
 from harness.rl import Learner
 from harness.simulator import Simulator, Trajectory
 from harness.world import TaskWorld, without_rewards
-from methods.base import Array, Episodes, Reward, default_absorbing
+from methods.base import Array, Episodes, Learned, Reward, default_absorbing
 from methods.network import Network
 
 ZERO = Constant(0.0, absorbing=0.0)
@@ -45,12 +45,12 @@ def rng(seed: int = 0) -> np.random.Generator:
 def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
     world = TaskWorld(steady, "absorbing", "sb3")
     world.rollout(on_target, 3, rng())
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30, 0, 0)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (30, 0, 0)
     # So short a solve checks one episode of ten steps before it learns and at its end.
     world.solve(ZERO, rng(), 40)
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 60, 40, 1)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 40, 20, 1)
     world.solve(ZERO, rng(), 20, warm=True)
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (30 + 60 + 40, 60, 2)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 60, 40, 2)
 
 
 def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
@@ -89,7 +89,7 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
     }
     assert set(public) == {
         *("obs_size", "act_size", "horizon", "gamma", "phi", "model"),
-        *("env_steps", "rl_steps", "rl_solves"),
+        *("env_steps", "check_steps", "rl_solves"),
     }
     assert public.pop("model") is None
     assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")
@@ -147,7 +147,7 @@ def test_in_a_known_model_a_solve_takes_no_steps() -> None:
     world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 1000)
     world.solve(ZERO, rng(), 1000, warm=True)
-    assert (world.env_steps, world.rl_steps, world.rl_solves) == (0, 0, 2)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (0, 0, 2)
     episodes = world.rollout(policy, 3, rng())
     assert world.env_steps == 3 * 50
     assert episodes.terminated == (False,) * 3
@@ -176,10 +176,13 @@ def demonstrations(terminated: bool = False) -> Episodes:
 
 def control(name: str, demos: Episodes | None = None, seed: int = 0) -> Any:
     def draw() -> Episodes:
-        assert demos is not None, "only the untrained and the shuffled control need demonstrations"
+        assert demos is not None, "constants need no demonstrations"
         return demos
 
-    return control_reward(name, draw, lambda shuffled: ZERO, uniform, rng(seed))
+    def fit(method: str, demos: Episodes) -> Learned:
+        return Learned(lambda obs: np.full((len(obs), 2), 0.1), ZERO)
+
+    return control_reward(name, draw, fit, uniform, rng(seed))
 
 
 def test_constant_controls() -> None:
@@ -234,7 +237,24 @@ def test_the_untrained_control_of_choices_averages_over_choices() -> None:
     assert abs(each[2].mean() - reward.absorbing) > 8 * each.std(axis=0).mean() / np.sqrt(2000)
 
 
-def never(demos: Episodes) -> Reward:
+def test_the_clone_control_pays_for_being_near_what_cloning_does() -> None:
+    demos = demonstrations()
+    reward = control("control_clone", demos)
+    obs, act = demos.pairs()
+    np.testing.assert_allclose(reward(obs, act, obs), -np.square(act - 0.1).sum(axis=1))
+    np.testing.assert_array_equal(reward(obs, np.full((len(obs), 2), 0.1), obs), 0)
+    assert reward.absorbing == default_absorbing(reward, demos, uniform, rng())
+    asked: list[tuple[str, Episodes]] = []
+
+    def fit(method: str, shown: Episodes) -> Learned:
+        asked.append((method, shown))
+        return Learned(lambda obs: np.zeros((len(obs), 2)), None)
+
+    control_reward("control_clone", lambda: demos, fit, uniform, rng())
+    assert asked == [("bc", demos)]
+
+
+def never(method: str, demos: Episodes) -> Learned:
     raise AssertionError("this control imitates nobody")
 
 
@@ -247,12 +267,13 @@ def test_the_shuffled_control_imitates_actions_taken_elsewhere() -> None:
     )
     seen: list[Episodes] = []
 
-    def shaped(shuffled: Episodes) -> Reward:
+    def fit(method: str, shuffled: Episodes) -> Learned:
+        assert method == "shaped"
         seen.append(shuffled)
-        return ZERO
+        return Learned(on_target, ZERO)
 
     for seed in (0, 0, 1):
-        assert control_reward("control_shuffled", lambda: demos, shaped, uniform, rng(seed)) is ZERO
+        assert control_reward("control_shuffled", lambda: demos, fit, uniform, rng(seed)) is ZERO
     one, same, other = (episodes.pairs()[1] for episodes in seen)
     assert seen[0].obs == demos.obs
     assert seen[0].terminated == demos.terminated
