@@ -48,8 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         ignore_stops()
         again = _plain(shlex.join(["python", "-m", "harness", *argv]))
-        kept = "finished cells are kept. To go on, run the same again:\n  " + again
-        print(f"\nstopped; {kept if argv[0] in ('run', 'reproduce') else 'nothing is kept'}", file=sys.stderr)
+        kept = "what is finished is kept. To go on, run the same again:\n  " + again
+        resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
+        print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
 
 

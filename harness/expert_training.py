@@ -26,6 +26,7 @@ from harness.registry import BadInput
 from harness.rl import Learner, disturbed
 from harness.rl_settings import rl_settings_for
 from harness.seeds import held_out_seeds, rng_for, tuning_seeds
+from harness.store import held
 from methods.base import Policy
 from methods.network import Network
 
@@ -141,10 +142,10 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
 
 def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     """Trains agents of each task until enough meet its bar, and writes those to `out`, as they come. What is
-    there already is gone on with. Raises BadInput where too few meet it."""
+    there already is gone on with. Raises BadInput where too few meet it, or another process is at it."""
     out.mkdir(parents=True, exist_ok=True)
-    candidates = _candidates(out)
-    with fresh_processes("harness.preload", deterministic=True) as context:
+    with held(out), fresh_processes("harness.preload", deterministic=True) as context:
+        candidates = _candidates(out)
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:
             done = {one.seed: one for one in candidates if one.env == env}
@@ -223,8 +224,8 @@ def _candidates(out: Path) -> list[Candidate]:
     file = out / CANDIDATES
     if not file.exists():
         return []
-    header, *lines = csv.reader(io.StringIO(read(file).decode()))
     try:
+        header, *lines = csv.reader(io.StringIO(read(file).decode()))
         if tuple(header) != Candidate._fields:
             raise ValueError("other columns")
         return msgspec.convert(lines, list[Candidate], strict=False)

@@ -129,7 +129,7 @@ def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path:
     process.terminate()
     _, err = process.communicate(timeout=10)
     assert process.returncode == 130
-    assert "stopped; finished cells are kept" in err
+    assert "stopped; what is finished is kept" in err
     wait_until_gone(tmp_path)
 
 

@@ -9,12 +9,15 @@ import pytest
 
 from envs import EnvSpec
 from harness import rl
+from harness.registry import PROTOCOLS
 from harness.rl import ABSORBING_STEPS, REWARD_SIZE, Learner
 from harness.rl_settings import SETTINGS, Settings
 from methods.base import Array
 from tests.harness.rewards import Seek
 
 COPIES = 4
+STATE, OFFSET = ("absorbing", "state"), ("absorbing", "offset")
+"""Protocols with an absorbing state, and those with the offset."""
 
 
 def training_env(spec: EnvSpec, protocol: str) -> Any:
@@ -70,7 +73,7 @@ def test_a_native_episode_ends(fragile: EnvSpec) -> None:
     np.testing.assert_allclose(paid, 1 - np.abs(where - action[:, 0]), rtol=1e-5)  # the reward as it is
 
 
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) -> None:
     env = training_env(steady, protocol)
     env.reset()
@@ -89,7 +92,7 @@ def experience(learner: Learner) -> dict[str, Array]:
 
 
 @pytest.mark.parametrize("copies", [1, 10])
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_which_transitions_are_terminal(
     fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str, copies: int
 ) -> None:
@@ -101,7 +104,7 @@ def test_which_transitions_are_terminal(
     terminal = (seen["dones"] > 0) & (seen["timeouts"] == 0)
     absorbed = seen["observations"][:, 1] == 1
     missed = np.abs(seen["observations"][:, 0] * 0.5 - seen["actions"][:, 0]) > 0.5
-    if protocol == "absorbing":
+    if protocol in STATE:
         assert not terminal.any()
         np.testing.assert_array_equal(seen["next_observations"][~absorbed, 1] == 1, missed[~absorbed])
     else:
@@ -110,7 +113,7 @@ def test_which_transitions_are_terminal(
         np.testing.assert_array_equal(terminal, missed)
 
 
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
     learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
     second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
@@ -120,11 +123,10 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
         alive = seen["observations"][:, 1] == 0
         obs = seen["observations"][:, :1] * 0.5
         raw = reward(obs, seen["actions"], obs)
-        if protocol == "absorbing":
-            raw = np.where(alive, raw - reward.absorbing, 0.0)
+        raw = np.where(alive, raw - (reward.absorbing if protocol in OFFSET else 0.0), 0.0)
         # Normalised by what had been seen when the solve began to learn.
         known = raw[:seen_before][alive[:seen_before]]
-        centre = known.mean() if protocol == "absorbing" else 0.0
+        centre = known.mean() if protocol in STATE else 0.0
         expected = (raw - centre) / np.abs(known).mean() * REWARD_SIZE
         np.testing.assert_allclose(seen["rewards"], expected, atol=1e-5)
     assert len(seen["rewards"]) == 500

@@ -1,0 +1,253 @@
+"""The shipped experts: whole, of a version, each of its bar; and how they are made."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from envs import SPECS, EnvSpec
+from envs.spec import Shipped
+from harness import expert_set, expert_training, keys
+from harness.cache import load
+from harness.cli import main
+from harness.environment import numeric
+from harness.expert_set import shipped
+from harness.expert_training import CANDIDATES, COUNT, Candidate, Measured, measure, meets_bar, train_all
+from harness.files import sha256
+from harness.keys import ROOT, cell_key, experts_version, program
+from harness.registry import BadInput
+from harness.request import Request
+from harness.results import Cell, CellResult, Conditions, Row
+from harness.seeds import held_out_seeds, tuning_seeds
+from harness.store import open_for_report, open_for_run
+from methods.network import Network
+
+TASKS = [name for name, spec in SPECS.items() if spec.shipped]
+FOLDER = ROOT / "results/reference/experts"
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+
+
+@pytest.fixture
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The shipped experts in a folder of their own, to be changed; what this process takes for the program's
+    is read anew."""
+    there = tmp_path / "results/reference/experts"
+    there.mkdir(parents=True)
+    for file in FOLDER.iterdir():
+        (there / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "harness").mkdir()
+    (tmp_path / "harness/report.html.j2").write_bytes((ROOT / "harness/report.html.j2").read_bytes())
+    for module in (keys, expert_set):
+        monkeypatch.setattr(module, "ROOT", tmp_path)
+    program.cache_clear()
+    yield there
+    program.cache_clear()
+
+
+@pytest.mark.parametrize("env", TASKS)
+def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None:
+    lines = (FOLDER / "SHA256SUMS").read_text().splitlines()
+    listed = {name: digest for digest, name in (line.split("  ") for line in lines)}
+    for number in range(COUNT):
+        for kind in ("expert", "medium"):
+            file = FOLDER / f"{env}__{number}{'__medium' * (kind == 'medium')}.safetensors"
+            assert listed[file.name] == sha256(file)
+            assert file.stat().st_size < 100_000
+            found = load(file)
+            assert found is not None
+            facts = found.facts
+            assert (facts["env"], facts["kind"]) == (env, kind)
+            assert {
+                "seed",
+                "settings",
+                "curve",
+                "origin",
+                "seconds",
+                "env_steps",
+                "check_steps",
+            } <= facts.keys()
+            assert meets_bar(SPECS[env], Measured(facts["mean_return"], facts["terminated"]))
+            share = (facts["medium_return"] - facts["random_return"]) / (
+                facts["mean_return"] - facts["random_return"]
+            )
+            assert 0.3 <= share <= 0.7
+    assert {f"{env}__{n}.safetensors" for n in range(COUNT)} <= listed.keys()
+    numbers = [shipped(env, seed)[0] for seed in range(2 * COUNT)]
+    assert numbers == [*range(COUNT)] * 2
+
+
+@pytest.mark.parametrize("env", TASKS)
+def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_uses(env: str) -> None:
+    spec = SPECS[env]
+    _, good = shipped(env, 0)
+    _, medium = shipped(env, 0, medium=True)
+    seeds = held_out_seeds(20)
+    best, half = (measure(spec, Network.from_arrays(kept.arrays), seeds) for kept in (good, medium))
+    assert best.mean_return >= 0.95 * good.facts["mean_return"]
+    assert half.mean_return < 0.9 * best.mean_return
+
+
+def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) -> None:
+    version, key = experts_version("cartpole"), cell_key("cartpole", {}, numeric(False))
+    other = experts_version("pendulum"), cell_key("pendulum", {}, numeric(False))
+    file = copy / "cartpole__1.safetensors"
+    file.write_bytes((copy / "cartpole__2.safetensors").read_bytes())
+    program.cache_clear()
+    assert experts_version("cartpole") != version
+    assert cell_key("cartpole", {}, numeric(False)) != key
+    assert (experts_version("pendulum"), cell_key("pendulum", {}, numeric(False))) == other
+    assert shipped("cartpole", 0)
+    with pytest.raises(BadInput, match=r"cartpole__1.safetensors is damaged"):
+        shipped("cartpole", 1)
+
+
+def test_a_task_without_experts_says_what_to_do(copy: Path) -> None:
+    for file in copy.glob("cartpole__*"):
+        file.unlink()
+    program.cache_clear()
+    assert experts_version("cartpole") == ""
+    with pytest.raises(BadInput, match="no experts of cartpole are installed"):
+        shipped("cartpole", 0)
+
+
+def result(method: str, seed: int = 0) -> CellResult:
+    policies = ("expert", "random") if method == "reference" else ("pi_star", "pi_R")
+    rows = [Row("cartpole", method, seed, policy, "absorbing", return_mean=1.0) for policy in policies]  # type: ignore[arg-type]
+    return CellResult(Cell("cartpole", method, seed), rows)
+
+
+def test_results_of_two_versions_of_experts_are_never_mixed(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    request = Request(("bc", "shaped"), ("cartpole",), 1, CONDITIONS)
+    out = tmp_path / "run"
+    with open_for_run(out, request) as run:
+        for method in ("reference", "bc", "shaped"):
+            run.save(result(method))
+    (copy / "cartpole__0.safetensors").write_bytes((copy / "cartpole__1.safetensors").read_bytes())
+    program.cache_clear()
+    with open_for_run(out, request) as run:
+        found, unusable = run.load()
+        assert found == {}
+        assert all("its experts" in reason for reason in unusable.values())
+        for method in ("reference", "bc"):  # a run that asked for less
+            run.save(result(method))
+    with open_for_report(out) as run:  # which of no version knows that it is the present one
+        found, unusable = run.load()
+        assert [cell.method for cell in found] == ["bc", "reference"]
+        assert [path.stem for path in unusable] == ["cartpole__shaped__seed0"]
+    assert main(["report", str(out)]) == 1
+    assert "computed by another version" in capsys.readouterr().err
+
+
+# How they are made.
+
+
+def candidate(env: str, seed: int, mean: float, medium: float = 5.0) -> Candidate:
+    return Candidate(env, seed, "", mean, 0.0, mean, medium, 1.0, 100, 10, 1.5)
+
+
+@pytest.fixture
+def task(steady: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> EnvSpec:
+    spec = dataclasses.replace(steady, shipped=Shipped(steps=1500, bar=9.0))
+    monkeypatch.setitem(SPECS, "steady", dataclasses.replace(spec, name="steady"))
+    return SPECS["steady"]
+
+
+def test_an_agent_is_judged_on_tuning_episodes_and_its_files_hold_its_policies(
+    task: EnvSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: set[int] = set()
+    plain = expert_training.measure
+
+    def spy(spec: EnvSpec, policy: object, seeds: range) -> Measured:
+        asked.update(seeds)
+        return plain(spec, policy, seeds)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(expert_training, "measure", spy)
+    one, expert, medium = expert_training.train("steady", 3)
+    assert asked <= set(tuning_seeds(1000))
+    assert one.mean_return > 9
+    assert one.random_return < one.medium_return < one.mean_return
+    assert one.env_steps == 1500
+    for data, kind, level in ((expert, "expert", one.mean_return), (medium, "medium", one.medium_return)):
+        (tmp_path / "file").write_bytes(data)
+        found = load(tmp_path / "file")
+        assert found is not None
+        assert (found.facts["kind"], found.facts["seed"]) == (kind, 3)
+        measured = measure(task, Network.from_arrays(found.arrays), tuning_seeds(200))
+        assert measured.mean_return == pytest.approx(level, abs=0.2)
+    again = expert_training.train("steady", 3)
+    assert again[0]._replace(seconds=0.0) == one._replace(seconds=0.0)
+
+
+def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
+    task: EnvSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained: list[int] = []
+
+    def launch(env: str, seed: int) -> object:
+        trained.append(seed)
+        mean = 8.0 if seed in (0, 3) else 9.5  # two below the bar
+        one = candidate(env, seed, mean, medium=1.5 if seed == 4 else 5.0)  # one with no medium
+        future: expert_training.Future[object] = expert_training.Future()
+        future.set_result((one, f"expert {seed}".encode(), f"medium {seed}".encode()))
+        return future
+
+    monkeypatch.setattr(expert_training, "in_a_process", lambda **_: lambda function: launch)
+    train_all(("steady",), tmp_path, workers=2)
+    kept = {file.name: file.read_text() for file in tmp_path.glob("steady__*")}
+    good = [1, 2, 5, 6, 7]
+    assert kept == {
+        f"steady__{number}{'__medium' * (kind == 'medium')}.safetensors": f"{kind} {seed}"
+        for number, seed in enumerate(good)
+        for kind in ("expert", "medium")
+    }
+    lines = (tmp_path / CANDIDATES).read_text().splitlines()[1:]
+    assert [line.split(",")[1:3] for line in lines] == [
+        [str(seed), str(good.index(seed)) if seed in good else ""] for seed in sorted(trained)
+    ]
+    assert sorted(path.name for path in tmp_path.glob(".*")) == [".lock"]
+    before = list(trained)
+    train_all(("steady",), tmp_path, workers=2)
+    assert trained == before
+
+
+def test_too_few_good_agents_are_told(task: EnvSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def launch(env: str, seed: int) -> object:
+        future: expert_training.Future[object] = expert_training.Future()
+        future.set_result((candidate(env, seed, 8.0), b"", b""))
+        return future
+
+    monkeypatch.setattr(expert_training, "in_a_process", lambda **_: lambda function: launch)
+    with pytest.raises(BadInput, match="steady: 0 of 20 agents meet the bar, 5 are needed"):
+        train_all(("steady",), tmp_path, workers=2)
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "env,seed\ncartpole,x\n"])
+def test_a_damaged_list_of_candidates_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / CANDIDATES).write_text(text)
+    with pytest.raises(BadInput, match="is damaged"):
+        train_all(("cartpole",), tmp_path, workers=1)
+
+
+def test_check_measures_on_held_out_episodes_and_names_what_misses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("cartpole__0.safetensors", "cartpole__0__medium.safetensors"):
+        (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
+    asked: list[range] = []
+    returns = iter([499.0, 250.0, 500.0, 250.0])
+
+    def measured(spec: EnvSpec, policy: object, seeds: range) -> Measured:
+        asked.append(seeds)
+        return Measured(next(returns), 0.0)
+
+    monkeypatch.setattr(expert_training, "measure", measured)
+    assert main(["experts", "check", "cartpole", "--dir", str(tmp_path)]) == 1
+    assert "cartpole__0.safetensors: mean return 499.00, 0.0% ended early MISSED" in capsys.readouterr().out
+    assert main(["experts", "check", "cartpole", "--dir", str(tmp_path)]) == 0
+    assert set(asked) == {held_out_seeds(1000)}
