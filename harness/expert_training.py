@@ -39,7 +39,7 @@ FIRST_EPISODES = 200
 NEAR, MOST_NEAR = 0.01, 12
 """Checkpoints whose returns differ by less, relative to the range from random to best, are near-ties; of more
 than so many, some at equal distances are compared."""
-MEDIUM, MEDIUM_RANGE, MEDIUM_TRIED = 0.5, 0.2, 3
+MEDIUM, MEDIUM_RANGE, MEDIUM_TRIED = 0.5, 0.2, 10
 """Share of that range which a medium expert should have; how far from it it may be; and checkpoints that are
 measured for it."""
 CANDIDATES = "candidates.csv"
