@@ -31,7 +31,7 @@ from harness.report import as_csv
 from harness.request import is_begun
 from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
 from harness.store import held
-from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 GREEN, YELLOW = "#009e73", "#e69f00"
@@ -81,14 +81,13 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
 
 
 def _line(entry: Entry) -> dict[str, str | int | float]:
-    names = {name_of(n, d): (n, d) for n in TRAJECTORIES for d in DECAYS}
-    trajectories, decay = names.get(entry.method, ("", ""))
+    arm = ARMS.get(entry.method)
     return {
         "env": entry.env,
         "protocol": entry.protocol,
-        "reward": "R*" if entry.method in names else entry.method,
-        "trajectories": trajectories,
-        "weight decay": decay,
+        "method": arm.method if arm else entry.method,
+        "trajectories": arm.demonstrations if arm else "",
+        "weight decay": arm.settings.get("weight_decay", "") if arm else "",
         "policy": entry.policy,
         "seeds": entry.seeds_ok,
         "score": entry.score_mean,
@@ -151,6 +150,11 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
         axes: Axes = figure.add_subplot(1, 2, place + 1, sharey=first)
         first = first or axes
         for policy, colour, label in (("pi_star", BLUE, r"$\pi^*$"), ("pi_R", ORANGE, r"$\pi_R$")):
+            if policy == "pi_star":
+                clones = {n: found.get((protocol, name, policy)) for name, (_, n, _) in CLONES.items()}
+                known = [(n, e.score_mean) for n, e in clones.items() if e and math.isfinite(e.score_mean)]
+                if known:
+                    axes.plot(*zip(*known, strict=True), color=GREEN, marker="^", label="behaviour cloning")
             for shift, decay in enumerate(DECAYS):
                 points = [
                     (n * (0.94 + 0.06 * shift + 0.03 * (policy == "pi_R")), entry)

@@ -41,6 +41,7 @@ METHOD_COST = {
     **dict.fromkeys(("maxmargin", "maxmargin_projection", "maxent", "maxent_linear"), 2.2),
     **dict.fromkeys(CONTROLS, 1.0),
     "control_shuffled": 2.0,
+    "control_clone": 1.8,
 }
 EXPERT_COST = 0.3
 """What tasks take; RL from scratch in cart-pole is 1. Only their order and the ETA depend on it."""

@@ -1,5 +1,6 @@
 """The arms of `reproduce`'s study: the thesis's model on more or fewer trajectories, with and without weight
-regularisation, which section 5.3 suspects. Their names stand for methods in cells."""
+regularisation, which section 5.3 suspects; and behaviour cloning on as many. Their names stand for methods in
+cells."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ def name_of(trajectories: int, decay: float) -> str:
     return f"shaped_{trajectories}_trajectories_decay_{decay:g}"
 
 
-ARMS = {name_of(n, d): Arm("shaped", n, {"weight_decay": d}) for n in TRAJECTORIES for d in DECAYS}
+CLONES = {f"bc_{n}_trajectories": Arm("bc", n, {}) for n in TRAJECTORIES}
+ARMS = {name_of(n, d): Arm("shaped", n, {"weight_decay": d}) for n in TRAJECTORIES for d in DECAYS} | CLONES
 THESIS = name_of(100, 0.0)
 """What the thesis evaluates."""

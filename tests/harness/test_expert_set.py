@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from harness.environment import numeric
 from harness.expert_set import shipped
 from harness.expert_training import CANDIDATES, COUNT, Candidate, Measured, measure, meets_bar, train_all
 from harness.files import sha256
-from harness.keys import ROOT, cell_key, experts_version, program
+from harness.keys import EXPERTS, ROOT, cell_key, experts_version, program
 from harness.registry import BadInput
 from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
@@ -141,6 +142,14 @@ def test_results_of_two_versions_of_experts_are_never_mixed(
         assert [path.stem for path in unusable] == ["cartpole__shaped__seed0"]
     assert main(["report", str(out)]) == 1
     assert "computed by another version" in capsys.readouterr().err
+
+
+def test_the_package_brings_them_where_they_are_looked_for() -> None:
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    repository, installed = EXPERTS
+    assert setup["package-dir"] == {installed.replace("/", "."): repository}
+    assert installed.replace("/", ".") in setup["packages"]
+    assert setup["package-data"][installed.replace("/", ".")] == ["*.safetensors", "SHA256SUMS"]
 
 
 # How they are made.

@@ -14,10 +14,9 @@ from harness.cells import SPECS, run_cell
 from harness.cli import main
 from harness.environment import CACHE_VARIABLE
 from harness.leaderboard import leaderboard, scored_rows
-from harness.registry import PROTOCOLS
-from harness.reproduce import _study
+from harness.reproduce import PROTOCOLS, _study
 from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
-from harness.study import ARMS, DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
 
@@ -45,6 +44,10 @@ class InstantGrid:
 
         level = ARMS[cell.method].demonstrations if cell.method in ARMS else 400
         rows = [row("pi_star", 2.0 * level), row("pi_R", level)]
+        if cell.method in CLONES:
+            rows[1] = Row(
+                cell.env, cell.method, cell.seed, "pi_R", self.protocol, "skipped", "learns no reward"
+            )
         if cell.method == REFERENCE:
             rows = [row("expert", 500), row("random", 0)]
         elif cell.method in CONTROLS:
@@ -70,19 +73,21 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
     assert set(scores["method"]) == methods
-    learned = table[table["reward"] == "R*"]
+    learned = table[table["method"].isin(["shaped", "bc"])]
     assert len(learned) == len(ARMS) * 2 * 2 * 2  # policies, envs, protocols
+    learned = learned[learned["score"].notna()]
+    assert len(learned) == (len(ARMS) * 2 - len(CLONES)) * 2 * 2  # bc has no pi_R
     assert set(learned["trajectories"]) == set(TRAJECTORIES)
-    assert set(learned["weight decay"]) == set(DECAYS)
+    assert set(learned["weight decay"].dropna()) == set(DECAYS)
     for _, line in learned.iterrows():
         times = 2 if line["policy"] == "pi_star" else 1
         assert line["score"] == pytest.approx((times * line["trajectories"] + 1) / 500)
         assert line["low"] < line["score"] < line["high"]
     one = table[(table["env"] == "pendulum") & (table["protocol"] == "native")]
-    assert list(dict.fromkeys(one["reward"])) == ["R*", *CONTROLS]
+    assert list(dict.fromkeys(one["method"])) == ["shaped", "bc", *CONTROLS]
     assert one["trajectories"].dropna().is_monotonic_increasing
     assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
-    assert "| cartpole | native | R* | 100 | 0" in capsys.readouterr().out
+    assert "| cartpole | native | shaped | 100 | 0" in capsys.readouterr().out
 
     pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert len(pictures) == 4
@@ -98,6 +103,7 @@ def test_cells_that_a_later_run_added_to_its_directories_are_no_part_of_a_study(
     assert reproduce() == 0
     study = (tmp_path / "study.md").read_text()
     more = ["run", "--methods", "bc", "--envs", "cartpole,highway", "--seeds", "3", "--protocol", "native"]
+    more += ["--experts", "trained"]
     assert main([*more, "--out", str(tmp_path / "native")]) == 0
     assert reproduce() == 0
     assert (tmp_path / "study.md").read_text() == study
