@@ -193,10 +193,14 @@ class EnvSpec:
         actions = (
             isinstance(act, spaces.Discrete) and act.n == self.act_size
             if self.discrete
-            else act.shape == (self.act_size,)
+            else act == spaces.Box(-1.0, 1.0, (self.act_size,), np.float32)
         )
         if obs.shape != (self.obs_size,) or not actions:
-            raise ValueError(f"{self.name}: spaces {obs}, {act} contradict the spec's sizes")
+            raise ValueError(f"{self.name}: spaces {obs}, {act} contradict the spec's sizes or bounds")
+        if env.spec is None or env.spec.max_episode_steps != self.horizon:
+            raise ValueError(
+                f"{self.name}: the environment is not truncated at the spec's {self.horizon} steps"
+            )
         return env
 
     def executed(self, act: Array) -> Array:

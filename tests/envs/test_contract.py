@@ -147,3 +147,10 @@ def test_a_spec_that_contradicts_its_environment_is_refused(spec: EnvSpec) -> No
         liar.make()
     with pytest.raises(ValueError, match="contradict"):
         dataclasses.replace(spec, discrete=not spec.discrete).make()
+    with pytest.raises(ValueError, match="not truncated at"):
+        dataclasses.replace(spec, horizon=spec.horizon + 1).make()
+
+
+def test_actions_of_other_bounds_are_refused() -> None:
+    with pytest.raises(ValueError, match="bounds"):
+        dataclasses.replace(SPECS["pendulum"], env_id="InvertedPendulum-v5").make()
