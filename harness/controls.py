@@ -50,8 +50,9 @@ def control_reward(
     if name == "control_shuffled":
         return fit("shaped", shuffled(demos(), rng)).reward
     if name == "control_clone":
-        reward = Distance(fit("bc", demos()).policy)
-        return replace(reward, absorbing=default_absorbing(reward, demos(), random_actions, rng))
+        shown = demos()
+        reward = Distance(fit("bc", shown).policy)
+        return replace(reward, absorbing=default_absorbing(reward, shown, random_actions, rng))
     return {
         "control_true": None,
         "control_plus1": Constant(1.0, absorbing=1.0),

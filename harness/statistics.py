@@ -18,9 +18,9 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     """The 95 % interval of the mean of independent values, by Student's t.
 
     It covers the mean of normal values 95 times in 100, however few they are; that of scores which pile up at
-    a bound less often (docs/statistics.md). With fewer than two values there is none: (NaN, NaN). With equal
-    values it is that value, which says that they did not vary here, not that they could not. Raises
-    ValueError for values that are not finite.
+    a bound less often. With fewer than two values there is none: (NaN, NaN). With equal values it is that
+    value, which says that they did not vary here, not that they could not. Raises ValueError for values that
+    are not finite.
     """
     if not np.isfinite(values).all():
         raise ValueError(f"values must be finite, not {list(values)}")
