@@ -43,14 +43,15 @@ class Expert:
 
 
 def expert_for(env: str, seed: int, conditions: Conditions) -> Expert:
-    """The expert of a run seed: the shipped one of number `seed` modulo their count; or, where conditions say
-    'trained', one trained now with the budget of all RL, which takes minutes, or found in the cache."""
+    """The expert of a run seed: the shipped one of number `seed` modulo their count. Where the task has none,
+    or conditions say 'trained', one trained now with the budget of all RL, which takes minutes, or found in
+    the cache."""
     spec = SPECS[env]
     if spec.tabular:  # An exact solution is found faster than it is read.
         return _trained(spec, seed, conditions)[0]
-    if conditions.experts == "shipped":
+    if conditions.experts == "shipped" and (version := experts_version(env)):
         number, found = shipped(env, seed)
-        name = f"{experts_version(env)}:{number}"
+        name = f"{version}:{number}"
     else:
         asked = [conditions.rl, spec.rl_steps[conditions.budget], asdict(rl_settings_for(env))]
         found = kept(f"expert{seed}", env, asked, lambda: _trained(spec, seed, conditions)[1])
@@ -100,7 +101,7 @@ def prepare(env: str, seed: int, conditions: Conditions) -> None:
 
 
 def _shared(expert: Expert, conditions: Conditions, count: int) -> list[object]:
-    trained = [conditions.rl, conditions.budget] if conditions.experts == "trained" else []
+    trained = [conditions.rl, conditions.budget] if expert.name.startswith("trained") else []
     return [expert.name, count, *trained]
 
 

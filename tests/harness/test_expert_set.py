@@ -14,9 +14,10 @@ from envs.spec import Shipped
 from harness import expert_set, expert_training, keys
 from harness.cache import load
 from harness.cli import main
-from harness.environment import numeric
+from harness.environment import CACHE_VARIABLE, numeric
 from harness.expert_set import shipped
 from harness.expert_training import CANDIDATES, COUNT, Candidate, Measured, measure, meets_bar, train_all
+from harness.experts import expert_for
 from harness.files import sha256
 from harness.keys import EXPERTS, ROOT, cell_key, experts_version, program
 from harness.registry import BadInput
@@ -105,13 +106,18 @@ def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) ->
         shipped("cartpole", 1)
 
 
-def test_a_task_without_experts_says_what_to_do(copy: Path) -> None:
+def test_a_task_without_shipped_experts_trains_its_own(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     for file in copy.glob("cartpole__*"):
         file.unlink()
     program.cache_clear()
     assert experts_version("cartpole") == ""
     with pytest.raises(BadInput, match="no experts of cartpole are installed"):
         shipped("cartpole", 0)
+    conditions = dataclasses.replace(CONDITIONS, rl="sb3")
+    assert expert_for("cartpole", 2, conditions).name == "trained:2"
 
 
 def result(method: str, seed: int = 0) -> CellResult:
