@@ -27,7 +27,7 @@ from harness.seeds import held_out_seeds, tuning_seeds
 from harness.store import open_for_report, open_for_run
 from methods.network import Network
 
-TASKS = [name for name, spec in SPECS.items() if spec.shipped]
+TASKS = ("cartpole", "pendulum", "highway")
 FOLDER = ROOT / "results/reference/experts"
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
