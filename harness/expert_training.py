@@ -72,14 +72,15 @@ class Measured(NamedTuple):
 def measure(spec: EnvSpec, policy: Policy, seeds: range) -> Measured:
     """On the episodes of these seeds."""
     scored = evaluate(spec, policy, seeds)
-    early = 1 - scored.endings.get("time limit", 0) / len(seeds)
+    early = (len(seeds) - scored.endings.get("time limit", 0)) / len(seeds)
     return Measured(float(scored.returns.mean()), early)
 
 
 def meets_bar(spec: EnvSpec, measured: Measured) -> bool:
     """Whether an expert may be shipped."""
     assert spec.shipped is not None
-    return measured.mean_return >= spec.shipped.bar and measured.terminated <= spec.shipped.terminated
+    ended_early = round(measured.terminated, 9)  # 10 of 1,000 are 1 %, and no more
+    return measured.mean_return >= spec.shipped.bar and ended_early <= spec.shipped.terminated
 
 
 def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:

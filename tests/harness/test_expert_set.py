@@ -231,6 +231,12 @@ def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
     assert trained == before
 
 
+@pytest.mark.parametrize(("early", "good"), [(1 - 0.99, True), (0.01, True), (0.011, False)])
+def test_a_bar_may_be_reached_exactly(early: float, good: bool) -> None:
+    assert meets_bar(SPECS["highway"], Measured(67.0, early)) == good
+    assert not meets_bar(SPECS["highway"], Measured(66.99, 0.0))
+
+
 def test_too_few_good_agents_are_told(task: EnvSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def launch(env: str, seed: int) -> object:
         future: expert_training.Future[object] = expert_training.Future()
