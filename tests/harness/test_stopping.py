@@ -219,6 +219,6 @@ def test_a_directory_that_goes_while_the_run_goes_on_is_one_line(tmp_path: Path,
     _, err = process.communicate(timeout=20)
     assert process.returncode == 2
     assert re.fullmatch(
-        r"irl-bench: error: .* moved or deleted; cannot store cartpole__bc__seed0: '.*/run'\n", err
+        r"irl-bench: error: .* moved, deleted or changed while the run goes on: '.*/run'\n", err
     )
     assert not (tmp_path / "run").exists()

@@ -16,6 +16,7 @@ from harness import streams
 from harness.request import Request
 from harness.results import Cell, CellResult, Conditions, Row
 from harness.store import open_for_run
+from tests.harness.fake_runs import PER_SEED
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -61,8 +62,8 @@ def test_wherever_it_prints_to_a_failed_cell_is_exit_1_and_the_report_is_there(
     code, err = shell(tmp_path, line.replace("RUN", RUN))
     assert code == 1
     assert "Traceback" not in err
-    assert (tmp_path / "run/leaderboard.md").read_text() == "a table of 8 cells\n"
-    assert sum(name.endswith(".json") for name in os.listdir(tmp_path / "run/cells")) == 8
+    assert (tmp_path / "run/leaderboard.md").read_text() == f"a table of {PER_SEED + 1} cells\n"
+    assert sum(name.endswith(".json") for name in os.listdir(tmp_path / "run/cells")) == PER_SEED + 1
 
 
 def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_path: Path) -> None:
