@@ -25,6 +25,8 @@ UNINFORMED = ("control_survival", "control_shuffled")
 """Controls that know nothing of how to do the task."""
 NO_BETTER = 0.05
 """A task where one of them scores within this of the best method's pi_R tells no reward from none."""
+NEGLIGIBLE = 0.005
+"""Differences of scores up to this are none."""
 GOOD = 0.95
 """Runs that score less are counted."""
 UNSCORED = ("not scored", "no expert better than a random policy to measure by")
@@ -59,7 +61,7 @@ class Entry:
     behind_low: float
     behind_high: float
     tied: bool
-    """Whether that interval holds 0: it is not told apart from the best."""
+    """Whether that interval holds 0, or what is negligible beside it: it is not told apart from the best."""
     above_best_lower_control: float
     """Of pi_R rows: score_mean minus the best score_mean of the three lower controls."""
     reward_distance: float
@@ -207,7 +209,7 @@ def _entry(rows: list[Row], score: float, above: float, best: list[Row], scales:
         behind_mean=behind,
         behind_low=behind_low,
         behind_high=behind_high,
-        tied=bool(behind_low <= 0 <= behind_high),
+        tied=bool(behind_low <= NEGLIGIBLE and behind_high >= -NEGLIGIBLE),
         above_best_lower_control=above,
         reward_distance=_mean([row.reward_distance for row in ok]),
         reward_rank=_mean([row.reward_rank for row in ok]),
