@@ -14,9 +14,10 @@ import threading
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
-from harness.registry import BUDGETS, ENVS, EXPERTS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput, choose
+from harness.arguments import parser
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput, choose
 from harness.signals import ignore_stops, stop_cleanly
 
 if TYPE_CHECKING:
@@ -24,17 +25,8 @@ if TYPE_CHECKING:
     from harness.results import Cell, CellResult
     from harness.store import RunDirectory
 
-MOST = 1000
-"""Largest count that --seeds and --workers take."""
 MOST_NAMED = 20
 """Files that a line names, but for the first."""
-LONGEST = 10**6
-"""Largest number of seconds that --cell-timeout takes."""
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise BadInput(message)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +53,7 @@ def _plain(text: str) -> str:
 
 def _dispatch(argv: list[str]) -> int:
     try:
-        args = _parser().parse_args(argv)
+        args = parser().parse_args(argv)
     except SystemExit:  # --help, the only other way out of a parser whose error() raises
         return 0
     if args.command == "list":
@@ -93,91 +85,6 @@ def _check_python() -> None:
         found = Path(spec.origin) if spec and spec.origin else Path(name).absolute()
         if found.resolve() != Path(__file__).resolve().parents[1] / name / "__init__.py":
             raise BadInput(f"{found} hides this program's package {name!r}; run it from another folder")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="irl-bench", description=__doc__, allow_abbrev=False)
-    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
-    commands = parser.add_subparsers(dest="command", required=True)
-    add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
-    add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
-    add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join(ENVS))
-    add.add_argument("--seeds", type=_count, metavar="K", help="how many, from 0 (default 1; 5 for full)")
-    add.add_argument("--budget", default="quick", choices=BUDGETS)
-    add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
-    add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
-    add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
-    add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
-    _add_how_cells_run(add)
-    add = commands.add_parser(
-        "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
-    )
-    add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
-    add.add_argument("--budget", default="quick", choices=BUDGETS)
-    add.add_argument("--out", default=Path("results/reproduce"), type=_folder, metavar="DIR")
-    _add_how_cells_run(add)
-    add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
-    add.add_argument("directory", type=Path, metavar="DIR")
-    add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
-    add.add_argument("directory", type=Path, metavar="DIR")
-    add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
-    add.add_argument("--json", action="store_true", help="as JSON, at the end")
-    add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
-    what = add.add_subparsers(dest="what", required=True)
-    for name, does in (("train", "train new ones"), ("check", "measure them on episodes of their own")):
-        add = what.add_parser(name, help=does, allow_abbrev=False)
-        add.add_argument("envs", nargs="*", default=["all"], metavar="ENV")
-        add.add_argument(
-            "--dir",
-            type=_folder,
-            metavar="DIR",
-            help="default: results/experts to train, the shipped ones to check",
-        )
-        if name == "train":
-            add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
-    commands.add_parser("list", help="methods and environments", allow_abbrev=False)
-    return parser
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("irl-bench")
-    except PackageNotFoundError:
-        return "(not installed)"
-
-
-def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
-    add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
-    add("--deterministic", action="store_true", help="the same instructions on every processor; slower")
-    add("--retry-failed", action="store_true", help="compute again what failed before")
-
-
-def _count(text: str) -> int:
-    return _whole(text, MOST)
-
-
-def _seconds(text: str) -> int:
-    return _whole(text, LONGEST)
-
-
-def _folder(text: str) -> Path:
-    """With no '..' in it, which would mean another folder once those before it are made."""
-    path = Path(text)
-    return Path(os.path.realpath(path)) if ".." in path.parts else path
-
-
-def _whole(text: str, most: int) -> int:
-    try:
-        number = int(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number") from error
-    if not 1 <= number <= most:
-        raise argparse.ArgumentTypeError(f"must lie between 1 and {most}, not {text[:40]}")
-    return number
 
 
 def _list() -> int:

@@ -44,14 +44,14 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
 
 
 def test_every_command_and_option_of_the_documents_exists() -> None:
-    from harness.cli import _parser
+    from harness.arguments import parser
 
     text = "".join(
         page.read_text(encoding="utf-8") for page in (ROOT / "README.md", ROOT / "docs/commands.md")
     )
-    helps = _parser().format_help()
+    helps = parser().format_help()
     for command in re.findall(r"irl-bench (\w+)", text):
         assert command in helps, command
     options = set(re.findall(r"--[a-z][a-z-]+", text)) - {"--bind"}  # rerun's
     for option in options:
-        assert f'"{option}"' in (ROOT / "harness/cli.py").read_text(encoding="utf-8"), option
+        assert f'"{option}"' in (ROOT / "harness/arguments.py").read_text(encoding="utf-8"), option

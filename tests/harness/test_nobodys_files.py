@@ -1,54 +1,24 @@
 """Files that a run did not write: none is deleted, written over, followed or called damaged."""
 
-import dataclasses
-import json
 import os
-import resource
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from harness.cli import main
-from harness.codec import checksum, encode
-from harness.files import append, appending, read, sha256, write_atomic
+from harness.files import appending, read, write_atomic
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.request import Request, write_request
-from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
+from harness.store import SUMS, open_for_report, open_for_run
+from tests.harness.small_runs import RECORDING, REQUEST, run, snapshot, strange
+
+__all__ = ["run"]
 
 ROOT = Path(__file__).parents[2]
-CONDITIONS = Conditions("smoke", "absorbing", "sbx")
-REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
-RECORDING = "cartpole__bc__seed0__pi_star.rrd"
-
-
-def result(method: str = "bc") -> CellResult:
-    row = Row("cartpole", method, 0, "pi_star", "absorbing", episodes=1, return_mean=1.0, length_mean=1.0)
-    return CellResult(Cell("cartpole", method, 0), [row], {"loss": [(0.0, 1.0), (1.0, 0.5)]})
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    """A finished run of a real report."""
-    path = tmp_path / "deep/run"
-    with open_for_run(path, REQUEST) as directory:
-        write_atomic(path / "recordings" / RECORDING, b"a recording")
-        recordings = {RECORDING: sha256(path / "recordings" / RECORDING)}
-        directory.save(dataclasses.replace(result(), recordings=recordings))
-    assert main(["report", str(path)]) == 0
-    assert main(["verify", str(path)]) == 0
-    return path
-
-
-def snapshot(path: Path) -> dict[str, bytes | None]:
-    return {str(file): file.read_bytes() if file.is_file() else None for file in path.rglob("*")}
-
-
-# The directory of a run.
 
 
 def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> None:
@@ -108,9 +78,9 @@ def test_a_study_that_was_killed_at_once_can_be_started_again(tmp_path: Path) ->
 
 
 def test_reproduce_writes_to_no_committed_results_unless_told() -> None:
-    from harness.cli import _parser
+    from harness.arguments import parser
 
-    assert _parser().parse_args(["reproduce"]).out == Path("results/reproduce")
+    assert parser().parse_args(["reproduce"]).out == Path("results/reproduce")
 
 
 @pytest.mark.parametrize("folder", ["cells", "recordings", "figures"])
@@ -143,24 +113,20 @@ def test_a_file_that_leads_elsewhere_is_replaced_and_not_followed(run: Path, nam
     assert not (run / name).is_symlink()
 
 
-@pytest.mark.parametrize("name", ["run.log", SUMS])
-def test_what_is_appended_to_leads_nowhere_else(run: Path, name: str) -> None:
-    elsewhere = run.parents[1] / "mine"
-    elsewhere.write_text("mine")
+@pytest.mark.parametrize("name", [".lock", "run.log", SUMS])
+@pytest.mark.parametrize(
+    ("link", "reason"), [(Path.symlink_to, "is a link"), (Path.hardlink_to, "other names")]
+)
+def test_what_is_written_to_leads_nowhere_else(
+    run: Path, name: str, link: Callable[[Path, Path], None], reason: str
+) -> None:
+    mine = run.parents[1] / "mine"
+    mine.write_text("mine")
     (run / name).unlink(missing_ok=True)
-    (run / name).symlink_to(elsewhere)
-    with pytest.raises(BadInput, match="it is a link"), open_for_run(run, REQUEST):
+    link(run / name, mine)
+    with pytest.raises(BadInput, match=reason), open_for_run(run, REQUEST):
         pass
-    assert elsewhere.read_text() == "mine"
-
-
-def strange(run: Path, **changes: object) -> None:
-    """The stored cell with other values in its row, and a right checksum."""
-    file = run / "cells/cartpole__bc__seed0.json"
-    stored = json.loads(file.read_text())
-    stored["result"]["rows"][0] |= changes
-    stored["sha256"] = checksum(stored["result"])
-    file.write_text(json.dumps(stored))
+    assert mine.read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -215,17 +181,6 @@ def test_a_run_deletes_what_a_killed_run_left_half_written(run: Path) -> None:
     assert (run / "figures/.a.png.0123456789abcdef.tmp").is_dir()
 
 
-@pytest.mark.parametrize("name", [".lock", SUMS, "run.log"])
-def test_what_has_other_names_besides_is_not_written_to(run: Path, name: str) -> None:
-    mine = run.parents[1] / "mine"
-    mine.write_text("mine")
-    (run / name).unlink(missing_ok=True)
-    (run / name).hardlink_to(mine)
-    with pytest.raises(BadInput, match="other names"), open_for_run(run, REQUEST):
-        pass
-    assert mine.read_text() == "mine"
-
-
 @pytest.mark.parametrize("text", ["another program's", "4242", "irl-bench 1\n"])
 @pytest.mark.parametrize("command", ["run", "reproduce"])
 def test_a_lock_of_another_program_marks_no_new_directory(tmp_path: Path, text: str, command: str) -> None:
@@ -262,265 +217,6 @@ def test_folders_are_not_made_for_what_is_refused(tmp_path: Path, monkeypatch: p
     for out in ("new/sub/../../mine", f"new/../{deep}", deep):
         assert main(["run", "--out", out]) == 2
     assert not (tmp_path / "new").exists()
-
-
-# What a run had.
-
-
-@pytest.mark.parametrize(
-    "gone", ["cells/*", "recordings/*", "figures/*", "cells", "scores.csv", SUMS, "[!r]*"]
-)
-def test_whatever_a_run_had_and_has_no_more_is_damage(
-    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for path in run.glob(gone):
-        if path.is_dir():
-            path.rename(run.parent / path.name)
-        else:
-            path.unlink()
-    assert main(["verify", str(run)]) == 1
-    assert "every file is as it was written" not in capsys.readouterr().out
-
-
-def test_cells_that_were_stored_before_the_first_report_are_listed_too(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST) as directory:
-        directory.save(result())
-    assert main(["verify", str(tmp_path)]) == 0
-    (tmp_path / "cells/cartpole__bc__seed0.json").unlink()
-    assert main(["verify", str(tmp_path)]) == 1
-
-
-@pytest.mark.parametrize("what", ["scores.csv", "figures/cartpole_scores.png", "report.key", "cells/*"])
-def test_a_list_of_checksums_that_was_shortened_is_damage_and_mended_by_report(
-    run: Path, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (file,) = run.glob(what)
-    name = file.relative_to(run).as_posix()
-    lines = (run / SUMS).read_text().splitlines(keepends=True)
-    (run / SUMS).write_text("".join(line for line in lines if not line.endswith(f"  {name}\n")))
-    before = file.read_bytes()
-    if what != "cells/*":
-        file.write_text("something else")
-    assert main(["verify", str(run)]) == 1
-    assert "SHA256SUMS" in capsys.readouterr().out
-    with open_for_run(run, REQUEST) as directory:
-        assert not directory.is_sealed(list(directory.load()[0].values()))
-    assert main(["report", str(run)]) == 0
-    assert main(["verify", str(run)]) == 0
-    assert file.name == "report.key" or file.read_bytes() == before
-
-
-def test_a_cell_that_was_deleted_with_its_line_is_damage(run: Path) -> None:
-    lines = (run / SUMS).read_text().splitlines(keepends=True)
-    (run / SUMS).write_text("".join(line for line in lines if "  cells/" not in line))
-    (run / "cells/cartpole__bc__seed0.json").unlink()
-    assert main(["verify", str(run)]) == 1
-
-
-def test_a_changed_request_is_damage_though_it_says_the_same(run: Path) -> None:
-    (run / "run.json").write_text((run / "run.json").read_text().replace(",", " ,"))
-    assert main(["verify", str(run)]) == 1
-
-
-@pytest.mark.parametrize("gone", ["deleted", "damaged"])
-def test_a_report_without_a_cell_that_was_stored_says_so_and_remembers_it(
-    tmp_path: Path, gone: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=2)) as directory:
-        directory.save(result())
-        second = dataclasses.replace(result().rows[0], seed=1)
-        directory.save(CellResult(Cell("cartpole", "bc", 1), [second]))
-    lost = tmp_path / "cells/cartpole__bc__seed1.json"
-    lost.write_text("{") if gone == "damaged" else lost.unlink()
-    for _ in range(2):
-        assert main(["report", str(tmp_path)]) == 1
-        assert "cartpole__bc__seed1" in capsys.readouterr().err
-        assert main(["verify", str(tmp_path)]) == 1
-        assert lost.name in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("gone", ["deleted", "damaged"])
-def test_a_report_without_a_recording_says_so(
-    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = run / "recordings" / RECORDING
-    recording.write_text("{") if gone == "damaged" else recording.unlink()
-    assert main(["report", str(run)]) == 1
-    assert f"{RECORDING} is missing or damaged" in capsys.readouterr().err
-    assert main(["verify", str(run)]) == 1
-
-
-@pytest.mark.parametrize("kind", ["deleted", "pipe", "link", "binary"])
-def test_a_leaderboard_that_is_none_is_built_again(
-    run: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = run / "leaderboard.md"
-    before = table.read_bytes()
-    table.unlink()
-    if kind == "pipe":
-        os.mkfifo(table)
-    elif kind == "link":
-        table.symlink_to("/etc/hostname")
-    elif kind == "binary":
-        table.write_bytes(b"\xff\x1b[2J")
-    lines = (run / SUMS).read_text().splitlines(keepends=True)
-    (run / SUMS).write_text("".join(line for line in lines if not line.endswith("  leaderboard.md\n")))
-    capsys.readouterr()
-    assert main(["report", str(run)]) == 0
-    assert capsys.readouterr().out.startswith(f"\n{before.decode()}")
-    assert table.read_bytes() == before
-
-
-def test_rows_of_another_protocol_are_refused(run: Path) -> None:
-    strange(run, protocol="native")
-    with open_for_report(run) as directory:
-        assert list(directory.load()[1].values()) == ["it was computed under another protocol"]
-
-
-def test_a_short_write_to_the_list_of_checksums_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-    try:
-        with pytest.raises(OSError, match=r"No space left|File too large"):
-            append(tmp_path / "list", b"x" * 101)
-    finally:
-        most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-
-
-def test_names_that_no_file_can_have_are_damage(run: Path) -> None:
-    with (run / SUMS).open("a") as sums:
-        sums.write("0" * 64 + "  a\0b\n")
-    assert main(["verify", str(run)]) == 1
-    assert main(["report", str(run)]) == 0
-
-
-def test_another_runs_cell_is_damage(run: Path, tmp_path: Path) -> None:
-    with open_for_run(tmp_path / "other", REQUEST) as directory:
-        better = dataclasses.replace(result().rows[0], return_mean=9.0)
-        directory.save(dataclasses.replace(result(), rows=[better]))
-    name = "cells/cartpole__bc__seed0.json"
-    (run / name).write_bytes((tmp_path / "other" / name).read_bytes())
-    assert main(["verify", str(run)]) == 1
-
-
-def test_cells_that_a_run_was_not_asked_for_are_left_out(run: Path) -> None:
-    (run / "cells/cartpole__shaped__seed0.json").write_text(encode(result("shaped")))
-    with open_for_report(run) as directory:
-        found, unusable = directory.load()
-    assert list(found) == [Cell("cartpole", "bc", 0)]
-    assert list(unusable.values()) == ["this run was not asked for it"]
-
-
-def test_folders_that_cannot_be_read_are_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    listdir = os.listdir
-
-    def refuse(folder: Path) -> list[str]:
-        if folder.name == "cells":
-            raise PermissionError(13, "Permission denied")
-        return listdir(folder)
-
-    monkeypatch.setattr("harness.store.os.listdir", refuse)
-    with (
-        pytest.raises(BadInput, match=r"cannot read .*cells: Permission denied"),
-        open_to_verify(run) as opened,
-    ):
-        opened.damaged()
-
-
-def test_a_moved_or_deleted_directory_ends_a_run_in_a_line(tmp_path: Path) -> None:
-    with open_for_run(tmp_path / "run", REQUEST) as directory:
-        (tmp_path / "run").rename(tmp_path / "moved")
-        with pytest.raises(OSError, match="moved, deleted or changed while the run goes on"):
-            directory.save(result())
-    assert not (tmp_path / "run/cells").exists()
-
-
-def test_a_run_does_not_write_into_another_one_that_took_its_place(tmp_path: Path) -> None:
-    other = dataclasses.replace(REQUEST, conditions=dataclasses.replace(CONDITIONS, budget="quick"))
-    for request in (other, REQUEST):  # of other conditions, and of the same
-        with open_for_run(tmp_path / "run", REQUEST) as directory:
-            (tmp_path / "run").rename(tmp_path / f"moved {request.conditions.budget}")
-            with open_for_run(tmp_path / "run", request):
-                before = snapshot(tmp_path / "run")
-                for write in (lambda: directory.save(result()), lambda: directory.seal([], [])):
-                    with pytest.raises(OSError, match="changed while the run goes on"):
-                        write()
-                assert snapshot(tmp_path / "run") == before
-        (tmp_path / "run").rename(tmp_path / f"second {request.conditions.budget}")
-
-
-def test_a_request_that_changes_while_the_run_goes_on_ends_it(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST) as directory:
-        directory.save(result())
-        (tmp_path / "run.json").write_text((tmp_path / "run.json").read_text().replace("smoke", "quick"))
-        for write in (lambda: directory.save(result()), lambda: directory.seal([result()], [])):
-            with pytest.raises(OSError, match="changed while the run goes on"):
-                write()
-
-
-def test_a_run_that_would_grow_beyond_what_can_be_read_is_refused(tmp_path: Path) -> None:
-    write_request(tmp_path, dataclasses.replace(REQUEST, methods=tuple(f"m{i}" for i in range(200))))
-    before = snapshot(tmp_path)
-    with pytest.raises(BadInput, match="cannot hold so much"), open_for_run(tmp_path, REQUEST):
-        pass
-    assert snapshot(tmp_path) == before
-
-
-def test_a_torn_last_line_of_the_list_is_mended_by_the_next_writer(run: Path) -> None:
-    whole = (run / SUMS).read_bytes()
-    for command in ("run", "report"):
-        (run / SUMS).write_bytes(whole + whole[:90])
-        (run / "report.key").unlink()
-        assert main(["verify", str(run)]) == 1
-        if command == "run":
-            with open_for_run(run, REQUEST):
-                assert (run / SUMS).read_bytes() == whole
-        assert main(["report", str(run)]) == 0
-        assert main(["verify", str(run)]) == 0
-
-
-def test_a_swapped_cell_is_told_by_report(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    strange(run, return_mean=999.0)
-    assert main(["report", str(run)]) == 1
-    assert "cartpole__bc__seed0.json: its checksum does not match" in capsys.readouterr().err
-
-
-def test_two_may_verify_at_once(run: Path) -> None:
-    with open_to_verify(run):
-        assert main(["verify", str(run)]) == 0
-        with pytest.raises(BadInput, match="in use"), open_for_report(run):
-            pass
-
-
-def test_a_file_system_that_cannot_sync_folders_will_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fsync = os.fsync
-
-    def refuse(handle: int) -> None:
-        if stat.S_ISDIR(os.fstat(handle).st_mode):
-            raise OSError(22, "Invalid argument")
-        fsync(handle)
-
-    monkeypatch.setattr("harness.files.os.fsync", refuse)
-    write_atomic(tmp_path / "file", "text")
-    assert (tmp_path / "file").read_text() == "text"
-
-
-def test_a_users_cells_of_other_names_are_nobodys_damage(run: Path) -> None:
-    (run / "cells/old_cartpole__bc__seed0.json").write_text("mine")
-    assert main(["verify", str(run)]) == 0
-
-
-def test_a_study_with_a_strangers_run_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
-    with open_study(tmp_path):
-        pass
-    (tmp_path / "native").mkdir()
-    (tmp_path / "native/mine").write_text("mine")
-    assert main(["reproduce", "--out", str(tmp_path)]) == 2
-    assert not (tmp_path / "absorbing").exists()
 
 
 # Special files, and what may not be read.

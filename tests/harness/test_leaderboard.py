@@ -1,0 +1,146 @@
+"""What rows come to: scores, differences, ties, a summary over tasks."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from scipy.stats import sem, t
+
+from harness.leaderboard import leaderboard, overall, scored_rows
+from harness.results import Cell, CellResult
+from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
+
+
+def test_leaderboard_aggregates_over_seeds_and_measures_rewards_against_the_best_lower_control() -> None:
+    entries = leaderboard(scored_rows(make_results(("cartpole",))))
+    found = {(entry.method, entry.policy): entry for entry in entries}
+    shaped = found["shaped", "pi_R"]
+    assert (shaped.seeds, shaped.seeds_ok, shaped.status, shaped.role) == (3, 3, "ok", "method")
+    assert shaped.return_mean == 435
+    assert shaped.score_mean == pytest.approx((435 - 20) / 480)
+    assert (shaped.return_low, shaped.return_high) == pytest.approx(
+        t.interval(0.95, 2, 435, sem([430, 435, 440]))
+    )
+    assert shaped.varies == "seeds"
+    assert shaped.env_steps == 15_000
+    assert shaped.above_best_lower_control == pytest.approx((435 - 105) / 480)
+    assert math.isnan(found["shaped", "pi_star"].above_best_lower_control)
+    assert found["control_untrained", "pi_R"].above_best_lower_control == 0
+    roles = {entry.method: entry.role for entry in entries}
+    assert (roles["control_true"], roles["control_plus1"]) == ("upper control", "lower control")
+
+
+def test_leaderboard_is_sorted_by_score_and_hides_no_failure() -> None:
+    entries = leaderboard(scored_rows(make_results(("cartpole",))))
+    methods = list(dict.fromkeys(entry.method for entry in entries))
+    # Methods by pi_R, bc by pi_star after them for want of a reward; then controls.
+    assert methods[:5] == ["shaped", "maxmargin", "bc", "control_true", "control_survival"]
+    assert methods[5:] == ["control_untrained", "control_plus1", "control_minus1", "reference"]
+    found = {(entry.method, entry.policy): entry for entry in entries}
+    assert len(found) == len(RETURNS) + 1
+    assert found["bc", "pi_R"].note == "skipped (seeds 0, 1, 2): learns no reward"
+    assert (found["bc", "pi_R"].seeds_ok, found["bc", "pi_R"].status) == (0, "skipped")
+    assert math.isnan(found["bc", "pi_R"].score_mean)
+    failed = found["maxmargin", "pi_R"]
+    assert (failed.seeds, failed.seeds_ok, failed.status) == (3, 2, "failed")
+    assert failed.note.startswith("failed (seed 2): no | progress")
+
+
+def test_one_lower_control_less_leaves_nothing_to_be_above_of() -> None:
+    results = [r for r in make_results(("cartpole",)) if r.cell.method != "control_minus1"]
+    entries = leaderboard(scored_rows(results))
+    assert all(math.isnan(entry.above_best_lower_control) for entry in entries)
+
+
+def test_an_expert_no_better_than_random_is_no_scale() -> None:
+    results = [
+        CellResult(
+            Cell("cartpole", "reference", 0),
+            [make_row("cartpole", "reference", 0, p, return_mean=20.0) for p in ("expert", "random")],
+        )
+    ]
+    assert all(math.isnan(row.normalized_score) for row in scored_rows(results))
+
+
+def test_a_seed_without_a_reference_is_named() -> None:
+    results = [r for r in make_results() if (r.cell.method, r.cell.seed) != ("reference", 1)]
+    shaped = [entry for entry in leaderboard(scored_rows(results)) if entry.method == "shaped"]
+    assert shaped
+    for entry in shaped:
+        assert (entry.seeds_ok, entry.status) == (3, "ok")
+        assert entry.note == "not scored (seed 1): no expert better than a random policy to measure by"
+
+
+def test_differences_to_the_best_are_paired_by_seed() -> None:
+    results = make_results(("cartpole",))
+    assert math.isnan(entry_of(results, "shaped", "pi_R").behind_mean)  # it is the best
+    behind = entry_of(results, "maxmargin", "pi_R")  # it failed in the last seed
+    # Both lose 5 a seed, so the difference does not vary, though both do.
+    assert behind.behind_mean == behind.behind_low == behind.behind_high == pytest.approx(90 / 480)
+    assert not behind.tied
+    star = entry_of(results, "shaped", "pi_star")  # bc's is the best
+    assert star.behind_mean == pytest.approx(20 / 480)
+    assert math.isnan(entry_of(results, "control_true", "pi_R").behind_mean)
+
+
+def test_what_is_not_told_apart_from_the_best_is_tied() -> None:
+    results = make_results(("cartpole",))
+    swing = iter([30.0, -20.0, 10.0])
+    for result in results:
+        if result.cell.method == "maxmargin":
+            level = 440 - next(swing)
+            result.rows[:] = [
+                make_row("cartpole", "maxmargin", result.cell.seed, p, return_mean=level)
+                for p in ("pi_star", "pi_R")
+            ]
+    tied = entry_of(results, "maxmargin", "pi_R")
+    assert tied.behind_low < 0 < tied.behind_high
+    assert tied.tied
+
+
+def test_a_difference_that_nobody_would_care_for_is_none() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if result.cell.method == "maxmargin":
+            level = 440 - 5 * result.cell.seed - 0.9  # 0.002 of the scale, on every seed
+            result.rows[:] = [make_row("cartpole", "maxmargin", result.cell.seed, "pi_R", return_mean=level)]
+    near = entry_of(results, "maxmargin", "pi_R")
+    assert 0 < near.behind_low <= near.behind_high < 0.005
+    assert near.tied
+
+
+def test_the_share_of_bad_runs_is_told() -> None:
+    results = make_results()
+    (shaped,) = (x for x in overall(scored_rows(results)) if (x.method, x.policy) == ("shaped", "pi_R"))
+    assert shaped.below == 1.0  # all below 0.95
+    (true,) = (x for x in overall(scored_rows(results)) if x.method == "control_true")
+    assert true.below == 0.0
+
+
+def test_overall_compares_only_what_every_env_has() -> None:
+    results = make_results()
+    pooled = {(line.method, line.policy): line for line in overall(scored_rows(results))}
+    assert pooled["shaped", "pi_R"].runs == 6
+    # Six equal pairs: one score is cut at either end, four are left.
+    assert pooled["shaped", "pi_R"].score == pytest.approx((435 - 20) / 480)
+    results = [r for r in results if (r.cell.env, r.cell.method) != ("pendulum", "shaped")]
+    assert not [line for line in overall(scored_rows(results)) if line.method == "shaped"]
+    assert overall(scored_rows(make_results(("cartpole",)))) == []
+
+
+def test_a_score_beyond_all_scales_is_none() -> None:
+    expert, random = (
+        make_row("cartpole", "reference", 0, policy, return_mean=1e-208 * (policy == "expert"))
+        for policy in ("expert", "random")
+    )
+    far = make_row("cartpole", "bc", 0, "pi_star", return_mean=1e100)
+    rows = scored_rows(
+        [
+            CellResult(Cell("cartpole", "reference", 0), [expert, random]),
+            CellResult(Cell("cartpole", "bc", 0), [far]),
+        ]
+    )
+    assert [one.normalized_score for one in rows][:2] == [1.0, 0.0]
+    assert math.isnan(rows[-1].normalized_score)
+    assert math.isnan(leaderboard(rows)[0].score_mean)
