@@ -275,7 +275,7 @@ SPEC = EnvSpec(
     phi=phi,
     draw=draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01),
+    shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000),
     batch=HighwayBatch,
 )
 

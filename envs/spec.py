@@ -119,8 +119,8 @@ class Shipped(NamedTuple):
     """Environment steps of RL."""
     bar: float
     """Mean undiscounted true return, at least."""
-    terminated: float = 1.0
-    """Share of episodes that terminate early, at most."""
+    terminated: float | None = None
+    """Share of episodes that terminate early, at most; None is any."""
     checkpoint_every: int | None = None
     """Steps between checkpoints, where with RL's usual number none has about half the return."""
 

@@ -16,7 +16,8 @@ centred by one constant, its own reward included. Neither changes which policy i
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
 that the agent learns from, over fresh episodes up to the horizon; of equals the one that does best there with
 noise on its actions, and of equals in that too the last. The untrained agent is the first one, and only a
-strictly better one replaces it: a reward that cannot tell policies apart teaches nothing.
+strictly better one replaces it: a reward that cannot tell policies apart teaches nothing. Under one that is
+a constant, and 0 by the offset, the solve ends after the warm-up, for the untrained agent would count anyway.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
+from harness.controls import Constant
 from harness.registry import PROTOCOLS
 from harness.results import Library
 from harness.rl_settings import Settings, rl_settings_for
@@ -128,7 +130,10 @@ class Learner:
         buffer.rewards[: len(seen)] = seen
         episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
         keeper = _Keeper(self, training_seeds(self._rng, episodes), warm_up, steps)
-        self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
+        if self._env.pays_nothing:
+            steps = warm_up
+        else:
+            self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         best = keeper.best()
         curves = keeper.curve, keeper.true_curve
         return Solution(best, *curves, steps, keeper.check_steps, tuple(keeper.checkpoints))
@@ -308,6 +313,12 @@ class _TrainingEnv(VecEnv):
         if rewards.shape != true.shape or not np.isfinite(rewards).all():
             raise FloatingPointError("the reward must give one finite number for each step")
         return rewards
+
+    @property
+    def pays_nothing(self) -> bool:
+        """Whether the agent learns on 0 everywhere."""
+        reward = self.reward
+        return self._offset and isinstance(reward, Constant) and reward.value == reward.absorbing
 
     def normalise(self) -> Array:
         """Fit the normalisation to all that was seen; every step's rewards (T, copies) under it."""

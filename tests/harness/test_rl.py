@@ -176,14 +176,30 @@ def actors(monkeypatch: pytest.MonkeyPatch) -> list[Network]:
     return seen
 
 
-@pytest.mark.parametrize("value", [1.0, -1.0])
-def test_a_constant_reward_teaches_nothing(fragile: EnvSpec, actors: list[Network], value: float) -> None:
-    solution = solve(fragile, Constant(value, absorbing=value), steps=400)
+def test_a_reward_that_pays_nothing_teaches_nothing(fragile: EnvSpec, actors: list[Network]) -> None:
+    solution = solve(fragile, Seek(scale=0.0), steps=400)
     assert [y for _, y in solution.curve] == [0.0, 0.0]
+    assert solution.env_steps == 400
     assert len(actors) == 2
     assert same(solution.policy, actors[0])
-    again = solve(fragile, Constant(0.3, absorbing=0.3), steps=400)
-    assert same(solution.policy, again.policy)
+
+
+@pytest.mark.parametrize("value", [1.0, -1.0, 0.3])
+@pytest.mark.parametrize("protocol", ["absorbing", "offset"])
+def test_a_constant_that_is_nothing_by_the_offset_is_not_trained_on(
+    fragile: EnvSpec, value: float, protocol: str
+) -> None:
+    trained = solve(fragile, Seek(scale=0.0), protocol, steps=400)
+    solution = solve(fragile, Constant(value, absorbing=value), protocol, steps=400)
+    assert same(solution.policy, trained.policy)
+    assert (solution.curve, solution.env_steps) == (trained.curve[:1], 200)
+
+
+@pytest.mark.parametrize(
+    ("reward", "protocol"), [(Constant(1.0, 1.0), "state"), (Constant(0.0, -1.0), "absorbing")]
+)
+def test_other_constants_are_trained_on(fragile: EnvSpec, reward: Constant, protocol: str) -> None:
+    assert solve(fragile, reward, protocol, steps=400).env_steps == 400
 
 
 def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> None:
