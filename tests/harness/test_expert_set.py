@@ -244,7 +244,7 @@ def test_a_bar_may_be_reached_exactly(early: float, good: bool) -> None:
 
 @pytest.mark.parametrize(
     ("early", "medium", "good"),
-    [(0.005, 38.0, True), (0.006, 38.0, False), (0.0, 28.0, True), (0.0, 26.0, False), (0.0, 50.0, False)],
+    [(0.005, 38.0, True), (0.006, 38.0, False), (0.0, 30.0, True), (0.0, 26.0, False), (0.0, 50.0, False)],
 )
 def test_an_expert_has_a_margin_to_its_bar_and_a_medium_one_of_about_half(
     early: float, medium: float, good: bool
