@@ -80,7 +80,11 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
     add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
-    add("--deterministic", action="store_true", help="the same instructions on every processor; slower")
+    add(
+        "--fast",
+        action="store_true",
+        help="libraries choose their instructions: a little faster, and other numbers on other processors",
+    )
     add("--retry-failed", action="store_true", help="compute again what failed before")
 
 

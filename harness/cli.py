@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.arguments import parser
+from harness.environment import can_fix_instructions
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput, choose
 from harness.signals import ignore_stops, stop_cleanly
 
@@ -108,7 +109,7 @@ def _run(args: argparse.Namespace) -> int:
 
     _prepare()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
-    conditions = Conditions(args.budget, args.protocol, args.rl, args.deterministic, args.experts)
+    conditions = Conditions(args.budget, args.protocol, args.rl, _is_deterministic(args), args.experts)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
     with open_for_run(args.out, request) as run:
@@ -116,6 +117,10 @@ def _run(args: argparse.Namespace) -> int:
         whole = _write_report(run, list(results.values()), anew=False)
         failed = _tell_troubles([results[cell] for cell in request.cells])
     return int(failed or not whole)
+
+
+def _is_deterministic(args: argparse.Namespace) -> bool:
+    return not args.fast and can_fix_instructions()
 
 
 def _reproduce(args: argparse.Namespace) -> int:
@@ -132,7 +137,7 @@ def _reproduce(args: argparse.Namespace) -> int:
     with open_study(args.out):
         requests = {}
         for protocol in PROTOCOLS:
-            conditions = Conditions(args.budget, protocol, "sbx", args.deterministic, "trained")
+            conditions = Conditions(args.budget, protocol, "sbx", _is_deterministic(args), "trained")
             requests[protocol] = Request(tuple(ARMS), ENVS, args.seeds, conditions)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
         for protocol, request in requests.items():

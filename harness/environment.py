@@ -20,7 +20,7 @@ PASSED = {
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
 CHOSEN = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")
 """Numbers depend on these; the user may set them, for some processors need it, and they are part of every
-key."""
+key. Where instructions are fixed, by `SAME_INSTRUCTIONS`."""
 FIXED = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -37,7 +37,7 @@ SAME_INSTRUCTIONS = {
     "OPENBLAS_CORETYPE": "Haswell",
     "XLA_FLAGS": f"{FIXED['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
 }
-"""With these, libraries use the same instructions on all processors that have AVX2."""
+"""With these, libraries use the same instructions on all processors that have AVX2 and FMA3."""
 TEXT = {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
@@ -46,10 +46,18 @@ def cache_folder() -> Path:
     return Path(os.environ.get(CACHE_VARIABLE) or DEFAULT_CACHE)
 
 
+def can_fix_instructions() -> bool:
+    """Whether this processor has `SAME_INSTRUCTIONS`."""
+    from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
+
+    return bool(has.get("AVX2") and has.get("FMA3"))
+
+
 def numeric(deterministic: bool) -> dict[str, str]:
-    """The variables that numbers depend on, as cells' processes have them."""
+    """The variables that numbers depend on, as cells' processes have them. deterministic: with
+    `SAME_INSTRUCTIONS`, where the processor has them."""
     chosen = {name: os.environ[name] for name in CHOSEN if name in os.environ}
-    return chosen | FIXED | (SAME_INSTRUCTIONS if deterministic else {})
+    return chosen | FIXED | (SAME_INSTRUCTIONS if deterministic and can_fix_instructions() else {})
 
 
 def of_this_process() -> dict[str, str]:

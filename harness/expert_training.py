@@ -152,7 +152,7 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     """Trains agents of each task until enough meet its bar, and writes those to `out`, as they come. What is
     there already is gone on with. Raises BadInput where too few meet it, or another process is at it."""
     out.mkdir(parents=True, exist_ok=True)
-    with held(out), fresh_processes("harness.preload", deterministic=True) as context:
+    with held(out), fresh_processes("harness.preload") as context:
         candidates = _candidates(out)
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:

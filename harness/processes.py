@@ -36,7 +36,7 @@ _started: set[int] = set()
 
 
 @contextmanager
-def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[context.BaseContext]:
+def fresh_processes(preload: str, deterministic: bool = True) -> Iterator[context.BaseContext]:
     """How to start processes; on leaving, none is left. preload: a module to import once for all of them.
     deterministic: with the same instructions on every processor. Raises BadInput where none can be
     started."""
@@ -65,7 +65,7 @@ def fresh_processes(preload: str, deterministic: bool = False) -> Iterator[conte
 
 
 @contextmanager
-def as_in_cells(deterministic: bool = False) -> Iterator[Path]:
+def as_in_cells(deterministic: bool = True) -> Iterator[Path]:
     """In the environment of cells, with a folder for temporary files that goes with the context; what JAX,
     imported from now on, compiles, seconds of work, it compiles once for this process and all that it
     starts."""

@@ -58,7 +58,7 @@ class Conditions:
     protocol: Name
     rl: Library
     """Whose DDPG learns."""
-    deterministic: bool = False
+    deterministic: bool = True
     """Whether libraries are kept from choosing their instructions by the processor."""
     experts: Experts = "shipped"
     """Whose demonstrations: the shipped experts', or those of one trained for each seed."""

@@ -184,12 +184,18 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
     for name in ("leaderboard.md", "report.html"):
         text = (tmp_path / name).read_text()
         for said in (
-            "budget quick, protocol absorbing, seeds 0 to 2, RL library sbx",
+            "budget quick, protocol absorbing, seeds 0 to 2, RL library sbx, instructions fixed",
             "experts shipped: 1a2b3c4d",
             "computed 2026-11-23 by irl-bench 0.1.0 (abc)",
             "command: irl-bench run --methods bc,shaped,maxmargin --envs cartpole,pendulum --seeds 3",
         ):
             assert said in text, said
+    assert "--fast" not in text
+    fast = replace(REQUEST, conditions=replace(REQUEST.conditions, deterministic=False))
+    write_report(tmp_path, fast, results)
+    text = (tmp_path / "leaderboard.md").read_text()
+    assert "instructions of the machine" in text
+    assert "--seeds 3 --budget quick --protocol absorbing --rl sbx --experts shipped --fast" in text
     (row, *_) = read_csv(tmp_path / "scores.csv")
     assert (row["budget"], row["rl"], row["program"], row["expert"]) == (
         "quick",

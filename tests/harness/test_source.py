@@ -9,9 +9,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from numpy._core._multiarray_umath import __cpu_features__
 
 from harness import keys
-from harness.environment import CHOSEN, FIXED, PASSED, PASSED_PREFIXES, TEXT, numeric, of_this_process
+from harness.environment import (
+    CHOSEN,
+    FIXED,
+    PASSED,
+    PASSED_PREFIXES,
+    SAME_INSTRUCTIONS,
+    TEXT,
+    numeric,
+    of_this_process,
+)
 from harness.keys import CELL_SOURCES, PROGRAM, ROOT, cell_key, key_of, program
 from harness.processes import NAME, fresh_processes
 from harness.results import Cell, CellResult, Conditions
@@ -84,6 +94,14 @@ def test_source_that_is_edited_while_a_run_goes_on_changes_nothing_of_it(copy: P
     assert "RuntimeError: edited" in again
 
 
+def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__cpu_features__, "AVX2", True)
+    monkeypatch.setitem(__cpu_features__, "FMA3", True)
+    assert numeric(True) == numeric(False) | SAME_INSTRUCTIONS
+    monkeypatch.setitem(__cpu_features__, "AVX2", False)
+    assert numeric(True) == numeric(False)
+
+
 def _tell(file: Path) -> None:
     """In a process of its own: what it imports, and what its environment is."""
     try:
@@ -106,13 +124,13 @@ def told_by_a_cell(directory: Path) -> dict:
 
 def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path: Path) -> None:
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it was read')")
-    key = key_of(CELL_SOURCES, "the same", numeric(False))
+    key = key_of(CELL_SOURCES, "the same", numeric(True))
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it is now')")
     told = told_by_a_cell(tmp_path)
     assert told["said"] == "as it was read"
     assert told["key"] == key
     program.cache_clear()
-    assert key_of(CELL_SOURCES, "the same", numeric(False)) != key
+    assert key_of(CELL_SOURCES, "the same", numeric(True)) != key
 
 
 def test_only_what_python_would_import_counts(reading: Path) -> None:
@@ -158,8 +176,8 @@ def test_of_variables_cells_have_only_what_changes_no_number(
     ours = {*FIXED, *TEXT, "TMPDIR", "PYTHONPATH", "PYTHONSAFEPATH"}
     ours |= {"JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"}
     others = {name for name in variables.keys() - PASSED - ours if not name.startswith(PASSED_PREFIXES)}
-    # Two that libraries set when they are imported, here or there.
-    assert others <= {*CHOSEN, "PYGAME_HIDE_SUPPORT_PROMPT", "OTEL_SERVICE_NAME"}
+    # Some that libraries set when they are imported, here or there.
+    assert others <= {*CHOSEN, "PYGAME_HIDE_SUPPORT_PROMPT", "OTEL_SERVICE_NAME", "LINES", "COLUMNS"}
     for name, value in NUMBERS_DEPEND.items():
         assert variables.get(name) != value, name
     assert variables["LC_ALL"] == "C"

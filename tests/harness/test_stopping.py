@@ -169,21 +169,20 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     assert scores(tmp_path / "run") == unbroken
 
 
-def test_a_deterministic_run_pins_its_instructions_and_mixes_with_no_other(tmp_path: Path) -> None:
+def test_a_run_pins_its_instructions_unless_asked_to_be_fast_and_mixes_with_no_other(tmp_path: Path) -> None:
     faults(tmp_path)
     command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
-    for options in ([], ["--deterministic"]):
-        done = subprocess.run([*command, *options], env=FAKE_ENV, capture_output=True, text=True, check=False)
-        told = (tmp_path / "run/run.log").read_text()
-        assert "--xla_cpu_max_isa" not in told
-    assert done.returncode == 2
-    assert "holds a run with deterministic False, not True" in done.stderr
-    command[-1] = str(tmp_path / "other")
-    subprocess.run([*command, "--deterministic"], env=FAKE_ENV, check=True, capture_output=True)
-    told = (tmp_path / "other/run.log").read_text()
+    subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
+    told = (tmp_path / "run/run.log").read_text()
     for name, value in SAME_INSTRUCTIONS.items():
         assert told.count(f"{name}={value}\n") == PER_SEED + 1
-    assert json.loads((tmp_path / "other/run.json").read_text())["deterministic"] is True
+    done = subprocess.run([*command, "--fast"], env=FAKE_ENV, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "holds a run with deterministic True, not False" in done.stderr
+    command[-1] = str(tmp_path / "other")
+    subprocess.run([*command, "--fast"], env=FAKE_ENV, check=True, capture_output=True)
+    assert "--xla_cpu_max_isa" not in (tmp_path / "other/run.log").read_text()
+    assert json.loads((tmp_path / "other/run.json").read_text())["deterministic"] is False
 
 
 def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:

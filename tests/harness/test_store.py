@@ -210,7 +210,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         "budget": "smoke",
         "protocol": "absorbing",
         "rl": "sbx",
-        "deterministic": False,
+        "deterministic": True,
         "experts": "shipped",
     }
 
