@@ -79,7 +79,7 @@ def draw(
             pictures.append(
                 _panels(
                     f"{env}_rl.png",
-                    f"{env}: RL on R* (each panel has its own scale)",
+                    f"{env}: RL on R* (the checkpoint at the top of blue counts; each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
                     "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,
@@ -215,7 +215,8 @@ def _panels(
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
     """A thin line a seed, a thick one for their mean where all have a point."""
     for points in seeds:
-        axes.plot(*zip(*points, strict=True), color=colour, linewidth=0.8, alpha=0.5)
+        marker = "." if len(points) == 1 else ""
+        axes.plot(*zip(*points, strict=True), color=colour, linewidth=0.8, alpha=0.5, marker=marker)
     frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
     means = frame.groupby("x")["y"].agg(["mean", "count"])
     means = means[means["count"] == len(seeds)]
