@@ -13,8 +13,8 @@ MOST = 1000
 """Largest count that --seeds and --workers take."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
-EXIT_CODES = """Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` is missed or the
-output could not be written; 2 bad input; 130 Ctrl-C."""
+EXIT_CODES = """Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
+expert is missed, or the output could not be written; 2 bad input; 130 stopped, such as by Ctrl-C."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -52,7 +52,10 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
     what = add.add_subparsers(dest="what", required=True)
-    for name, does in (("train", "train new ones"), ("check", "measure them on episodes of their own")):
+    for name, does in (
+        ("train", "train new ones, in an hour a task or less"),
+        ("check", "measure them on 1,000 episodes of their own, in a few minutes"),
+    ):
         add = what.add_parser(name, help=does, allow_abbrev=False)
         add.add_argument("envs", nargs="*", default=["all"], metavar="ENV")
         add.add_argument(

@@ -1,11 +1,12 @@
-"""The command line. Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` is missed or the
-output could not be written; 2 bad input; 130 Ctrl-C."""
+"""The command line. Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
+expert is missed, or the output could not be written; 2 bad input; 130 stopped, such as by Ctrl-C."""
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
 import json
+import logging
 import os
 import shlex
 import subprocess
@@ -40,11 +41,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         ignore_stops()
-        again = _plain(shlex.join(["python", "-m", "harness", *argv]))
+        again = _plain(shlex.join([*_program(), *argv]))
         kept = "what is finished is kept. To go on, run the same again:\n  " + again
         resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
+
+
+def _program() -> list[str]:
+    """What the user typed, or may type, to start this program."""
+    name = sys.argv[0]
+    return [sys.executable, "-m", "harness"] if Path(name).name == "__main__.py" else [name]
 
 
 def _plain(text: str) -> str:
@@ -155,6 +162,7 @@ def _prepare() -> None:
 
     scratch.remove_abandoned(scratch.base())
     keys.versions(keys.PACKAGES)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
     if "harness/report.html.j2" not in keys.program():
         raise BadInput("harness/report.html.j2 is missing; install the program again")
     try:
@@ -198,6 +206,8 @@ def _experts(args: argparse.Namespace) -> int:
 
     base()
     _handle_signals()
+    if none := [env for env in envs if not SPECS[env].shipped and "all" not in args.envs]:
+        raise BadInput(f"there are no experts of {none[0]} to train or check: its model is known")
     envs = tuple(env for env in envs if SPECS[env].shipped)
     if args.what == "check":
         return int(not expert_training.check(envs, args.dir or expert_set.folder()))
@@ -252,8 +262,8 @@ def _report(directory: Path) -> int:
         if not results:
             raise BadInput(f"{directory} holds no finished cell")
         whole = _write_report(run, list(results.values()), anew=True)
-    _tell_troubles(list(results.values()))
-    return int(not whole or bool(unusable))
+    failed = _tell_troubles(list(results.values()))
+    return int(failed or not whole or bool(unusable))
 
 
 def _verify(directory: Path) -> int:
@@ -274,7 +284,9 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     all is there that the run stored."""
     from harness.progress import say, tell
     from harness.report import write_report
+    from harness.store import SUMS
 
+    incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
     damaged = run.damaged_recordings(results) | run.swapped(results)
     if anew or not run.is_sealed(results):
@@ -282,11 +294,19 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     say("\n" + _text(run.path / "leaderboard.md"))
     for name in ("scores.csv", "report.html", "recordings"):
         say(f"{name:11} {run.path / name}")
+    there = {result.cell for result in results}
+    if absent := [cell.name for cell in run.request.cells if cell not in there]:
+        say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
     _tell_unusable(damaged, "damaged")
     if forgotten:
-        more = f" and {len(forgotten) - 1} more" if forgotten[1:] else ""
-        tell(f"stored once and gone, left out: {forgotten[0]}{more}")
-    return not (forgotten or damaged)
+        tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
+    if incomplete:
+        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
+    return not (forgotten or damaged or incomplete)
+
+
+def _and_more(names: Sequence[str]) -> str:
+    return f" and {len(names) - 1} more" if names[1:] else ""
 
 
 def _text(file: Path) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import re
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,13 +22,13 @@ from harness.evaluation import evaluate
 from harness.expert_set import SUMS
 from harness.files import read, sha256, write_atomic
 from harness.keys import origin
+from harness.marked import open_marked
 from harness.processes import NAME, fresh_processes
-from harness.progress import say
+from harness.progress import say, tell
 from harness.registry import BadInput
 from harness.rl import Learner, disturbed
 from harness.rl_settings import rl_settings_for
 from harness.seeds import held_out_seeds, rng_for, tuning_seeds
-from harness.store import held
 from methods.base import Policy
 from methods.network import Network
 
@@ -46,6 +48,10 @@ from that share the nearest may be: an agent that learns at a stroke has none.""
 MARGIN = 0.5
 """Of the early endings that the bar allows, so much on tuning episodes: others may have more."""
 CANDIDATES = "candidates.csv"
+MEDIUM_FILE = "__medium"
+"""What a medium expert's file is called besides."""
+_AGENT = rf"\.\w+__seed\d+({MEDIUM_FILE})?\.safetensors"
+_EXPERT = re.compile(rf"\w+__\d+({MEDIUM_FILE})?\.safetensors")
 
 
 class Candidate(NamedTuple):
@@ -150,13 +156,13 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
 
 def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     """Trains agents of each task until enough meet its bar, and writes those to `out`, as they come. What is
-    there already is gone on with. Raises BadInput where too few meet it, or another process is at it."""
-    out.mkdir(parents=True, exist_ok=True)
-    with held(out), fresh_processes("harness.preload") as context:
-        candidates = _candidates(out)
+    there already is gone on with. Raises BadInput where too few meet it, where `out` holds anything else,
+    or where another process is at it."""
+    ours = open_marked(out, CANDIDATES, _as_text([]).encode(), "experts", _is_list, rf"{SUMS}|{_AGENT}")
+    with ours, fresh_processes("harness.preload") as context:
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:
-            done = {one.seed: one for one in candidates if one.env == env}
+            done = {one.seed: one for one in _set_aside(out, env)}
             running: dict[Future[tuple[Candidate, bytes, bytes]], int] = {}
             while True:
                 missing = COUNT - sum(map(is_good, done.values()))
@@ -169,49 +175,70 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
                     seed = running.pop(future)
                     one, expert, medium = future.result()
                     done[seed] = one
-                    candidates.append(one)
-                    write_atomic(out / f".{env}__seed{seed}.safetensors", expert)
-                    write_atomic(out / f".{env}__seed{seed}__medium.safetensors", medium)
-                    _write_candidates(out, candidates)
+                    write_atomic(_unnumbered(out, env, seed, ""), expert)
+                    write_atomic(_unnumbered(out, env, seed, MEDIUM_FILE), medium)
+                    _replace(out, [one])
                     say(f"{env}, agent {seed}: {_told(_measured(one))}, medium {one.medium_return:.1f}")
-            candidates = _number(out, env, candidates)
-            _write_candidates(out, candidates)
-    names = sorted(path.name for path in out.iterdir() if path.name[0] != "." and path.name != SUMS)
-    write_atomic(out / SUMS, "".join(f"{sha256(out / name)}  {name}\n" for name in names))
+            _number(out, env, list(done.values()))
+        names = [CANDIDATES, *sorted(path.name for path in out.iterdir() if _EXPERT.fullmatch(path.name))]
+        write_atomic(out / SUMS, "".join(f"{sha256(out / name)}  {name}\n" for name in names))
 
 
-def _number(out: Path, env: str, candidates: list[Candidate]) -> list[Candidate]:
+def _unnumbered(out: Path, env: str, seed: int, kind: str) -> Path:
+    """The file of an agent that has no number yet. kind: '' or `MEDIUM_FILE`."""
+    return out / f".{env}__seed{seed}{kind}.safetensors"
+
+
+def _set_aside(out: Path, env: str) -> list[Candidate]:
+    """A task's agents, all without a number, but for those that would do and whose files are gone."""
+    mine = [one for one in _candidates(out) if one.env == env]
+    for one in mine:
+        for kind in ("", MEDIUM_FILE) if one.number else ():
+            with suppress(FileNotFoundError):
+                (out / f"{env}__{one.number}{kind}.safetensors").replace(
+                    _unnumbered(out, env, one.seed, kind)
+                )
+    mine = [one._replace(number="") for one in mine]
+    _replace(out, mine)
+    files = {one.seed: [_unnumbered(out, env, one.seed, kind) for kind in ("", MEDIUM_FILE)] for one in mine}
+    return [one for one in mine if not is_good(one) or all(file.is_file() for file in files[one.seed])]
+
+
+def _number(out: Path, env: str, mine: list[Candidate]) -> None:
     """The first that meet the bar, in the order of their seeds, become experts 0, 1, ...; others go."""
-    mine = sorted((one for one in candidates if one.env == env), key=lambda one: one.seed)
-    good = [one.seed for one in mine if is_good(one)][:COUNT]
+    good = [one for one in sorted(mine, key=lambda one: one.seed) if is_good(one)][:COUNT]
     if len(good) < COUNT:
         raise BadInput(f"{env}: {len(good)} of {len(mine)} agents meet the bar, {COUNT} are needed")
+    for number, one in enumerate(good):
+        for kind in ("", MEDIUM_FILE):
+            _unnumbered(out, env, one.seed, kind).replace(out / f"{env}__{number}{kind}.safetensors")
+    _replace(out, [one._replace(number=str(number)) for number, one in enumerate(good)])
     for one in mine:
-        for kind in ("", "__medium"):
-            file = out / f".{env}__seed{one.seed}{kind}.safetensors"
-            if one.seed in good and file.exists():
-                file.replace(out / f"{env}__{good.index(one.seed)}{kind}.safetensors")
-            file.unlink(missing_ok=True)
-    numbers = {seed: str(number) for number, seed in enumerate(good)}
-    return [one._replace(number=numbers.get(one.seed, "")) if one.env == env else one for one in candidates]
+        for kind in ("", MEDIUM_FILE):
+            _unnumbered(out, env, one.seed, kind).unlink(missing_ok=True)
 
 
 def check(envs: tuple[str, ...], where: Path) -> bool:
     """Says what each expert in the folder `where` reaches on episodes that nothing else uses. Returns whether
-    all meet their bar."""
-    met = True
+    all meet their bar. Raises BadInput where a task has none there, or one is damaged."""
+    files = {env: sorted(where.glob(f"{env}__*.safetensors")) for env in envs}
+    for env in envs:
+        if not files[env]:
+            raise BadInput(f"{where} holds no experts of {env}")
+    missed = []
     for env in envs:
         spec = SPECS[env]
-        for path in sorted(where.glob(f"{env}__*.safetensors")):
+        for path in files[env]:
             found = load(path)
             if found is None:
                 raise BadInput(f"{path} is damaged")
             measured = measure(spec, Network.from_arrays(found.arrays), held_out_seeds(EPISODES))
-            medium = found.facts["kind"] == "medium"
-            good = medium or meets_bar(spec, measured)
-            met &= good
+            good = found.facts["kind"] == "medium" or meets_bar(spec, measured)
+            missed += [] if good else [path.name]
             say(f"{path.name}: {_told(measured)}{'' if good else ' MISSED'}")
-    return met
+    if missed:
+        tell(f"MISSED: {', '.join(missed)}: below the bar of their task")
+    return not missed
 
 
 def is_good(one: Candidate) -> bool:
@@ -228,22 +255,36 @@ def _told(measured: Measured) -> str:
     return f"mean return {measured.mean_return:.2f}, {measured.terminated:.1%} ended early"
 
 
-def _candidates(out: Path) -> list[Candidate]:
-    file = out / CANDIDATES
-    if not file.exists():
-        return []
+def _is_list(data: bytes) -> bool:
+    """Whether it is what `candidates.csv` may hold."""
     try:
-        header, *lines = csv.reader(io.StringIO(read(file).decode()))
-        if tuple(header) != Candidate._fields:
-            raise ValueError("other columns")
-        return msgspec.convert(lines, list[Candidate], strict=False)
-    except ValueError as error:
-        raise BadInput(f"{file} is damaged: {error}") from error
+        _parsed(data)
+    except ValueError:
+        return False
+    return True
 
 
-def _write_candidates(out: Path, candidates: list[Candidate]) -> None:
+def _parsed(data: bytes) -> list[Candidate]:
+    """Raises ValueError for anything else."""
+    header, *lines = csv.reader(io.StringIO(data.decode()))
+    if tuple(header) != Candidate._fields:
+        raise ValueError("other columns")
+    return msgspec.convert(lines, list[Candidate], strict=False)
+
+
+def _candidates(out: Path) -> list[Candidate]:
+    return _parsed(read(out / CANDIDATES))
+
+
+def _replace(out: Path, ones: list[Candidate]) -> None:
+    """Writes them into the list, in the place of those of the same task and seed."""
+    agents = {(one.env, one.seed): one for one in [*_candidates(out), *ones]}
+    write_atomic(out / CANDIDATES, _as_text(sorted(agents.values())))
+
+
+def _as_text(candidates: list[Candidate]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Candidate._fields)
-    writer.writerows(sorted(candidates))
-    write_atomic(out / CANDIDATES, text.getvalue())
+    writer.writerows(candidates)
+    return text.getvalue()

@@ -79,7 +79,7 @@ def draw(
             pictures.append(
                 _panels(
                     f"{env}_rl.png",
-                    f"{env}: RL on R* (the checkpoint at the top of blue counts; each panel has its own scale)",
+                    f"{env}: RL on R* (the top of blue counts; each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
                     "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,

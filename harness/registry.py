@@ -62,11 +62,11 @@ def choose(kind: str, text: str, known: Collection[str], variants: Collection[st
     """The names in a comma-separated `text`, 'all' being every known one but no variant, without repeats, in
     the order of `known` and then `variants`.
 
-    Raises BadInput, with the closest match, for an unknown name; and for an empty list.
+    Raises BadInput, with the closest match, for an unknown name; and for an empty one.
     """
-    names = [name.strip() for name in text.split(",") if name.strip()]
+    names = [name.strip() for name in text.split(",")]
     choices = (*known, *variants)
-    if not names:
+    if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     for name in names:
         if name != "all" and name not in choices:

@@ -128,7 +128,9 @@ def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
     days = sorted(r.finished.partition(" ")[0] for r in results if r.finished)
     spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
     instructions = "fixed" if conditions.deterministic else "of the machine"
+    there, asked = len(results), len(request.cells)
     return [
+        *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
         f"budget {conditions.budget}, protocol {conditions.protocol}, seeds 0 to {request.seeds - 1}, "
         f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",

@@ -12,8 +12,6 @@ DIR/<env>_study.png             scores against the number of trajectories
 from __future__ import annotations
 
 import math
-import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,13 +22,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.files import read, remove_unfinished, write_atomic
+from harness.files import write_atomic
 from harness.leaderboard import Entry, leaderboard, scored_rows
+from harness.marked import open_marked
 from harness.registry import BadInput
 from harness.report import as_csv
-from harness.request import is_begun
 from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
-from harness.store import held
 from harness.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
@@ -42,23 +39,11 @@ MARKER, MARK = "study.json", b'{"study": "thesis", "format": 1}\n'
 def open_study(path: Path) -> Iterator[None]:
     """Starts a study in `path`, which is made, or continues the one there; held until the context ends.
     Raises BadInput, having changed nothing, where `path` is anything else, or cannot be written."""
-    try:
-        new = not os.path.lexists(path) or not os.listdir(path) or is_begun(path, MARKER)
-        if not new and read(path / MARKER) != MARK:
-            raise BadInput(f"{path / MARKER} is damaged")
-        for protocol in PROTOCOLS:
-            if (path / protocol).is_symlink():
-                raise BadInput(f"cannot use {path / protocol}: it is a link")
-        path.mkdir(parents=True, exist_ok=True)
-    except FileNotFoundError as error:
-        raise BadInput(f"{path} is not empty and holds no study (no {MARKER})") from error
-    except (OSError, ValueError) as error:
-        raise BadInput(f"cannot use {path}: {getattr(error, 'strerror', None) or error}") from error
-    except RecursionError as error:
-        raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
-    with held(path):
-        remove_unfinished(path, rf"{re.escape(MARKER)}|scores\.csv|study\.(csv|md)|\w+\.png")
-        write_atomic(path / MARKER, MARK)
+    for protocol in PROTOCOLS:
+        if (path / protocol).is_symlink():
+            raise BadInput(f"cannot use {path / protocol}: it is a link")
+    unfinished = r"scores\.csv|study\.(csv|md)|\w+\.png"
+    with open_marked(path, MARKER, MARK, "study", lambda data: data == MARK, unfinished):
         yield
 
 

@@ -70,7 +70,12 @@ def command_of(request: Request) -> str:
 
 def existing(path: Path) -> Request:
     """Raises BadInput where `path` holds no run."""
-    request = stored_request(path)
+    try:
+        request = stored_request(path)
+    except BadInput as error:
+        if runs := sorted(file.parent.name for file in path.glob(f"*/{REQUEST}")):
+            raise BadInput(f"{path} holds no run itself; there are {', '.join(runs[:5])} in it") from error
+        raise
     if request is None:
         raise BadInput(f"{path} holds no run (no run.json)")
     return request

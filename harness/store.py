@@ -20,7 +20,6 @@ from harness.environment import numeric
 from harness.files import (
     append,
     appending,
-    locked,
     opened,
     read,
     remove_unfinished,
@@ -29,11 +28,11 @@ from harness.files import (
     write_atomic,
 )
 from harness.keys import REPORT_PACKAGES, REPORT_SOURCES, cell_key, key_of, origin, versions
+from harness.marked import held, in_use
 from harness.registry import BadInput
 from harness.request import (
     FOLDERS,
     LOCK,
-    LOCK_MARK,
     REQUEST,
     Request,
     as_text,
@@ -153,6 +152,15 @@ class RunDirectory:
         there = {path.stem for path in self._cell_files()}
         return sorted({*cells} - known - there)
 
+    def why_incomplete(self, results: Sequence[CellResult]) -> str:
+        """Why the list of checksums does not tell what was stored here, '' where it does."""
+        try:
+            noted = self._noted()
+        except (OSError, ValueError) as error:
+            return _reason(error)
+        listed = any(f"cells/{result.cell.name}.json" in noted for result in results)
+        return "it lists no cell" if results and not listed else ""
+
     def damaged(self) -> dict[Path, str]:
         """What is not as it was written, and why. What the run did not write is nobody's damage."""
         results, damaged = self.load()
@@ -164,6 +172,9 @@ class RunDirectory:
         except (OSError, ValueError) as error:
             damaged[self.path / SUMS] = _reason(error)
             noted = {}
+        if self.why_incomplete(list(results.values())):
+            for cell in [cell for cell in self.request.cells if cell not in results]:
+                damaged.setdefault(self.path / "cells" / f"{cell.name}.json", "not there, though asked for")
         for name, digest in noted.items():
             file = self.path / name
             if file not in damaged and (
@@ -294,33 +305,8 @@ def open_to_verify(path: Path) -> Iterator[RunDirectory]:
         with suppress(OSError):
             lock = stack.enter_context(opened(path / LOCK))
             if not share_lock(lock.fileno()):
-                raise BadInput(_in_use(path))
+                raise BadInput(in_use(path))
         yield RunDirectory(path, request)
-
-
-@contextmanager
-def held(path: Path) -> Iterator[FileIO]:
-    """This process alone has the directory, and this lock on it, until the context ends. Raises BadInput
-    where another has it."""
-    with ExitStack() as stack:
-        try:
-            lock = stack.enter_context(locked(path / LOCK))
-        except OSError as error:
-            raise BadInput(f"cannot write to {path}: {LOCK}: {error.strerror}") from error
-        if lock is None:
-            raise BadInput(_in_use(path))
-        with suppress(OSError):
-            lock.truncate(0)
-            lock.write(f"{LOCK_MARK}{os.getpid()}".encode())
-        yield lock
-
-
-def _in_use(path: Path) -> str:
-    holder = "?"
-    with suppress(OSError):
-        text = read(path / LOCK)[:40].decode(errors="replace").removeprefix(LOCK_MARK)
-        holder = printable(text.strip()) or "?"
-    return f"{path} is in use by another run (process {holder})"
 
 
 def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:

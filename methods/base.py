@@ -28,7 +28,7 @@ class Reward(Protocol):
     """A learned reward: (B, O) observations, (B, A) actions, (B, O) next observations to (B,) rewards.
 
     `absorbing` is what one step in the absorbing state pays, where episodes go when they terminate.
-    Only differences from it count (see the README, "Termination").
+    Only differences from it count (docs/termination.md).
     """
 
     @property

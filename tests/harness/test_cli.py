@@ -85,6 +85,26 @@ def test_variants_run_when_named_and_not_in_all() -> None:
         choose("maxent_liner")
 
 
+@pytest.mark.parametrize(
+    ("typed", "again"),
+    [
+        ("/venv/bin/irl-bench", "/venv/bin/irl-bench run"),
+        ("/home/me/irl-bench/harness/__main__.py", f"{sys.executable} -m harness run"),
+    ],
+)
+def test_who_stops_a_run_is_told_how_to_go_on(
+    typed: str, again: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(argv: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_dispatch", stopped)
+    monkeypatch.setattr(cli, "ignore_stops", lambda: None)
+    monkeypatch.setattr(sys, "argv", [typed, "run"])
+    assert cli.main() == 130
+    assert capsys.readouterr().err.endswith(f"To go on, run the same again:\n  {again}\n")
+
+
 def test_list_tells_variants_from_methods(main: Main) -> None:
     code, out, _ = main("list")
     assert code == 0
@@ -97,6 +117,7 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
     ("argv", "message"),
     [
         ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
+        ("run --methods bc,,shaped", "no method named: give 'all' or some of shaped"),
         ("run --envs cartpol,highway", "no env named 'cartpol'; did you mean 'cartpole'?"),
         ("run --envs zzz", "no env named 'zzz'; there are cartpole, pendulum, highway"),
         ("run --methods ,", "no method named: give 'all' or some of"),

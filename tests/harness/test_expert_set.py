@@ -232,8 +232,17 @@ def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
     ]
     assert sorted(path.name for path in tmp_path.glob(".*")) == [".lock"]
     before = list(trained)
+    (tmp_path / "notes").write_text("a user's own")
     train_all(("steady",), tmp_path, workers=2)
     assert trained == before
+    assert {file.name: file.read_text() for file in tmp_path.glob("steady__*")} == kept
+    listed = [line.split("  ")[1] for line in (tmp_path / "SHA256SUMS").read_text().splitlines()]
+    assert listed == ["candidates.csv", *sorted(kept)]
+    (tmp_path / "steady__2__medium.safetensors").unlink()
+    train_all(("steady",), tmp_path, workers=2)
+    assert trained == [*before, good[2]]
+    assert {file.name: file.read_text() for file in tmp_path.glob("steady__*")} == kept
+    assert (tmp_path / CANDIDATES).read_text().splitlines()[1:] == lines
 
 
 @pytest.mark.parametrize(("early", "good"), [(1 - 0.99, True), (0.01, True), (0.011, False)])
@@ -262,6 +271,35 @@ def test_too_few_good_agents_are_told(task: EnvSpec, tmp_path: Path, monkeypatch
     monkeypatch.setattr(expert_training, "in_a_process", lambda **_: lambda function: launch)
     with pytest.raises(BadInput, match="steady: 0 of 20 agents meet the bar, 5 are needed"):
         train_all(("steady",), tmp_path, workers=2)
+
+
+@pytest.mark.parametrize("name", ["SHA256SUMS", "notes", "cartpole__0.safetensors", "photos/one", ".lock"])
+def test_experts_are_trained_into_nobody_elses_folder(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("a user's own")
+    assert main(["experts", "train", "cartpole", "--dir", str(tmp_path)]) == 2
+    assert "is not empty and holds no experts (no candidates.csv)" in capsys.readouterr().err
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()] == [name]
+    assert (tmp_path / name).read_text() == "a user's own"
+
+
+@pytest.mark.parametrize("what", ["train", "check"])
+def test_a_task_without_experts_is_refused(
+    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["experts", what, "gridworld", "--dir", str(tmp_path / "new")]) == 2
+    assert "no experts of gridworld" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_where_nothing_is_checked_nothing_is_good(
+    tmp_path: Path, there: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["experts", "check", "cartpole", "--dir", str(tmp_path if there else tmp_path / "no")]) == 2
+    assert "holds no experts of cartpole" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "env,seed\ncartpole,x\n"])

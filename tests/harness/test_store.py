@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness import keys, store
+from harness import keys, marked
 from harness.codec import LARGEST, checksum, decode, encode
 from harness.files import sha256, write_atomic
 from harness.keys import CELL_SOURCES, ROOT
@@ -139,7 +139,7 @@ def test_what_nobody_can_write_to_is_read_all_the_same(whole: Path, monkeypatch:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(store, "locked", refuse)
+    monkeypatch.setattr(marked, "locked", refuse)
     with open_to_verify(whole) as run:
         assert run.damaged() == {}
     with pytest.raises(BadInput, match="cannot write to"), open_for_report(whole):

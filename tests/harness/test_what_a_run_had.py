@@ -59,6 +59,9 @@ def test_a_list_of_checksums_that_was_shortened_is_damage_and_mended_by_report(
     assert "SHA256SUMS" in capsys.readouterr().out
     with open_for_run(run, REQUEST) as directory:
         assert not directory.is_sealed(list(directory.load()[0].values()))
+    told = what != "report.key"  # of which the list may be as old as a killed report
+    assert main(["report", str(run)]) == told
+    assert ("what was stored once and is gone cannot be told" in capsys.readouterr().err) == told
     assert main(["report", str(run)]) == 0
     assert main(["verify", str(run)]) == 0
     assert file.name == "report.key" or file.read_bytes() == before
@@ -69,6 +72,29 @@ def test_a_cell_that_was_deleted_with_its_line_is_damage(run: Path) -> None:
     (run / SUMS).write_text("".join(line for line in lines if "  cells/" not in line))
     (run / "cells/cartpole__bc__seed0.json").unlink()
     assert main(["verify", str(run)]) == 1
+
+
+@pytest.mark.parametrize("how", ["gone", "empty", "other"])
+def test_a_cell_that_was_deleted_with_the_whole_list_is_told(
+    tmp_path: Path, how: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_for_run(tmp_path, dataclasses.replace(REQUEST, methods=("bc", "shaped"))) as directory:
+        directory.save(result())
+        directory.save(result("shaped"))
+    assert main(["report", str(tmp_path)]) == 0
+    (tmp_path / "cells/cartpole__bc__seed0.json").unlink()
+    if how == "gone":
+        (tmp_path / SUMS).unlink()
+    else:
+        (tmp_path / SUMS).write_text("" if how == "empty" else f"{'0' * 64}  notes\n")
+    capsys.readouterr()
+    assert main(["verify", str(tmp_path)]) == 1
+    assert "cartpole__bc__seed0.json: not there, though asked for" in capsys.readouterr().out
+    assert main(["report", str(tmp_path)]) == 1
+    told = capsys.readouterr()
+    assert "what was stored once and is gone cannot be told" in told.err
+    assert "not computed yet, or gone: cartpole__reference__seed0 and 8 more" in told.out
+    assert "not complete: 1 of the 10 cells" in (tmp_path / "report.html").read_text()
 
 
 def test_a_changed_request_is_damage_though_it_says_the_same(run: Path) -> None:
@@ -120,7 +146,7 @@ def test_a_leaderboard_that_is_none_is_built_again(
     lines = (run / SUMS).read_text().splitlines(keepends=True)
     (run / SUMS).write_text("".join(line for line in lines if not line.endswith("  leaderboard.md\n")))
     capsys.readouterr()
-    assert main(["report", str(run)]) == 0
+    assert main(["report", str(run)]) == 1
     assert capsys.readouterr().out.startswith(f"\n{before.decode()}")
     assert table.read_bytes() == before
 
