@@ -37,6 +37,8 @@ COUNT, MOST_TRIED = 5, 20
 EPISODES = 1000
 """An agent must reach its bar on as many tuning episodes, and an expert on as many that nothing else uses. Of
 checkpoints that are near-ties, the first that does counts, in the order of how they bear noise."""
+MORE_EPISODES = 4000
+"""Tuning episodes on which it must end as seldom early once more: the best of several flatters."""
 FIRST_EPISODES = 200
 """Tuning episodes by which checkpoints of one training are compared."""
 NEAR, MOST_NEAR = 0.01, 12
@@ -56,13 +58,16 @@ _EXPERT = re.compile(rf"\w+__\d+({MEDIUM_FILE})?\.safetensors")
 
 class Candidate(NamedTuple):
     """A line of candidates.csv: an agent trained for `env` from `seed`, judged on tuning episodes.
-    number: of the expert that it became, '' where it missed the bar or enough were found before."""
+    number: of the expert that it became, '' where it missed the bar or enough were found before. terminated:
+    share of `EPISODES` that ended early; confirmed: of `MORE_EPISODES`, 1 where that was not measured, for
+    something else rules the agent out."""
 
     env: str
     seed: int
     number: str
     mean_return: float
     terminated: float
+    confirmed: float
     noisy_return: float
     medium_return: float
     random_return: float
@@ -93,6 +98,17 @@ def meets_bar(spec: EnvSpec, measured: Measured, margin: float = 1.0) -> bool:
     return measured.mean_return >= spec.shipped.bar and (allowed is None or ended_early <= margin * allowed)
 
 
+def confirm(spec: EnvSpec, policy: Policy, judged: Measured) -> float:
+    """The share of further tuning episodes that end early, where those before do not rule the policy out and
+    it matters."""
+    assert spec.shipped is not None
+    if not meets_bar(spec, judged, MARGIN):
+        return 1.0
+    if spec.shipped.terminated is None:
+        return judged.terminated
+    return measure(spec, policy, tuning_seeds(EPISODES + MORE_EPISODES)[EPISODES:]).terminated
+
+
 def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     """Trains an agent on the true reward; it, judged on tuning episodes, and the files of the expert and of
     the medium one."""
@@ -119,7 +135,8 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     ties.sort(key=lambda i: (meets_bar(spec, plain[i], MARGIN), noisy[i], i), reverse=True)
     for chosen in ties:
         judged = measure(spec, solution.checkpoints[chosen], tuning_seeds(EPISODES))
-        if meets_bar(spec, judged, MARGIN):
+        confirmed = confirm(spec, solution.checkpoints[chosen], judged)
+        if meets_bar(spec, judged._replace(terminated=confirmed), MARGIN):
             break
     half = random_return + MEDIUM * (judged.mean_return - random_return)
     halves = {
@@ -132,6 +149,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
         seed,
         "",
         *judged,
+        confirmed,
         noisy[chosen],
         halves[medium],
         random_return,
@@ -244,7 +262,11 @@ def check(envs: tuple[str, ...], where: Path) -> bool:
 def is_good(one: Candidate) -> bool:
     """Whether it may become an expert, by its tuning episodes, and has a medium one."""
     share = (one.medium_return - one.random_return) / (one.mean_return - one.random_return)
-    return meets_bar(SPECS[one.env], _measured(one), MARGIN) and abs(share - MEDIUM) <= MEDIUM_OFF
+    both = (
+        meets_bar(SPECS[one.env], Measured(one.mean_return, t), MARGIN)
+        for t in (one.terminated, one.confirmed)
+    )
+    return all(both) and abs(share - MEDIUM) <= MEDIUM_OFF
 
 
 def _measured(one: Candidate) -> Measured:

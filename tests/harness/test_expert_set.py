@@ -167,7 +167,7 @@ def test_the_package_brings_them_where_they_are_looked_for() -> None:
 
 
 def candidate(env: str, seed: int, mean: float) -> Candidate:
-    return Candidate(env, seed, "", mean, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
+    return Candidate(env, seed, "", mean, 0.0, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
 
 
 @pytest.fixture
@@ -258,8 +258,9 @@ def test_a_bar_may_be_reached_exactly(early: float, good: bool) -> None:
 def test_an_expert_has_a_margin_to_its_bar_and_a_medium_one_of_about_half(
     early: float, medium: float, good: bool
 ) -> None:
-    one = Candidate("highway", 0, "", 68.0, early, 68.0, medium, 8.0, 100, 10, 1.5)
+    one = Candidate("highway", 0, "", 68.0, early, 0.005, 68.0, medium, 8.0, 100, 10, 1.5)
     assert is_good(one) == good
+    assert not is_good(one._replace(confirmed=0.0055))
 
 
 def test_too_few_good_agents_are_told(task: EnvSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
