@@ -14,8 +14,8 @@ DEMONSTRATION = 1 << 20
 TUNING = 1 << 22
 """Episodes that shipped experts are chosen by."""
 HELD_OUT = (1 << 23) + 1000
-"""Episodes that shipped experts are measured on, and nothing else is. (The thousand before these had been seen
-when the rule by which experts are chosen was made stricter.)"""
+"""Episodes that shipped experts are measured on, and nothing else is. (The thousand before these had been
+seen when the rule by which experts are chosen was made stricter.)"""
 TRAINING = 1 << 24
 """Every other episode's seed is drawn from here to 2^31."""
 
