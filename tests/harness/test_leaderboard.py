@@ -129,6 +129,14 @@ def test_overall_compares_only_what_every_env_has() -> None:
     assert overall(scored_rows(make_results(("cartpole",)))) == []
 
 
+def test_overall_without_an_env_is_that_of_the_others() -> None:
+    rows = scored_rows(make_results(("cartpole", "pendulum", "highway")))
+    lines = overall(rows, ("pendulum",))
+    assert lines
+    assert lines == overall([row for row in rows if row.env != "pendulum"])
+    assert {line.envs for line in lines} == {2}
+
+
 def test_a_score_beyond_all_scales_is_none() -> None:
     expert, random = (
         make_row("cartpole", "reference", 0, policy, return_mean=1e-208 * (policy == "expert"))

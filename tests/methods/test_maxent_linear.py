@@ -83,6 +83,18 @@ def test_it_finds_the_weights_that_demonstrated(demos: Episodes) -> None:
     assert np.linalg.norm(shrunk.w) < 0.5 * np.linalg.norm(WEIGHTS)
 
 
+def test_its_weights_are_the_most_probable_ones_under_their_prior(demos: Episodes) -> None:
+    world: Any = KnownWorld()
+    mu_demo = demonstrated(demos, MODEL)
+    w = MaxEntLinear(weight_prior=0.3).fit(demos, world, np.random.default_rng(0)).reward.w[:-1]  # type: ignore[union-attr]
+
+    def log_posterior(w: Array) -> float:
+        return log_likelihood(MODEL, MODEL.obs @ w, mu_demo, GAMMA)[0] - 0.15 * float(w @ w)
+
+    for nudge in np.random.default_rng(1).normal(size=(20, len(w))) * 0.02:
+        assert log_posterior(w) > log_posterior(w + nudge)
+
+
 def test_the_gradient_for_rewards_of_pairs_is_that_of_the_likelihood(demos: Episodes) -> None:
     rng = np.random.default_rng(1)
     mu_demo = demonstrated(demos, MODEL)
