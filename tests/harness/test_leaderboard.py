@@ -132,7 +132,8 @@ def test_overall_compares_only_what_every_env_has() -> None:
 def test_overall_without_an_env_is_that_of_the_others() -> None:
     rows = scored_rows(make_results(("cartpole", "pendulum", "highway")))
     lines = overall(rows, ("pendulum",))
-    assert lines
+    assert [line.score for line in lines] == sorted((line.score for line in lines), reverse=True)
+    assert lines[0].score > lines[-1].score
     assert lines == overall([row for row in rows if row.env != "pendulum"])
     assert {line.envs for line in lines} == {2}
 

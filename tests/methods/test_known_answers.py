@@ -157,6 +157,24 @@ def test_likelihood_finds_the_advantage_of_demonstrations_without_noise(
     np.testing.assert_allclose(np.linalg.eigvalsh(matrices(shaped_ml))[:, 0], 100, rtol=0.05)
 
 
+def test_it_explores_with_noise_of_the_size_that_it_says() -> None:
+    seen = []
+
+    class Watched(Regulator):
+        def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+            seen.append(super().rollout(policy, episodes, rng))
+            return seen[-1]
+
+    method = ShapedML(steps=50, iterations=5, rollouts=200, exploration=0.1)
+    learned = method.fit(
+        REGULATOR.demonstrations(seed=0), Watched(REGULATOR.Q, REGULATOR.R), np.random.default_rng(0)
+    )
+    (rollouts,) = seen
+    obs, act = rollouts.pairs()
+    assert len(rollouts) == 200
+    assert (act - learned.policy(obs)).std() == pytest.approx(0.1, rel=0.05)
+
+
 def test_noise_in_demonstrations_tells_the_advantage_of_any_quadratic_cost() -> None:
     """Which no inverse regulator with a cost of squares could know: here two actions at once are dear."""
     rotation = np.array([[0.8, -0.6], [0.6, 0.8]])
