@@ -65,7 +65,7 @@ def write_report(directory: Path, request: Request, results: Sequence[CellResult
     across = [
         [
             *(x.method, x.policy, str(x.envs), str(x.runs)),
-            *(_range(x.score, x.low, x.high, ".2f"), f"{x.below:.0%}"),
+            *(_range(x.score, x.low, x.high, "z.2f"), f"{x.below:.0%}"),
         ]
         for x in overall(rows, tuple(left_out))
     ]
@@ -129,9 +129,10 @@ def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
     spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
     instructions = "fixed" if conditions.deterministic else "of the machine"
     there, asked = len(results), len(request.cells)
+    seeds = "seed 0" if request.seeds == 1 else f"seeds 0 to {request.seeds - 1}"
     return [
         *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
-        f"budget {conditions.budget}, protocol {conditions.protocol}, seeds 0 to {request.seeds - 1}, "
+        f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, "
         f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",
@@ -192,7 +193,7 @@ def _range(mean: float, low: float, high: float, spec: str) -> str:
 
 def _cells(entry: Entry) -> list[str]:
     """The entry for people, in the order of HEADINGS."""
-    behind = _range(entry.behind_mean, entry.behind_low, entry.behind_high, "+.2f")
+    behind = _range(entry.behind_mean, entry.behind_low, entry.behind_high, "+z.2f")
     if math.isfinite(entry.behind_mean):
         behind += " tied" if entry.tied else ""
     elif entry.role == "method" and math.isfinite(entry.score_mean):
@@ -208,11 +209,11 @@ def _cells(entry: Entry) -> list[str]:
         entry.role,
         entry.policy,
         f"{entry.seeds_ok} of {entry.seeds}",
-        _range(entry.score_mean, entry.score_low, entry.score_high, ".2f"),
+        _range(entry.score_mean, entry.score_low, entry.score_high, "z.2f"),
         behind,
-        _number(entry.above_best_lower_control, "+.2f") if learned else "",
-        _number(entry.reward_distance, ".2f") if learned else "",
-        _number(entry.reward_rank, ".2f") if learned else "",
+        _number(entry.above_best_lower_control, "+z.2f") if learned else "",
+        _number(entry.reward_distance, "z.2f") if learned else "",
+        _number(entry.reward_rank, "z.2f") if learned else "",
         _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
         " ".join("; ".join(note).split()),
     ]
@@ -227,7 +228,7 @@ def _costs(entry: Entry) -> list[str]:
         _number(entry.env_steps, ",.0f"),
         _number(entry.check_steps, ",.0f"),
         _number(entry.rl_solves, ".0f"),
-        _number(entry.discounted_mean, ".2f"),
+        _number(entry.discounted_mean, "z.2f"),
     ]
 
 
