@@ -13,7 +13,7 @@ import pytest
 
 from envs import SPECS, EnvSpec
 from envs.spec import Model, Tabular
-from harness.controls import Constant, control_reward
+from harness.controls import control_reward
 from harness.evaluation import evaluate
 from harness.exact import ExactSolver
 from harness.results import CONTROLS
@@ -22,8 +22,9 @@ from harness.simulator import Simulator, Trajectory
 from harness.world import TaskWorld, without_rewards
 from methods.base import Array, Episodes, Learned, Reward, default_absorbing
 from methods.network import Network
+from tests.harness.rewards import Nothing
 
-ZERO = Constant(0.0, absorbing=0.0)
+ZERO = Nothing()
 
 
 def on_target(obs: Array) -> Array:
