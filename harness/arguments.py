@@ -7,7 +7,17 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
-from harness.registry import BUDGETS, ENVS, EXPERTS, LIBRARIES, METHODS, PROTOCOLS, VARIANTS, BadInput
+from harness.registry import (
+    BUDGETS,
+    ENVS,
+    EXPERTS,
+    LIBRARIES,
+    METHODS,
+    PROTOCOLS,
+    RECORDS,
+    VARIANTS,
+    BadInput,
+)
 
 MOST = 1000
 """Largest count that --seeds and --workers take."""
@@ -88,6 +98,7 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="libraries choose their instructions: a little faster, and other numbers on other processors",
     )
+    add("--record", default="first", choices=RECORDS, help="which episode of each policy of seed 0")
     add("--retry-failed", action="store_true", help="compute again what failed before")
 
 

@@ -40,7 +40,7 @@ __all__ = ["prepare", "run_cell"]
 
 
 def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
-    """Everything of one cell; seed 0 is recorded in `directory`/recordings. Raises what its method raises."""
+    """Everything of one cell; recordings go to `directory`/recordings. Raises what its method raises."""
     work = _Work(cell, conditions, directory)
     if cell.method == REFERENCE:
         work.reference()
@@ -160,7 +160,7 @@ class _Work:
         reward: Reward | None,
         columns: Mapping[str, Any] = MappingProxyType({}),
     ) -> Evaluation:
-        """Evaluate, add the row with these columns besides, and record seed 0's first episode."""
+        """Evaluate, add the row with these columns besides, and record seed 0's first episode if asked to."""
         cell = self.cell
         scored = evaluate(self.spec, policy, self.seeds)
         self.result.endings[name] = scored.endings
@@ -176,7 +176,7 @@ class _Work:
                 **columns,
             )
         )
-        if cell.seed == 0:
+        if cell.seed == 0 and self.conditions.record == "first":
             from harness import recordings  # 30 MB, which other seeds do without
 
             path = self.directory / "recordings" / f"{cell.name}__{name}.rrd"

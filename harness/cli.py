@@ -116,7 +116,8 @@ def _run(args: argparse.Namespace) -> int:
 
     _prepare()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
-    conditions = Conditions(args.budget, args.protocol, args.rl, _is_deterministic(args), args.experts)
+    fixed = _is_deterministic(args)
+    conditions = Conditions(args.budget, args.protocol, args.rl, fixed, args.experts, args.record)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
     with open_for_run(args.out, request) as run:
@@ -142,9 +143,9 @@ def _reproduce(args: argparse.Namespace) -> int:
     _handle_signals()
     found = {}
     with open_study(args.out):
-        requests = {}
+        requests, fixed = {}, _is_deterministic(args)
         for protocol in PROTOCOLS:
-            conditions = Conditions(args.budget, protocol, "sbx", _is_deterministic(args), "trained")
+            conditions = Conditions(args.budget, protocol, "sbx", fixed, "trained", args.record)
             requests[protocol] = Request(tuple(ARMS), ENVS, args.seeds, conditions)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
         for protocol, request in requests.items():
@@ -292,7 +293,8 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     if anew or not run.is_sealed(results):
         run.seal(results, write_report(run.path, run.request, results))
     say("\n" + _text(run.path / "leaderboard.md"))
-    for name in ("scores.csv", "report.html", "recordings"):
+    shown = ["scores.csv", "report.html"] + ["recordings"] * any(result.recordings for result in results)
+    for name in shown:
         say(f"{name:11} {run.path / name}")
     there = {result.cell for result in results}
     if absent := [cell.name for cell in run.request.cells if cell not in there]:

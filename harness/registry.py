@@ -8,12 +8,13 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
-    from harness.results import Experts, Library
+    from harness.results import Experts, Library, Record
     from methods.base import Method
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
+RECORDS: tuple[Record, ...] = ("first", "none")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """What becomes of an episode's end (`harness.rl`); the last two are parts of the first."""
 

@@ -65,7 +65,8 @@ def command_of(request: Request) -> str:
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
     words += ["--seeds", str(request.seeds), "--budget", c.budget, "--protocol", c.protocol, "--rl", c.rl]
-    return " ".join([*words, "--experts", c.experts, *([] if c.deterministic else ["--fast"])])
+    words += ["--experts", c.experts, "--record", c.record]
+    return " ".join([*words, *([] if c.deterministic else ["--fast"])])
 
 
 def existing(path: Path) -> Request:

@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-FORMAT = 6
+FORMAT = 7
 """Version of the directory layout; a run of another version is refused."""
 
 CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
@@ -44,6 +44,7 @@ Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
 Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained"]
+Record = Literal["first", "none"]
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 REFERENCE = "reference"
@@ -62,6 +63,8 @@ class Conditions:
     """Whether libraries are kept from choosing their instructions by the processor."""
     experts: Experts = "shipped"
     """Whose demonstrations: the shipped experts', or those of one trained for each seed."""
+    record: Record = "first"
+    """Which evaluation episodes of seed 0's policies are recorded."""
 
 
 @dataclass(frozen=True, order=True)

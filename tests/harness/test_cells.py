@@ -208,6 +208,13 @@ def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
     assert one.rows[0].return_mean != two.rows[0].return_mean
 
 
+def test_nothing_is_recorded_where_that_was_asked(tmp_path: Path) -> None:
+    result = run_cell(BC, dataclasses.replace(SMOKE, record="none"), tmp_path)
+    assert result.rows[0].status == "ok"
+    assert result.recordings == {}
+    assert recordings(tmp_path) == []
+
+
 def test_the_reference_scores_the_expert_and_a_random_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

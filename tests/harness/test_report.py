@@ -195,7 +195,10 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
     write_report(tmp_path, fast, results)
     text = (tmp_path / "leaderboard.md").read_text()
     assert "instructions of the machine" in text
-    assert "--seeds 3 --budget quick --protocol absorbing --rl sbx --experts shipped --fast" in text
+    assert (
+        "--seeds 3 --budget quick --protocol absorbing --rl sbx --experts shipped --record first --fast"
+        in text
+    )
     (row, *_) = read_csv(tmp_path / "scores.csv")
     assert (row["budget"], row["rl"], row["program"], row["expert"]) == (
         "quick",

@@ -212,6 +212,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         "rl": "sbx",
         "deterministic": True,
         "experts": "shipped",
+        "record": "first",
     }
 
 
