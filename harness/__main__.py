@@ -30,9 +30,9 @@ def start() -> int:
         warnings.resetwarnings()
         warnings.simplefilter("ignore")
 
-    from harness import streams
     from harness.cli import main
-    from harness.signals import ignore_stops
+    from harness.run import streams
+    from harness.run.signals import ignore_stops
 
     streams.install()
     if interruptible:

@@ -21,15 +21,16 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from stable_baselines3 import DDPG
 from stable_baselines3.common.noise import NormalActionNoise
 
-from envs import SPECS, EnvSpec
+from envs import EnvSpec
 from envs.highway import CONFIG, HORIZON
 from envs.highway_fast import FastHighwayEnv
-from harness.experts import expert_for, prepare
-from harness.results import Cell, CellResult, Conditions
-from harness.rl import WARM_UP, Learner
-from harness.rl_settings import rl_settings_for
-from harness.run import Grid
-from harness.simulator import Simulator
+from harness.judge.results import Cell, CellResult, Conditions
+from harness.learn.rl import WARM_UP, Learner
+from harness.learn.settings import rl_settings_for
+from harness.learn.simulator import Simulator
+from harness.registry import SPECS
+from harness.run.experts import expert_for, prepare
+from harness.run.grid import Grid
 from methods.base import Policy
 
 REPEATS = 5
@@ -170,7 +171,7 @@ def _solve_plainly(env: str) -> int:
 
 def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
     """What Stable-Baselines3's DDPG learns in so many steps by itself, used as its documentation has it, with
-    our networks, batch and one gradient step a step; no checkpoints, nor anything else of `harness/rl.py`."""
+    our networks, batch and one gradient step a step; without checkpoints or anything else of `Learner`."""
     spec, settings = SPECS[env], rl_settings_for(env)
     model = DDPG(
         "MlpPolicy",

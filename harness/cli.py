@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.arguments import parser
-from harness.environment import can_fix_instructions
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput, choose
-from harness.signals import ignore_stops, stop_cleanly
+from harness.run.environment import can_fix_instructions
+from harness.run.signals import ignore_stops, stop_cleanly
 
 if TYPE_CHECKING:
-    from harness.request import Request
-    from harness.results import Cell, CellResult
-    from harness.store import RunDirectory
+    from harness.judge.results import Cell, CellResult, Request
+    from harness.run.store import RunDirectory
 
 MOST_NAMED = 20
 """Files that a line names, but for the first."""
@@ -97,7 +96,8 @@ def _check_python() -> None:
 
 def _list() -> int:
     methods, variants = ({n: e.summary for n, e in table.items()} for table in (METHODS, VARIANTS))
-    sections = {"methods": methods, "variants of methods, not part of 'all'": variants, "envs": ENVS}
+    envs = {name: entry.summary for name, entry in ENVS.items()}
+    sections = {"methods": methods, "variants of methods, not part of 'all'": variants, "envs": envs}
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")
@@ -110,9 +110,8 @@ def _run(args: argparse.Namespace) -> int:
     methods = choose("method", args.methods, METHODS, VARIANTS)
     envs = choose("env", args.envs, ENVS)
     # Imported here, for `--help` and `list` to answer at once.
-    from harness.request import Request
-    from harness.results import Conditions
-    from harness.store import open_for_run
+    from harness.judge.results import Conditions, Request
+    from harness.run.store import open_for_run
 
     _prepare()
     seeds = args.seeds or (5 if args.budget == "full" else 1)
@@ -132,12 +131,12 @@ def _is_deterministic(args: argparse.Namespace) -> bool:
 
 
 def _reproduce(args: argparse.Namespace) -> int:
-    from harness.progress import say
+    from harness.judge.results import Conditions, Request
     from harness.reproduce import ENVS, PROTOCOLS, open_study, write_study
-    from harness.request import Request, merged
-    from harness.results import Conditions
-    from harness.store import open_for_run
-    from harness.study import ARMS
+    from harness.run.progress import say
+    from harness.run.request import merged
+    from harness.run.store import open_for_run
+    from harness.run.study import ARMS
 
     _prepare()
     _handle_signals()
@@ -159,29 +158,29 @@ def _reproduce(args: argparse.Namespace) -> int:
 
 def _prepare() -> None:
     """Raises BadInput where nothing could be computed or drawn, before anything is written."""
-    from harness import keys, scratch
+    from harness.run import keys, scratch
 
     scratch.remove_abandoned(scratch.base())
     keys.versions(keys.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
-    if "harness/report.html.j2" not in keys.program():
-        raise BadInput("harness/report.html.j2 is missing; install the program again")
+    if keys.TEMPLATE not in keys.program():
+        raise BadInput(f"{keys.TEMPLATE} is missing; install the program again")
     try:
-        importlib.import_module("harness.run")
-        importlib.import_module("harness.report")
+        importlib.import_module("harness.run.grid")
+        importlib.import_module("harness.run.reporting")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
         raise BadInput(f"nothing can draw the report: {error}") from error
 
 
 def _bench(as_json: bool) -> int:
-    from harness.processes import as_in_cells
-    from harness.progress import say, tell
+    from harness.run.processes import as_in_cells
+    from harness.run.progress import say, tell
 
     measures, missed = [], False
     with as_in_cells():
         from harness.bench import bench  # in that environment
         from harness.growth import growth
-        from harness.keys import origin
+        from harness.run.keys import origin
 
         try:
             for measure in chain(bench(), growth()):
@@ -201,9 +200,10 @@ def _bench(as_json: bool) -> int:
 
 def _experts(args: argparse.Namespace) -> int:
     envs = choose("env", ",".join(args.envs), ENVS)
-    from envs import SPECS
-    from harness import expert_set, expert_training
-    from harness.scratch import base
+    from harness import expert_training
+    from harness.registry import SPECS
+    from harness.run import expert_set
+    from harness.run.scratch import base
 
     base()
     _handle_signals()
@@ -218,12 +218,12 @@ def _experts(args: argparse.Namespace) -> int:
 
 def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then."""
-    from harness.environment import cache_folder
-    from harness.files import can_write
-    from harness.progress import say, tell
-    from harness.results import failed_rows
-    from harness.run import Grid
-    from harness.store import LOG
+    from harness.judge.results import failed_rows
+    from harness.run.environment import cache_folder
+    from harness.run.files import can_write
+    from harness.run.grid import Grid
+    from harness.run.progress import say, tell
+    from harness.run.store import LOG
 
     known, unusable = run.load()
     _tell_unusable(unusable, "left out, computed again if asked for")
@@ -254,7 +254,7 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
 
 
 def _report(directory: Path) -> int:
-    from harness.store import open_for_report
+    from harness.run.store import open_for_report
 
     _prepare()
     with open_for_report(directory) as run:
@@ -268,8 +268,8 @@ def _report(directory: Path) -> int:
 
 
 def _verify(directory: Path) -> int:
-    from harness.progress import say
-    from harness.store import open_to_verify
+    from harness.run.progress import say
+    from harness.run.store import open_to_verify
 
     with open_to_verify(directory) as run:
         damaged = run.damaged()
@@ -283,9 +283,9 @@ def _verify(directory: Path) -> int:
 def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
     """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
     all is there that the run stored."""
-    from harness.progress import say, tell
-    from harness.report import write_report
-    from harness.store import SUMS
+    from harness.run.progress import say, tell
+    from harness.run.reporting import write_report
+    from harness.run.store import SUMS
 
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
@@ -313,14 +313,14 @@ def _and_more(names: Sequence[str]) -> str:
 
 def _text(file: Path) -> str:
     """What can be shown of a text file."""
-    from harness.files import read
+    from harness.run.files import read
 
     return read(file).decode(errors="replace")
 
 
 def _tell_troubles(results: list[CellResult]) -> bool:
     """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
-    from harness.progress import tell
+    from harness.run.progress import tell
 
     for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
         tell(f"WARNING: {warning}")
@@ -333,7 +333,7 @@ def _tell_troubles(results: list[CellResult]) -> bool:
 
 def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
     """A line for each reason."""
-    from harness.progress import tell
+    from harness.run.progress import tell
 
     for reason in sorted(set(files.values())):
         first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
@@ -352,7 +352,7 @@ def _cores() -> int:
 
 def _handle_signals() -> None:
     """Whatever stops a run stops it cleanly, and Ctrl-Z suspends all of it."""
-    from harness.processes import let_cells_sleep
+    from harness.run.processes import let_cells_sleep
 
     if threading.current_thread() is threading.main_thread():
         stop_cleanly()

@@ -16,19 +16,19 @@ import msgspec
 import numpy as np
 from pebble.concurrent import process as in_a_process
 
-from envs import SPECS, EnvSpec
-from harness.cache import Kept, as_bytes, load
-from harness.evaluation import evaluate
-from harness.expert_set import SUMS
-from harness.files import read, sha256, write_atomic
-from harness.keys import origin
-from harness.marked import open_marked
-from harness.processes import NAME, fresh_processes
-from harness.progress import say, tell
-from harness.registry import BadInput
-from harness.rl import Learner, disturbed
-from harness.rl_settings import rl_settings_for
-from harness.seeds import held_out_seeds, rng_for, tuning_seeds
+from envs import EnvSpec
+from harness.judge.evaluation import evaluate
+from harness.learn.rl import Learner, disturbed
+from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
+from harness.learn.settings import rl_settings_for
+from harness.registry import SPECS, BadInput
+from harness.run.cache import Kept, as_bytes, load
+from harness.run.expert_set import SUMS
+from harness.run.files import read, sha256, write_atomic
+from harness.run.keys import origin
+from harness.run.marked import open_marked
+from harness.run.processes import NAME, fresh_processes
+from harness.run.progress import say, tell
 from methods.base import Policy
 from methods.network import Network
 
@@ -177,7 +177,7 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     there already is gone on with. Raises BadInput where too few meet it, where `out` holds anything else,
     or where another process is at it."""
     ours = open_marked(out, CANDIDATES, _as_text([]).encode(), "experts", _is_list, rf"{SUMS}|{_AGENT}")
-    with ours, fresh_processes("harness.preload") as context:
+    with ours, fresh_processes("harness.run.preload") as context:
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:
             done = {one.seed: one for one in _set_aside(out, env)}

@@ -14,14 +14,13 @@ from typing import TypeVar
 
 import psutil
 
-from envs import SPECS
 from harness.bench import CONDITIONS, Measure, command, compute
-from harness.cells import run_cell
-from harness.experts import demonstrations_for, prepare
-from harness.registry import ENVS
-from harness.results import Cell, Conditions
-from harness.seeds import rng_for
-from harness.world import TaskWorld
+from harness.judge.results import Cell, Conditions
+from harness.learn.seeds import rng_for
+from harness.learn.world import TaskWorld
+from harness.registry import ENVS, SPECS
+from harness.run.cells import run_cell
+from harness.run.experts import demonstrations_for, prepare
 from methods.shaped import Shaped
 
 T = TypeVar("T")

@@ -1,22 +1,26 @@
-"""Names: which methods and environments there are, known without importing any of them."""
+"""Names, for all rooms: which methods and environments there are, known without importing any of them."""
 
 from __future__ import annotations
 
 import difflib
 import importlib
 from collections.abc import Collection
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 if TYPE_CHECKING:
-    from harness.results import Experts, Library, Record
+    from envs import EnvSpec
     from methods.base import Method
+
+Library = Literal["sbx", "sb3"]
+Experts = Literal["shipped", "trained"]
+Record = Literal["first", "none"]
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
 RECORDS: tuple[Record, ...] = ("first", "none")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
-"""What becomes of an episode's end (`harness.rl`); the last two are parts of the first."""
+"""What becomes of an episode's end (`harness.learn.rl`); the last two are parts of the first."""
 
 
 class BadInput(Exception):
@@ -24,7 +28,7 @@ class BadInput(Exception):
 
 
 class Entry(NamedTuple):
-    """Where a method is ('module:Class') and what it is, in one line."""
+    """Where a method or an environment's `EnvSpec` is ('module:name') and what it is, in one line."""
 
     target: str
     summary: str
@@ -51,12 +55,40 @@ VARIANTS = {
 }
 """Methods that run when they are named, but are not part of 'all'."""
 ENVS = {
-    "cartpole": "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
-    "pendulum": "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
-    "highway": "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
-    "cartpole_discrete": "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
-    "gridworld": "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
+    "cartpole": Entry(
+        "envs.cartpole:SPEC", "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)"
+    ),
+    "pendulum": Entry("envs.pendulum:SPEC", "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps"),
+    "highway": Entry(
+        "envs.highway:SPEC",
+        "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
+    ),
+    "cartpole_discrete": Entry(
+        "envs.cartpole_discrete:SPEC",
+        "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
+    ),
+    "gridworld": Entry(
+        "envs.gridworld:SPEC",
+        "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
+    ),
 }
+
+
+class _Specs(dict[str, "EnvSpec"]):
+    """Imports an environment when it is first asked for; its length and order are of those so far."""
+
+    def __missing__(self, name: str) -> EnvSpec:
+        self[name] = cast("EnvSpec", _load(ENVS[name].target))
+        return self[name]
+
+
+SPECS = _Specs()
+"""Environments by name, each imported when it is asked for."""
+
+
+def all_specs() -> list[EnvSpec]:
+    """Every environment, imported now, in the order of `ENVS`."""
+    return [SPECS[name] for name in ENVS]
 
 
 def choose(kind: str, text: str, known: Collection[str], variants: Collection[str] = ()) -> tuple[str, ...]:
@@ -83,5 +115,9 @@ def load_method(name: str) -> type[Method]:
     if name not in entries:
         choose("method", name, METHODS, VARIANTS)
         raise BadInput(f"{name!r} is not one method")
-    module, _, attribute = entries[name].target.partition(":")
-    return cast("type[Method]", getattr(importlib.import_module(module), attribute))
+    return cast("type[Method]", _load(entries[name].target))
+
+
+def _load(target: str) -> object:
+    module, _, attribute = target.partition(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -21,14 +21,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.files import write_atomic
-from harness.leaderboard import Entry, leaderboard, scored_rows
-from harness.marked import open_marked
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.results import COLUMNS, CONTROLS, REFERENCE, CellResult
 from harness.registry import BadInput
-from harness.report import as_csv
-from harness.results import COLUMNS, CONTROLS, REFERENCE, CellResult
-from harness.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.run.files import write_atomic
+from harness.run.marked import open_marked
+from harness.run.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
+from harness.show.report import as_csv
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 GREEN, YELLOW = "#009e73", "#e69f00"
@@ -71,7 +71,7 @@ def _line(entry: Entry) -> dict[str, str | int | float]:
         "env": entry.env,
         "protocol": entry.protocol,
         "method": arm.method if arm else entry.method,
-        "trajectories": arm.demonstrations if arm else "",
+        "trajectories": (arm.demonstrations if arm else None) or "",
         "weight decay": arm.settings.get("weight_decay", "") if arm else "",
         "policy": entry.policy,
         "seeds": entry.seeds_ok,

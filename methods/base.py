@@ -135,18 +135,3 @@ def default_absorbing(
     if not all(demos.terminated):
         act = random_actions(len(act), rng)
     return float(reward(obs, act, obs).mean())
-
-
-@dataclass(frozen=True)
-class LinearReward:
-    """w^T phi(s, a), of weights w (K + 1,); the last is what the absorbing state pays."""
-
-    world: World
-    w: Array
-
-    @property
-    def absorbing(self) -> float:
-        return float(self.w[-1])
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.world.phi(obs, act) @ self.w[:-1]

@@ -24,6 +24,7 @@ import torch
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, Policy, World
 from methods.network import ADAM, Network, mlp, standardiser
+from methods.rewards import NetworkReward, StateReward
 from methods.tabular import finite_soft_value_iteration, state_visitations
 
 
@@ -157,39 +158,3 @@ def with_absorbing_steps(steps: Array, episodes: Episodes, horizon: int) -> Arra
 def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:
     """A uniform minibatch of visitations."""
     return torch.as_tensor(visits[rng.integers(len(visits), size=batch)], dtype=torch.float32)
-
-
-@dataclass(frozen=True)
-class StateReward:
-    """A network of the observation alone, for environments without an absorbing state."""
-
-    network: Network
-    absorbing: float = 0.0
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.network(obs)[:, 0]
-
-
-@dataclass(frozen=True)
-class NetworkReward:
-    """`bound` times the tanh of a network of (observation, action, absorbing indicator)."""
-
-    network: Network
-    bound: float
-    absorbing: float
-
-    @classmethod
-    def of(cls, layers: torch.nn.Module, mean: Array, std: Array, bound: float) -> NetworkReward:
-        """From torch layers, before the tanh, on standardised observations (`mean`, `std`), actions and the
-        indicator."""
-        linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
-        rest = linear[0].in_features - len(mean)
-        shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
-        network = Network.from_torch(layers, shift, scale, tanh=True)
-        absorbed = np.append(mean, np.zeros(rest))
-        absorbed[-1] = 1
-        return cls(network, bound, bound * float(network(absorbed[None])[0, 0]))
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        inputs = np.concatenate([obs, act, np.zeros((len(obs), 1))], axis=1)
-        return self.bound * self.network(inputs)[:, 0]

@@ -20,8 +20,9 @@ import numpy as np
 from scipy import optimize
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, LinearReward, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, World
 from methods.maxent import demonstrated, log_likelihood, with_absorbing_steps
+from methods.rewards import LinearReward
 
 
 @dataclass(frozen=True)

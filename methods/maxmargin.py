@@ -24,7 +24,8 @@ import cvxpy as cp
 import numpy as np
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, LinearReward, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, World
+from methods.rewards import LinearReward
 from methods.tabular import state_visitations
 
 

@@ -15,7 +15,7 @@ import pytest
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from harness.environment import FIXED
+from harness.run.environment import FIXED
 
 HORIZON = 10
 

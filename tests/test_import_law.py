@@ -1,7 +1,9 @@
-"""Who may import whom: envs <- methods <- harness, and each heavy library in one place."""
+"""Who may import whom, and each heavy library in one place."""
 
 import ast
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parent.parent
 FILES = {
@@ -12,35 +14,52 @@ FILES = {
 LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 
 
-def imports(tree: ast.AST) -> set[str]:
-    """The packages that a file imports, lazily or not."""
+ROOMS = (
+    *("envs", "methods", "harness.registry", "harness.learn", "harness.judge", "harness.show", "harness.run"),
+    "harness",
+)
+"""Each may import itself and those before it."""
+
+
+def modules(tree: ast.AST) -> set[str]:
+    """What a file imports, lazily or not, with what it takes from there."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
-            found.add((node.module or "").split(".")[0])
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return found
+
+
+def imports(tree: ast.AST) -> set[str]:
+    """The packages that a file imports."""
+    return {name.split(".")[0] for name in modules(tree)}
 
 
 def importers(library: str) -> list[str]:
     return [name for name, tree in FILES.items() if library in imports(tree)]
 
 
-def test_envs_know_no_method_and_no_harness() -> None:
-    assert [n for n in importers("methods") + importers("harness") if n.startswith("envs/")] == []
+def room(module: str) -> int | None:
+    """The number of the first room that a module belongs to, if it is of this program."""
+    return next((i for i, name in enumerate(ROOMS) if f"{module}.".startswith(f"{name}.")), None)
 
 
-def test_methods_know_no_harness() -> None:
-    assert [name for name in importers("harness") if name.startswith("methods/")] == []
+@pytest.mark.parametrize("file", FILES)
+def test_rooms_import_only_those_before_them(file: str) -> None:
+    own = room(file.removesuffix(".py").removesuffix("/__init__").replace("/", "."))
+    assert own is not None
+    later = {name for name in modules(FILES[file]) if (its := room(name)) is not None and its > own}
+    assert later == set()
 
 
 def test_each_heavy_library_has_one_home() -> None:
     # The benchmark of our own speed compares with it.
-    assert importers("stable_baselines3") == ["harness/bench.py", "harness/rl.py"]
-    assert importers("sbx") == ["harness/rl.py"]
-    assert importers("rerun") == ["harness/recordings.py"]
+    assert importers("stable_baselines3") == ["harness/bench.py", "harness/learn/rl.py"]
+    assert importers("sbx") == ["harness/learn/rl.py"]
+    assert importers("rerun") == ["harness/show/recordings.py"]
     (home,) = importers("cvxpy")
     assert home.startswith("methods/")
 

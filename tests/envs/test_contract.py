@@ -8,10 +8,11 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
-from envs import BUDGETS, SPECS, EnvSpec
+from envs import BUDGETS, EnvSpec
+from harness.registry import SPECS, all_specs
 
 
-@pytest.fixture(params=SPECS.values(), ids=list(SPECS))
+@pytest.fixture(params=all_specs(), ids=lambda spec: spec.name)
 def spec(request: pytest.FixtureRequest) -> EnvSpec:
     return request.param
 

@@ -1,4 +1,4 @@
-"""Stand-ins for `harness.cells`. A cell does what its method is called, or what the file faults.json
+"""Stand-ins for `harness.run.cells`. A cell does what its method is called, or what the file faults.json
 beside the run's directory says for the cell's name; an env named 'nowhere' has no expert.
 
 As a script it is the real command line with these cells, for tests that send it signals.
@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.environment import SAME_INSTRUCTIONS
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row, policies_of
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of
+from harness.run.environment import SAME_INSTRUCTIONS
 
 
 class Panic(BaseException):
@@ -166,12 +165,14 @@ def write_report(directory: Path, request: Request, results: list[CellResult]) -
 
 def install() -> None:
     """Makes the command line use the cells and the report of this file."""
-    import harness.run
+    import harness.run.grid
 
-    harness.run.Grid = functools.partial(harness.run.Grid, work="fake_cells", preload="harness.run")
-    report = types.ModuleType("harness.report")
+    harness.run.grid.Grid = functools.partial(
+        harness.run.grid.Grid, work="fake_cells", preload="harness.run.grid"
+    )
+    report = types.ModuleType("harness.run.reporting")
     report.write_report = write_report
-    sys.modules["harness.report"] = report
+    sys.modules["harness.run.reporting"] = report
 
 
 if __name__ == "__main__":

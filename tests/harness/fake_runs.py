@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from harness.results import CONTROLS
+from harness.judge.results import CONTROLS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

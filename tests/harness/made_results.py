@@ -7,9 +7,8 @@ import math
 
 import numpy as np
 
-from harness.leaderboard import Entry, leaderboard, scored_rows
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 
 ENVS = ("cartpole", "pendulum")
 REQUEST = Request(("bc", "shaped", "maxmargin"), ENVS, 3, Conditions("quick", "absorbing", "sbx"))

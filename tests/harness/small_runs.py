@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from harness.cli import main
-from harness.codec import checksum
-from harness.files import sha256, write_atomic
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import open_for_run
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.run.codec import checksum
+from harness.run.files import sha256, write_atomic
+from harness.run.store import open_for_run
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)

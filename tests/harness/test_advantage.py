@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from envs import SPECS, EnvSpec, cartpole
+from envs import EnvSpec, cartpole
 from envs.spec import Tabular
-from harness.advantage import (
+from harness.judge.advantage import (
     Comparison,
     compare,
     known_comparison,
@@ -21,11 +21,12 @@ from harness.advantage import (
     replay,
     sampled_comparison,
 )
-from harness.controls import Constant
-from harness.seeds import rng_for
-from harness.simulator import Simulator
-from harness.world import TaskWorld, without_rewards
+from harness.learn.seeds import rng_for
+from harness.learn.simulator import Simulator
+from harness.learn.world import TaskWorld, without_rewards
+from harness.registry import SPECS
 from methods.base import Array, Reward
+from methods.rewards import Constant
 from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML
 from methods.tabular import action_values, greedy, soft_policy, soft_value_iteration, value_iteration

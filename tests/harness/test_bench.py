@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from envs import SPECS
 from envs.highway_fast import FastHighwayEnv
 from harness import bench, cli, growth
-from harness.results import Cell, CellResult, Conditions, Row
+from harness.judge.results import Cell, CellResult, Conditions, Row
+from harness.registry import SPECS
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from envs import SPECS
-from harness import cache, experts
-from harness.cache import Kept, cache_file, kept, load
-from harness.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
-from harness.experts import demonstrations_for, expert_for, prepare, replays_for
-from harness.keys import experts_version, program
-from harness.results import Conditions
-from harness.seeds import demonstration_seeds
-from harness.simulator import Simulator
+from harness.judge.results import Conditions
+from harness.learn.seeds import demonstration_seeds
+from harness.learn.simulator import Simulator
+from harness.registry import SPECS
+from harness.run import cache, experts
+from harness.run.cache import Kept, cache_file, kept, load
+from harness.run.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
+from harness.run.experts import demonstrations_for, expert_for, prepare, replays_for
+from harness.run.keys import experts_version, program
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})

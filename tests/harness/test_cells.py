@@ -10,15 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envs import SPECS, EnvSpec
-from harness import cells, world
-from harness.cells import run_cell
-from harness.codec import decode, encode
-from harness.environment import CACHE_VARIABLE
-from harness.evaluation import evaluate
-from harness.experts import expert_for
-from harness.registry import PROTOCOLS
-from harness.results import (
+from envs import EnvSpec
+from harness.judge.evaluation import evaluate
+from harness.judge.results import (
     CONTROLS,
     MOST_CURVES,
     MOST_POINTS,
@@ -30,8 +24,15 @@ from harness.results import (
     failed_rows,
     policies_of,
 )
-from harness.seeds import demonstration_seeds, evaluation_seeds
-from harness.world import solver_for
+from harness.learn import world
+from harness.learn.seeds import demonstration_seeds, evaluation_seeds
+from harness.learn.world import solver_for
+from harness.registry import PROTOCOLS, SPECS
+from harness.run import cells
+from harness.run.cells import run_cell
+from harness.run.codec import decode, encode
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.experts import expert_for
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
 BC = Cell("cartpole", "bc", 0)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from harness import cli, registry, store
-from harness.request import Request
-from harness.results import CellResult
+from harness import cli, registry
+from harness.judge.results import CellResult, Request
+from harness.run import store
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 
@@ -29,10 +29,10 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.chdir(tmp_path)
     import fake_cells
 
-    import harness.run
+    import harness.run.grid
 
-    monkeypatch.setattr(harness.run, "Grid", harness.run.Grid)
-    monkeypatch.setitem(sys.modules, "harness.report", None)
+    monkeypatch.setattr(harness.run.grid, "Grid", harness.run.grid.Grid)
+    monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
     monkeypatch.setattr(cli, "_handle_signals", lambda: None)
     fake_cells.install()
 
@@ -61,7 +61,9 @@ def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command:
 def test_the_registry_tells_the_truth() -> None:
     import envs
 
-    assert {name: spec.summary for name, spec in envs.SPECS.items()} == registry.ENVS
+    assert {n: registry.SPECS[n].summary for n in registry.ENVS} == {
+        n: e.summary for n, e in registry.ENVS.items()
+    }
     assert envs.BUDGETS == registry.BUDGETS
     for name in (*registry.METHODS, *registry.VARIANTS):
         method = registry.load_method(name)
@@ -269,13 +271,13 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     built: list[int] = []
-    write_report = sys.modules["harness.report"].write_report
+    write_report = sys.modules["harness.run.reporting"].write_report
 
     def count(directory: Path, request: Request, results: list[CellResult]) -> list[Path]:
         built.append(len(results))
         return write_report(directory, request, results)
 
-    monkeypatch.setattr(sys.modules["harness.report"], "write_report", count)
+    monkeypatch.setattr(sys.modules["harness.run.reporting"], "write_report", count)
     out = ("--out", "run")
     for _ in range(2):
         assert main(*SMOKE, "--methods", "bc", *out)[0] == 0

@@ -16,12 +16,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness import figures
-from harness.codec import LARGEST, checksum, decode, encode, printable
-from harness.leaderboard import leaderboard, scored_rows
-from harness.report import write_report
-from harness.request import Request
-from harness.results import MOST_CURVES, MOST_POINTS, Cell, CellResult, Conditions, Row
+from harness.judge.leaderboard import leaderboard, scored_rows
+from harness.judge.results import (
+    LARGEST,
+    MOST_CURVES,
+    MOST_POINTS,
+    Cell,
+    CellResult,
+    Conditions,
+    Request,
+    Row,
+)
+from harness.run.codec import checksum, decode, encode, printable
+from harness.run.reporting import write_report
+from harness.show import figures
 
 ODD: list[Any] = [
     *(

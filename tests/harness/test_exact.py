@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import SPECS
 from envs.gridworld import SPEC, WORLD, objectworld
 from envs.spec import Model, Tabular
-from harness.controls import Constant
-from harness.environment import CACHE_VARIABLE
-from harness.exact import ExactSolver, expected_rewards
-from harness.experts import expert_for
-from harness.results import Conditions
+from harness.judge.results import Conditions
+from harness.learn.exact import ExactSolver, expected_rewards
+from harness.registry import SPECS
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.experts import expert_for
 from methods.base import Array, Policy, Reward
+from methods.rewards import Constant
 from methods.tabular import policy_value, value_iteration
 
 GAMMA = 0.95

@@ -9,13 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from envs import SPECS, EnvSpec
+from envs import EnvSpec
 from envs.spec import Shipped
-from harness import expert_set, expert_training, keys
-from harness.cache import load
+from harness import expert_training
 from harness.cli import main
-from harness.environment import CACHE_VARIABLE, numeric
-from harness.expert_set import shipped
 from harness.expert_training import (
     CANDIDATES,
     COUNT,
@@ -26,17 +23,20 @@ from harness.expert_training import (
     meets_bar,
     train_all,
 )
-from harness.experts import expert_for
-from harness.files import sha256
-from harness.keys import EXPERTS, ROOT, cell_key, experts_version, program
-from harness.registry import BadInput
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row
-from harness.seeds import held_out_seeds, tuning_seeds
-from harness.store import open_for_report, open_for_run
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.learn.seeds import held_out_seeds, tuning_seeds
+from harness.registry import SPECS, BadInput, all_specs
+from harness.run import expert_set, keys
+from harness.run.cache import load
+from harness.run.environment import CACHE_VARIABLE, numeric
+from harness.run.expert_set import shipped
+from harness.run.experts import expert_for
+from harness.run.files import sha256
+from harness.run.keys import EXPERTS, ROOT, TEMPLATE, cell_keys, experts_version, program
+from harness.run.store import open_for_report, open_for_run
 from methods.network import Network
 
-TASKS = tuple(env for env, spec in SPECS.items() if spec.shipped)
+TASKS = tuple(spec.name for spec in all_specs() if spec.shipped)
 FOLDER = ROOT / "results/reference/experts"
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
@@ -49,8 +49,9 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     there.mkdir(parents=True)
     for file in FOLDER.iterdir():
         (there / file.name).write_bytes(file.read_bytes())
-    (tmp_path / "harness").mkdir()
-    (tmp_path / "harness/report.html.j2").write_bytes((ROOT / "harness/report.html.j2").read_bytes())
+    template = tmp_path / TEMPLATE
+    template.parent.mkdir(parents=True)
+    template.write_bytes((ROOT / TEMPLATE).read_bytes())
     for module in (keys, expert_set):
         monkeypatch.setattr(module, "ROOT", tmp_path)
     program.cache_clear()
@@ -97,15 +98,20 @@ def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_use
     assert half.mean_return < best.mean_return
 
 
+def key(env: str) -> str:
+    (its,) = cell_keys([Cell(env, "bc", 0)], Conditions("smoke", "absorbing", "sbx"), numeric(False)).values()
+    return its
+
+
 def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) -> None:
-    version, key = experts_version("cartpole"), cell_key("cartpole", {}, numeric(False))
-    other = experts_version("pendulum"), cell_key("pendulum", {}, numeric(False))
+    version, before = experts_version("cartpole"), key("cartpole")
+    other = experts_version("pendulum"), key("pendulum")
     file = copy / "cartpole__1.safetensors"
     file.write_bytes((copy / "cartpole__2.safetensors").read_bytes())
     program.cache_clear()
     assert experts_version("cartpole") != version
-    assert cell_key("cartpole", {}, numeric(False)) != key
-    assert (experts_version("pendulum"), cell_key("pendulum", {}, numeric(False))) == other
+    assert key("cartpole") != before
+    assert (experts_version("pendulum"), key("pendulum")) == other
     assert shipped("cartpole", 0)
     with pytest.raises(BadInput, match=r"cartpole__1.safetensors is damaged"):
         shipped("cartpole", 1)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.results import CONTROLS, Cell, CellResult, Conditions
-from harness.run import Grid
+from harness.judge.results import CONTROLS, Cell, CellResult, Conditions
+from harness.run.grid import Grid
 from tests.harness.fake_runs import scores
 
 HERE = Path(__file__).parent
@@ -80,7 +80,7 @@ def test_two_hundred_cells_with_faults_are_all_accounted_for(
         *(Conditions("smoke", "absorbing", "sb3"), tmp_path / "run", WORKERS, found.append),
         timeout=2,
         work="fake_cells",
-        preload="harness.run",
+        preload="harness.run.grid",
     )
     grid.run(cells[:2])  # what is opened once, such as the server that forks, is open now
     found.clear()

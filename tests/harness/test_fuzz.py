@@ -14,10 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import cli
+from harness.judge.results import Cell, CellResult, Request
 from harness.registry import ENVS, METHODS, VARIANTS
-from harness.request import Request
-from harness.results import Cell, CellResult
-from harness.store import RunDirectory
+from harness.run.store import RunDirectory
 from methods.base import Episodes
 
 Tried = Callable[[str, Counter[str]], None]

@@ -8,7 +8,7 @@ import pytest
 
 from harness import growth
 from harness.bench import compute
-from harness.results import Cell
+from harness.judge.results import Cell
 
 
 def hold(megabytes: int) -> int:

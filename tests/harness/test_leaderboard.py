@@ -7,8 +7,8 @@ import math
 import pytest
 from scipy.stats import sem, t
 
-from harness.leaderboard import leaderboard, overall, scored_rows
-from harness.results import Cell, CellResult
+from harness.judge.leaderboard import leaderboard, overall, scored_rows
+from harness.judge.results import Cell, CellResult
 from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
 
 

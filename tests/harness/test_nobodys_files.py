@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from harness.cli import main
-from harness.files import appending, read, write_atomic
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.store import SUMS, open_for_report, open_for_run
+from harness.run.files import appending, read, write_atomic
+from harness.run.store import SUMS, open_for_report, open_for_run
 from tests.harness.small_runs import RECORDING, REQUEST, run, snapshot, strange
 
 __all__ = ["run"]

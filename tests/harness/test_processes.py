@@ -10,14 +10,14 @@ from pathlib import Path
 
 import psutil
 
-from harness.environment import FIXED, SAME_INSTRUCTIONS
-from harness.processes import NAME, fresh_processes
+from harness.run.environment import FIXED, SAME_INSTRUCTIONS
+from harness.run.processes import NAME, fresh_processes
 
 WATCHERS = 8
 
 
 def test_whoever_asks_is_told_how_a_process_ended() -> None:
-    with fresh_processes("harness.results") as context:
+    with fresh_processes("harness.judge.results") as context:
         for _ in range(5):
             process = context.Process(name=NAME, target=signal.raise_signal, args=(signal.SIGKILL,))  # type: ignore[attr-defined]
             process.start()
@@ -28,7 +28,7 @@ def test_nothing_of_them_is_left(tmp_path: Path) -> None:
     before = os.environ.copy()
     folders = set()
     for deterministic in (True, False):
-        with fresh_processes("harness.results", deterministic) as context:
+        with fresh_processes("harness.judge.results", deterministic) as context:
             process = context.Process(name=NAME, target=_tell, args=(tmp_path / "told",))  # type: ignore[attr-defined]
             process.start()
             process.join()

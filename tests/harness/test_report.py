@@ -15,10 +15,10 @@ import pytest
 from matplotlib.image import imread
 from scipy.stats import norm
 
-from harness import figures
-from harness.leaderboard import indistinct, leaderboard, overall, scored_rows
-from harness.report import write_report
-from harness.results import COLUMNS, CONTROLS, Cell, CellResult, Conditions, PolicyName
+from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
+from harness.judge.results import COLUMNS, CONTROLS, Cell, CellResult, Conditions, PolicyName
+from harness.run.reporting import write_report
+from harness.show import figures
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
 
 

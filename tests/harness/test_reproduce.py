@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import pandas as pd
 import pytest
 
-from harness.cells import SPECS, run_cell
 from harness.cli import main
-from harness.environment import CACHE_VARIABLE
-from harness.leaderboard import leaderboard, scored_rows
+from harness.judge.leaderboard import leaderboard, scored_rows
+from harness.judge.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
+from harness.registry import SPECS
 from harness.reproduce import PROTOCOLS, _study
-from harness.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
-from harness.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
+from harness.run.cells import run_cell
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
 
@@ -58,7 +59,7 @@ class InstantGrid:
 
 @pytest.fixture
 def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
-    monkeypatch.setattr("harness.run.Grid", InstantGrid)
+    monkeypatch.setattr("harness.run.grid.Grid", InstantGrid)
     monkeypatch.setattr("harness.cli._handle_signals", lambda: None)
     InstantGrid.computed.clear()
     return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])

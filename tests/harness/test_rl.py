@@ -15,17 +15,16 @@ import sbx
 import stable_baselines3
 from gymnasium import spaces
 
-from envs import SPECS, EnvSpec
-from harness import rl
-from harness.controls import Constant
-from harness.registry import BUDGETS, LIBRARIES, METHODS, VARIANTS, load_method
-from harness.results import Library
-from harness.rl import Learner, Solution
-from harness.rl_settings import SETTINGS, Settings, rl_settings_for
-from harness.seeds import TRAINING, evaluation_seeds
-from harness.simulator import Simulator, Trajectory
+from envs import BUDGETS, EnvSpec
+from harness.learn import rl
+from harness.learn.rl import Learner, Solution
+from harness.learn.seeds import TRAINING, evaluation_seeds
+from harness.learn.settings import SETTINGS, Settings, rl_settings_for
+from harness.learn.simulator import Simulator, Trajectory
+from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
 from methods.base import Array, Policy
 from methods.network import Network
+from methods.rewards import Constant
 from methods.settings import settings_for
 from tests.harness.rewards import Seek
 
@@ -81,7 +80,7 @@ def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, 
 
 
 @pytest.mark.parametrize(
-    "spec", [spec for spec in SPECS.values() if not spec.tabular], ids=lambda spec: spec.name
+    "spec", [spec for spec in all_specs() if not spec.tabular], ids=lambda spec: spec.name
 )
 def test_every_solve_that_runs_ask_for_suits_the_copies(spec: EnvSpec) -> None:
     settings = rl_settings_for(spec.name)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.codec import encode
-from harness.results import Cell, CellResult, Conditions
-from harness.run import Grid, Task
+from harness.judge.results import Cell, CellResult, Conditions
+from harness.run.codec import encode
+from harness.run.grid import Grid, Task
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 REASONS = {
@@ -40,7 +40,7 @@ def run(
         assert result.cell not in found
         found[result.cell] = result
 
-    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload="harness.run")
+    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload="harness.run.grid")
     grid.run(cells)
     return found
 
@@ -101,7 +101,7 @@ def test_the_longest_tasks_come_first_and_experts_before_all(
 
 
 def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("harness.run.fresh_processes", None)
+    monkeypatch.setattr("harness.run.grid.fresh_processes", None)
     assert run(directory, [], workers=2) == {}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.seeds import (
+from harness.learn.seeds import (
     demonstration_seeds,
     evaluation_seeds,
     held_out_seeds,

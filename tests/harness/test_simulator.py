@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import SPECS, EnvSpec, Shape
-from harness.simulator import Simulator, Trajectory, drawings
+from envs import EnvSpec, Shape
+from harness.learn.simulator import Simulator, Trajectory, drawings
+from harness.registry import all_specs
 from methods.base import Array
 
 SEEDS = [11, 3, 8, 5, 2, 21, 13, 3]
@@ -65,7 +66,7 @@ def test_shapes_and_types(fragile: EnvSpec) -> None:
         assert episode.obs.dtype == episode.act.dtype == episode.rewards.dtype == np.float64
 
 
-@pytest.mark.parametrize("spec", SPECS.values(), ids=list(SPECS))
+@pytest.mark.parametrize("spec", all_specs(), ids=lambda spec: spec.name)
 def test_what_is_recorded_is_what_was_done(spec: EnvSpec) -> None:
     rng, asked = np.random.default_rng(0), []
 
@@ -86,7 +87,7 @@ def test_what_is_recorded_is_what_was_done(spec: EnvSpec) -> None:
     np.testing.assert_array_equal(episode.obs, np.stack(seen))
 
 
-@pytest.mark.parametrize("spec", [s for s in SPECS.values() if s.batch], ids=lambda spec: spec.name)
+@pytest.mark.parametrize("spec", [s for s in all_specs() if s.batch], ids=lambda spec: spec.name)
 def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: EnvSpec) -> None:
     weights = np.random.default_rng(0).normal(size=(spec.obs_size, spec.act_size))
 

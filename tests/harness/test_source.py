@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_features__
 
-from harness import keys
-from harness.environment import (
+from harness.judge.results import Cell, CellResult, Conditions
+from harness.run import keys
+from harness.run.environment import (
     CHOSEN,
     FIXED,
     PASSED,
@@ -22,13 +23,13 @@ from harness.environment import (
     numeric,
     of_this_process,
 )
-from harness.keys import CELL_SOURCES, PROGRAM, ROOT, cell_key, key_of, program
-from harness.processes import NAME, fresh_processes
-from harness.results import Cell, CellResult, Conditions
-from harness.run import Grid
+from harness.run.grid import Grid
+from harness.run.keys import CELLS, PROGRAM, ROOT, cell_keys, expert_key, program, sources
+from harness.run.processes import NAME, fresh_processes
 
 HERE = Path(__file__).parent
 RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
+CELL, CONDITIONS = Cell("cartpole", "bc", 0), Conditions("smoke", "absorbing", "sbx")
 NUMBERS_DEPEND = {
     "JAX_DEFAULT_PRNG_IMPL": "rbg",
     "JAX_THREEFRY_PARTITIONABLE": "0",
@@ -110,12 +111,12 @@ def _tell(file: Path) -> None:
         said = methods.bc.__file__
     except RuntimeError as error:
         said = str(error)
-    key = key_of(CELL_SOURCES, "the same")
+    (key,) = cell_keys([CELL], CONDITIONS, of_this_process()).values()
     file.write_text(json.dumps({"said": said, "key": key, "variables": dict(os.environ)}))
 
 
 def told_by_a_cell(directory: Path) -> dict:
-    with fresh_processes("harness.results") as context:
+    with fresh_processes("harness.judge.results") as context:
         process = context.Process(name=NAME, target=_tell, args=(directory / "told",))
         process.start()
         process.join()
@@ -124,17 +125,17 @@ def told_by_a_cell(directory: Path) -> dict:
 
 def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path: Path) -> None:
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it was read')")
-    key = key_of(CELL_SOURCES, "the same", numeric(True))
+    (key,) = cell_keys([CELL], CONDITIONS, numeric(True)).values()
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it is now')")
     told = told_by_a_cell(tmp_path)
     assert told["said"] == "as it was read"
     assert told["key"] == key
     program.cache_clear()
-    assert key_of(CELL_SOURCES, "the same", numeric(True)) != key
+    assert cell_keys([CELL], CONDITIONS, numeric(True)) != {CELL: key}
 
 
 def test_only_what_python_would_import_counts(reading: Path) -> None:
-    before = key_of(CELL_SOURCES, None)
+    before = sources(CELLS, "methods.bc"), expert_key("cartpole", None)
     (reading / "methods/.#bc.py").symlink_to("nobody@nowhere")
     (reading / "methods/gone.py").symlink_to("nowhere")
     (reading / "methods/folder.py").mkdir()
@@ -145,10 +146,12 @@ def test_only_what_python_would_import_counts(reading: Path) -> None:
     (reading / "methods/__pycache__").mkdir()
     (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
     program.cache_clear()
-    assert key_of(CELL_SOURCES, None) == before
+    assert (sources(CELLS, "methods.bc"), expert_key("cartpole", None)) == before
+    (reading / "methods/network.py").write_text("import methods.another\n")
     (reading / "methods/another.py").write_text("")
     program.cache_clear()
-    assert key_of(CELL_SOURCES, None) != before
+    assert "methods/another.py" in sources(CELLS, "methods.bc")
+    assert expert_key("cartpole", None) != before[1]
 
 
 def test_an_open_editor_stops_no_run(copy: Path) -> None:
@@ -185,10 +188,10 @@ def test_of_variables_cells_have_only_what_changes_no_number(
 
 @pytest.mark.parametrize("name", CHOSEN)
 def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, here = cell_key("cartpole", {}, numeric(False)), key_of((), None)
+    before, here = cell_keys([CELL], CONDITIONS, numeric(False)), expert_key("cartpole", None)
     monkeypatch.setenv(name, "another")
-    assert cell_key("cartpole", {}, numeric(False)) != before
-    assert key_of((), None) != here
+    assert cell_keys([CELL], CONDITIONS, numeric(False)) != before
+    assert expert_key("cartpole", None) != here
     assert of_this_process()[name] == "another"
 
 
@@ -197,9 +200,9 @@ def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
 ) -> None:
     monkeypatch.syspath_prepend(HERE)
     found: list[CellResult] = []
-    monkeypatch.setattr("harness.run.cell_key", lambda *_: "of other packages")
+    monkeypatch.setattr("harness.run.grid.cell_keys", lambda cells, *_: dict.fromkeys(cells, "other"))
     conditions = Conditions("smoke", "absorbing", "sb3")
-    grid = Grid(conditions, tmp_path, 1, found.append, work="fake_cells", preload="harness.run")
+    grid = Grid(conditions, tmp_path, 1, found.append, work="fake_cells", preload="harness.run.grid")
     grid.run([Cell("cartpole", "good", 0)])
     assert "are not those that the run began with" in found[0].rows[0].reason
 
@@ -263,7 +266,7 @@ def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_overwritten
 
 
 def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> None:
-    (copy / "harness/report.html.j2").unlink()
+    (copy / "harness/show/report.html.j2").unlink()
     told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
     assert process.returncode == 2
     assert "report.html.j2 is missing" in told
@@ -273,12 +276,12 @@ def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> N
 def test_a_module_that_hides_an_installed_one_is_part_of_the_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = key_of((), None)
+    before = expert_key("cartpole", None)
     (tmp_path / "highway_env").mkdir()
     (tmp_path / "highway_env/__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "highway_env", raising=False)
     keys._elsewhere.cache_clear()
-    assert key_of((), None) != before
+    assert expert_key("cartpole", None) != before
     monkeypatch.undo()
     keys._elsewhere.cache_clear()

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm, sem, t
 
-from harness.statistics import interquartile_interval, interquartile_mean, mean_interval, normal_interval
+from harness.judge.statistics import (
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    normal_interval,
+)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 20])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.environment import SAME_INSTRUCTIONS
+from harness.run.environment import SAME_INSTRUCTIONS
 from tests.harness.fake_runs import FAKE, FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 
 

@@ -7,8 +7,6 @@ import importlib.metadata
 import json
 import math
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness import keys, marked
-from harness.codec import LARGEST, checksum, decode, encode
-from harness.files import sha256, write_atomic
-from harness.keys import CELL_SOURCES, ROOT
+from harness.judge.results import FORMAT, LARGEST, Cell, CellResult, Conditions, Request, Row
 from harness.registry import BadInput
-from harness.request import Request
-from harness.results import FORMAT, Cell, CellResult, Conditions, Row
-from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
+from harness.run import marked
+from harness.run.codec import checksum, decode, encode
+from harness.run.files import sha256, write_atomic
+from harness.run.store import SUMS, open_for_report, open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
@@ -168,31 +164,6 @@ def test_a_cell_whose_recording_is_gone_is_computed_again(whole: Path, name: str
         assert list(unusable.values()) == [f"the recording {name} is missing or damaged"]
     with open_for_report(whole) as run:
         assert list(run.load()[0]) == [CELL]
-
-
-SCHEDULES = {"files", "keys"}
-"""Modules that a cell's work imports and that change no number."""
-
-
-def test_a_cells_key_covers_all_source_that_computes_it() -> None:
-    covered = {f for s in CELL_SOURCES for f in (sorted((ROOT / s).glob("*.py")) or [ROOT / s])}
-    assert all(file.is_file() for file in covered)
-    assert set(ROOT.glob("envs/*.py")) | set(ROOT.glob("methods/*.py")) <= covered
-    code = "import sys, harness.cells, harness.recordings\n"
-    code += "print(*(name for name in sys.modules if name.startswith('harness.')))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    names = {name.removeprefix("harness.") for name in done.stdout.split()}
-    assert "rl" in names
-    assert {name for name in names if ROOT / "harness" / f"{name}.py" not in covered} == SCHEDULES
-
-
-def test_a_key_is_of_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = keys.key_of(CELL_SOURCES, None)
-    program = dict(keys.program())
-    one, other = "harness/rl.py", "harness/world.py"
-    program[one], program[other] = program[other], program[one]
-    monkeypatch.setattr(keys, "program", lambda: program)
-    assert keys.key_of(CELL_SOURCES, None) != before
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:

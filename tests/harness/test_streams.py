@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from harness import streams
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import open_for_run
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.run import streams
+from harness.run.store import open_for_run
 from tests.harness.fake_runs import PER_SEED
 
 HERE = Path(__file__).parent

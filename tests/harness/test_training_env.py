@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness import rl
+from harness.learn import rl
+from harness.learn.rl import ABSORBING_STEPS, REWARD_SIZE, Learner
+from harness.learn.settings import SETTINGS, Settings
 from harness.registry import PROTOCOLS
-from harness.rl import ABSORBING_STEPS, REWARD_SIZE, Learner
-from harness.rl_settings import SETTINGS, Settings
 from methods.base import Array
 from tests.harness.rewards import Seek
 

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from safetensors import SafetensorError, safe_open
 
-from harness.cache import Kept, cache_file, kept
-from harness.codec import encode
-from harness.environment import CACHE_VARIABLE
-from harness.request import Request
-from harness.results import Cell, CellResult, Conditions, Row
-from harness.store import SUMS, open_for_run
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.run.cache import Kept, cache_file, kept
+from harness.run.codec import encode
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.store import SUMS, open_for_run
 
 ROOT = Path(__file__).parents[2]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

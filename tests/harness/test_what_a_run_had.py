@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from harness.cli import main
-from harness.codec import encode
-from harness.files import append, write_atomic
+from harness.judge.results import Cell, CellResult
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.request import write_request
-from harness.results import Cell, CellResult
-from harness.store import SUMS, open_for_report, open_for_run, open_to_verify
+from harness.run.codec import encode
+from harness.run.files import append, write_atomic
+from harness.run.request import write_request
+from harness.run.store import SUMS, open_for_report, open_for_run, open_to_verify
 from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
 
 __all__ = ["run"]
@@ -201,7 +201,7 @@ def test_folders_that_cannot_be_read_are_told(run: Path, monkeypatch: pytest.Mon
             raise PermissionError(13, "Permission denied")
         return listdir(folder)
 
-    monkeypatch.setattr("harness.store.os.listdir", refuse)
+    monkeypatch.setattr("harness.run.store.os.listdir", refuse)
     with (
         pytest.raises(BadInput, match=r"cannot read .*cells: Permission denied"),
         open_to_verify(run) as opened,
@@ -284,7 +284,7 @@ def test_a_file_system_that_cannot_sync_folders_will_do(
             raise OSError(22, "Invalid argument")
         fsync(handle)
 
-    monkeypatch.setattr("harness.files.os.fsync", refuse)
+    monkeypatch.setattr("harness.run.files.os.fsync", refuse)
     write_atomic(tmp_path / "file", "text")
     assert (tmp_path / "file").read_text() == "text"
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from harness import processes
-from harness.codec import decode
+from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import BadInput
-from harness.results import Cell, CellResult, Conditions
-from harness.run import Grid
+from harness.run import processes
+from harness.run.codec import decode
+from harness.run.grid import Grid
 
 HERE = Path(__file__).parent
 FAKE = [sys.executable, str(HERE / "fake_cells.py"), "run", "--budget", "smoke", "--envs", "cartpole"]
@@ -50,7 +50,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
     def call(*methods: str, workers: int = 2, timeout: float | None = None) -> dict[str, CellResult]:
         found: list[CellResult] = []
         where = (tmp_path / "run", workers, found.append, timeout)
-        grid = Grid(CONDITIONS, *where, work="fake_cells", preload="harness.run")
+        grid = Grid(CONDITIONS, *where, work="fake_cells", preload="harness.run.grid")
         grid.run([Cell("cartpole", method, 0) for method in (*methods, "good")])
         assert len(found) == len(methods) + 1
         return {result.cell.method: result for result in found}

@@ -11,15 +11,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from envs import SPECS, EnvSpec
+from envs import EnvSpec
 from envs.spec import Model, Tabular
-from harness.controls import control_reward
-from harness.evaluation import evaluate
-from harness.exact import ExactSolver
-from harness.results import CONTROLS
-from harness.rl import Learner
-from harness.simulator import Simulator, Trajectory
-from harness.world import TaskWorld, without_rewards
+from harness.judge.controls import control_reward
+from harness.judge.evaluation import evaluate
+from harness.judge.results import CONTROLS
+from harness.learn.exact import ExactSolver
+from harness.learn.rl import Learner
+from harness.learn.simulator import Simulator, Trajectory
+from harness.learn.world import TaskWorld, without_rewards
+from harness.registry import SPECS
 from methods.base import Array, Episodes, Learned, Reward, default_absorbing
 from methods.network import Network
 from tests.harness.rewards import Nothing

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from methods.base import Array, Episodes
-from methods.maxent import MaxEnt, NetworkReward, sample, visitations
+from methods.maxent import MaxEnt, sample, visitations
 from methods.network import mlp
+from methods.rewards import NetworkReward
 
 MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
 METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20)

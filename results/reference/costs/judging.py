@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from envs import SPECS
-from harness.evaluation import evaluate
-from harness.experts import expert_for
-from harness.seeds import demonstration_seeds, evaluation_seeds, rng_for
-from harness.simulator import Simulator, Trajectory
+from harness.judge.evaluation import evaluate
+from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
+from harness.learn.simulator import Simulator, Trajectory
+from harness.registry import SPECS
+from harness.run.experts import expert_for
 from methods.base import Policy
 
 BUDGET = "full"

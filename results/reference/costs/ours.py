@@ -18,9 +18,9 @@ from typing import Any
 
 from judging import BUDGET, ENOUGH, Judge
 
+from harness.learn.seeds import rng_for
+from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import load_method
-from harness.seeds import rng_for
-from harness.world import TaskWorld, without_rewards
 from methods.network import Regression
 from methods.settings import settings_for
 

@@ -1,0 +1,66 @@
+"""Rewards that nobody learned: what pi_R scores under them tells what a score is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from harness.judge.results import CONTROL_METHODS
+from methods.base import Array, Episodes, Learned, Policy, RandomActions, Reward, default_absorbing
+from methods.network import mlp, standardiser
+from methods.rewards import Constant, NetworkReward
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Pays minus the squared distance to what a policy would do."""
+
+    policy: Policy
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        paid: Array = -np.square(act - self.policy(obs)).sum(axis=1)
+        return paid
+
+
+def control_reward(
+    name: str,
+    demos: Callable[[], Episodes],
+    fit: Callable[[str, Episodes], Learned],
+    random_actions: RandomActions,
+    rng: np.random.Generator,
+) -> Reward | None:
+    """The reward of a control row by its name; None is the environment's own. fit: what a method learns from
+    demonstrations, by its name."""
+    if name == "control_untrained":
+        return untrained(demos(), random_actions, rng)
+    if name == "control_shuffled":
+        return fit(CONTROL_METHODS[name], shuffled(demos(), rng)).reward
+    if name == "control_clone":
+        shown = demos()
+        reward = Distance(fit(CONTROL_METHODS[name], shown).policy)
+        return replace(reward, absorbing=default_absorbing(reward, shown, random_actions, rng))
+    return {
+        "control_true": None,
+        "control_plus1": Constant(1.0, absorbing=1.0),
+        "control_minus1": Constant(-1.0, absorbing=-1.0),
+        "control_survival": Constant(0.0, absorbing=-1.0),
+    }[name]
+
+
+def shuffled(demos: Episodes, rng: np.random.Generator) -> Episodes:
+    """The same states and the same actions, paired at random."""
+    act = rng.permutation(demos.pairs()[1])
+    return replace(demos, act=tuple(a.copy() for a in np.split(act, np.cumsum(demos.lengths)[:-1])))
+
+
+def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:
+    """A network of random initial weights, within 1 of 0, on demonstration-standardised observations."""
+    mean, std = standardiser(demos.pairs()[0])
+    generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+    layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)
+    reward = NetworkReward.of(layers, mean, std, bound=1.0)
+    return replace(reward, absorbing=default_absorbing(reward, demos, random_actions, rng))

@@ -1,0 +1,295 @@
+"""From the rows of a run to its leaderboard: normalized scores, and what they come to over seeds."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from harness.judge.results import CONTROLS, LOWER_CONTROLS, REFERENCE, CellResult, Row, usable
+from harness.judge.statistics import (
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    normal_interval,
+)
+
+_POLICIES = ("expert", "random", "pi_star", "pi_R")
+_ROLES = {
+    REFERENCE: "reference",
+    "control_true": "upper control",
+    "control_survival": "survival control",
+    "control_shuffled": "shuffled control",
+    "control_clone": "clone control",
+    **dict.fromkeys(LOWER_CONTROLS, "lower control"),
+}
+UNINFORMED = ("control_survival", "control_shuffled")
+"""Controls that know nothing of how to do the task."""
+NO_BETTER = 0.05
+"""A task where one of them scores within this of the best method's pi_R tells no reward from none."""
+NEGLIGIBLE = 0.005
+"""Differences of scores up to this are none."""
+GOOD = 0.95
+"""Runs that score less are counted."""
+UNSCORED = ("not scored", "no expert better than a random policy to measure by")
+Scales = Mapping[tuple[str, int], tuple[float, float]]
+"""By env and seed: the random policy's return, and how much better the expert's is."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the leaderboard: a policy of a method in an env, over its seeds that are ok.
+
+    score: normalized, 0 the random policy and 1 the expert. low and high bound a mean's 95 % interval.
+    Costs are means over seeds. Numbers are NaN where nothing is known.
+    """
+
+    env: str
+    method: str
+    role: str
+    policy: str
+    protocol: str
+    status: str
+    """'ok' where every seed is, or else 'failed' where one is, or else 'skipped'."""
+    seeds: int
+    seeds_ok: int
+    score_mean: float
+    score_low: float
+    score_high: float
+    varies: str
+    """What intervals are over: 'seeds'; 'episodes' where there is one seed, whose luck is not in them."""
+    behind_mean: float
+    """Of methods: how much less it scores than the best one's policy of the same name, paired by seed."""
+    behind_low: float
+    behind_high: float
+    tied: bool
+    """Whether that interval holds 0, or what is negligible beside it: it is not told apart from the best."""
+    above_best_lower_control: float
+    """Of pi_R rows: score_mean minus the best score_mean of the three lower controls."""
+    reward_distance: float
+    reward_rank: float
+    return_mean: float
+    return_low: float
+    return_high: float
+    discounted_mean: float
+    fit_seconds: float
+    env_steps: float
+    check_steps: float
+    rl_solves: float
+    note: str
+    """Which seeds were skipped, failed or not scored, and why."""
+
+
+@dataclass(frozen=True)
+class Overall:
+    """A policy of a method over all envs that tell rewards apart: the interquartile mean of its scores with
+    its 95 % interval, and the share of runs that score less than `GOOD`."""
+
+    method: str
+    policy: str
+    envs: int
+    runs: int
+    score: float
+    low: float
+    high: float
+    below: float
+
+
+def scored_rows(results: Sequence[CellResult]) -> list[Row]:
+    """All rows with their normalized scores, by env, method (reference first, controls last), seed, policy.
+
+    The score is NaN where the expert or the random policy of that env and seed is missing, or where the
+    expert is no better than the random policy, which leaves no scale.
+    """
+    rows = [row for result in results for row in result.rows]
+    scales = _scales(rows)
+
+    def scored(row: Row) -> Row:
+        low, scale = scales.get((row.env, row.seed), (math.nan, math.nan))
+        score = (row.return_mean - low) / scale if row.status == "ok" else math.nan
+        return dataclasses.replace(row, normalized_score=score if usable(score) else math.nan)
+
+    return sorted(map(scored, rows), key=_order)
+
+
+def _scales(rows: Sequence[Row]) -> dict[tuple[str, int], tuple[float, float]]:
+    known = {
+        (row.env, row.seed, row.policy): row.return_mean
+        for row in rows
+        if row.method == REFERENCE and row.status == "ok"
+    }
+    scales = {}
+    for env, seed in {(row.env, row.seed) for row in rows}:
+        low = known.get((env, seed, "random"), math.nan)
+        scale = known.get((env, seed, "expert"), math.nan) - low
+        if scale > 0:
+            scales[env, seed] = low, scale
+    return scales
+
+
+def _order(row: Row) -> tuple[Any, ...]:
+    rank = 0 if row.method == REFERENCE else 2 + CONTROLS.index(row.method) if row.method in CONTROLS else 1
+    return row.env, rank, row.method, row.seed, _POLICIES.index(row.policy), row.protocol
+
+
+def leaderboard(rows: Sequence[Row]) -> list[Entry]:
+    """The lines of every env from rows with scores: methods from the best to the worst pi_R, those without a
+    reward by their pi_star after them, then controls, then the reference."""
+    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.env, row.protocol, row.method, row.policy), []).append(row)
+    score = {key: _mean([row.normalized_score for row in group]) for key, group in groups.items()}
+    scales = _scales(rows)
+
+    def above(key: tuple[str, str, str, str]) -> float:
+        env, protocol, _, policy = key
+        if policy != "pi_R":
+            return math.nan
+        bars = [score.get((env, protocol, control, "pi_R"), math.nan) for control in LOWER_CONTROLS]
+        return score[key] - max(bars) if all(map(math.isfinite, bars)) else math.nan
+
+    def best(key: tuple[str, str, str, str]) -> list[Row]:
+        """The rows of the best method's policy of the same name; none for what is no method's."""
+        env, protocol, method, policy = key
+        if method == REFERENCE or method in CONTROLS:
+            return []
+        rivals = [
+            other
+            for other in groups
+            if (other[0], other[1], other[3]) == (env, protocol, policy)
+            and other[2] not in (REFERENCE, *CONTROLS)
+            and math.isfinite(score[other])
+        ]
+        return groups[max(sorted(rivals), key=lambda other: score[other])] if rivals else []
+
+    def place(key: tuple[str, str, str, str]) -> tuple[Any, ...]:
+        env, protocol, method, policy = key
+        section = 2 if method == REFERENCE else 1 if method in CONTROLS else 0
+        scores = [score.get((env, protocol, method, p), math.nan) for p in ("pi_R", "pi_star")]
+        descending = tuple(-s if math.isfinite(s) else math.inf for s in scores)
+        return env, protocol, section, *descending, method, _POLICIES.index(policy)
+
+    return [
+        _entry(groups[key], score[key], above(key), best(key), scales) for key in sorted(groups, key=place)
+    ]
+
+
+def _entry(rows: list[Row], score: float, above: float, best: list[Row], scales: Scales) -> Entry:
+    first = rows[0]
+    ok = [row for row in rows if row.status == "ok"]
+    scored = [row for row in ok if math.isfinite(row.normalized_score)]
+    known = [row for row in ok if math.isfinite(row.return_mean)]
+    if len(ok) == 1:
+        varies = "episodes"
+        score_low, score_high = normal_interval(score, math.hypot(*(_error(r, scales) for r in scored)))
+        returns = normal_interval(ok[0].return_mean, _error(ok[0], {}))
+    else:
+        varies = "seeds" if ok else ""
+        score_low, score_high = mean_interval([row.normalized_score for row in scored])
+        returns = mean_interval([row.return_mean for row in known])
+    behind, behind_low, behind_high = _behind(scored, best, scales)
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if row.status != "ok":
+            reasons.setdefault((row.status, row.reason), []).append(str(row.seed))
+        elif not math.isfinite(row.normalized_score):
+            reasons.setdefault(UNSCORED, []).append(str(row.seed))
+    statuses = {row.status for row in rows}
+    return Entry(
+        env=first.env,
+        method=first.method,
+        role=_ROLES.get(first.method, "method"),
+        policy=first.policy,
+        protocol=first.protocol,
+        status=next(status for status in ("failed", "skipped", "ok") if status in statuses),
+        seeds=len(rows),
+        seeds_ok=len(ok),
+        score_mean=score,
+        score_low=score_low,
+        score_high=score_high,
+        varies=varies,
+        behind_mean=behind,
+        behind_low=behind_low,
+        behind_high=behind_high,
+        tied=bool(behind_low <= NEGLIGIBLE and behind_high >= -NEGLIGIBLE),
+        above_best_lower_control=above,
+        reward_distance=_mean([row.reward_distance for row in ok]),
+        reward_rank=_mean([row.reward_rank for row in ok]),
+        return_mean=_mean([row.return_mean for row in ok]),
+        return_low=returns[0],
+        return_high=returns[1],
+        discounted_mean=_mean([row.discounted_mean for row in ok]),
+        fit_seconds=_mean([row.fit_seconds for row in ok]),
+        env_steps=_mean([row.env_steps for row in ok]),
+        check_steps=_mean([row.check_steps for row in ok]),
+        rl_solves=_mean([row.rl_solves for row in ok]),
+        note="; ".join(
+            f"{status} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(seeds)}): {reason}"
+            for (status, reason), seeds in reasons.items()
+        ),
+    )
+
+
+def _behind(rows: list[Row], best: list[Row], scales: Scales) -> tuple[float, float, float]:
+    """By how much these rows score less than the best method's, over the seeds that both have, with the 95 %
+    interval of the mean difference; with one such seed that over episodes, as if they were not paired."""
+    theirs = {row.seed: row for row in best if math.isfinite(row.normalized_score)}
+    pairs = [(theirs[row.seed], row) for row in rows if row.seed in theirs]
+    differences = [one.normalized_score - other.normalized_score for one, other in pairs]
+    if not pairs or best[0].method == rows[0].method:
+        return math.nan, math.nan, math.nan
+    if len(pairs) > 1:
+        return _mean(differences), *mean_interval(differences)
+    errors = [_error(row, scales) for row in pairs[0]]
+    return differences[0], *normal_interval(differences[0], math.hypot(*errors))
+
+
+def _error(row: Row, scales: Scales) -> float:
+    """The standard error of its mean score over evaluation episodes, or, without scales, of its return."""
+    if row.episodes < 2:
+        return math.nan
+    error = row.return_std / math.sqrt(row.episodes)
+    return error / scales[row.env, row.seed][1] if scales else error
+
+
+def _mean(values: Sequence[float]) -> float:
+    """The mean of the values that are known, NaN where none is."""
+    known = [value for value in values if math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
+def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
+    """Envs in which a control that knows nothing scores about as much as the best method's pi_R or more, and
+    which one does."""
+    found = {}
+    for env in dict.fromkeys(entry.env for entry in entries):
+        mine = [entry for entry in entries if (entry.env, entry.policy) == (env, "pi_R")]
+        best = max((e.score_mean for e in mine if e.role == "method" and e.seeds_ok), default=math.nan)
+        for entry in mine:
+            if entry.method in UNINFORMED and entry.score_mean >= best - NO_BETTER:
+                found[env] = f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
+    return found
+
+
+def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
+    """Every policy over all envs but those `without`, best first; empty where fewer than two are left.
+
+    Only policies with a score in every env, since those left out could be the hard ones.
+    """
+    scores: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for row in rows:
+        if math.isfinite(row.normalized_score) and row.method != REFERENCE and row.env not in without:
+            by_env = scores.setdefault((row.method, row.policy), {})
+            by_env.setdefault(row.env, []).append(row.normalized_score)
+    envs = {row.env for row in rows} - {*without}
+    lines = []
+    for (method, policy), by_env in scores.items():
+        if by_env.keys() == envs and len(envs) > 1:
+            pooled = [score for runs in by_env.values() for score in runs]
+            low, high = interquartile_interval(list(by_env.values()))
+            below = sum(score < GOOD for score in pooled) / len(pooled)
+            score = interquartile_mean(pooled)
+            lines.append(Overall(method, policy, len(envs), len(pooled), score, low, high, below))
+    return sorted(lines, key=lambda line: (-line.score, line.method, line.policy))

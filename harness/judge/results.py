@@ -1,0 +1,208 @@
+"""What a run produces: cells, their rows and curves, and the layout of a run's directory.
+
+DIR/run.json               the request: methods, envs, seeds, conditions, and the format's version
+DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
+DIR/scores.csv             one row per (env, method, seed, policy)
+DIR/leaderboard.csv, .md   aggregated over seeds
+DIR/report.html, figures/  the report
+DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
+                           size and digest of the list of checksums that was written then
+DIR/recordings/*.rrd       rerun recordings
+DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
+                           a file is listed twice, the last line counts
+DIR/run.log                what the cells' processes print, full tracebacks included
+
+Types say what a directory may hold that a stranger made; `harness.run.codec` checks them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from harness.registry import Experts, Library, Record
+
+FORMAT = 7
+"""Version of the directory layout; a run of another version is refused."""
+
+CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+"""In a regular expression's brackets: what changes how text is shown, or cannot be written."""
+MOST_CURVES, MOST_POINTS, LONGEST_TEXT = 30, 2000, 1000
+"""Of a cell; of a curve; characters."""
+LARGEST = 1e100
+"""Sums and squares of numbers up to this are finite; what is larger counts as unknown, as NaN does."""
+Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=60)]
+"""Of a method or an environment; a part of files' names."""
+Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
+FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=200)]
+Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
+"""One line for people."""
+Seed = Annotated[int, Meta(ge=0, lt=1000)]
+Count = Annotated[int, Meta(ge=0, le=10**15)]
+Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
+
+Status = Literal["ok", "skipped", "failed"]
+PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
+LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
+PROGRAM_NAME = "irl-bench"
+CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
+CONTROL_METHODS = {"control_shuffled": "shaped", "control_clone": "bc"}
+"""Methods that controls are fitted by."""
+REFERENCE = "reference"
+"""The method of the rows of the expert and of the random policy."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What all cells of a run are computed under."""
+
+    budget: Name
+    protocol: Name
+    rl: Library
+    """Whose DDPG learns."""
+    deterministic: bool = True
+    """Whether libraries are kept from choosing their instructions by the processor."""
+    experts: Experts = "shipped"
+    """Whose demonstrations: the shipped experts', or those of one trained for each seed."""
+    record: Record = "first"
+    """Which evaluation episodes of seed 0's policies are recorded."""
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One unit of work: a method (or control, or the reference) in an env under a seed."""
+
+    env: Name
+    method: Name
+    seed: Seed
+
+    @property
+    def name(self) -> str:
+        return f"{self.env}__{self.method}__seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of scores.csv. Numbers are NaN unless status is 'ok'."""
+
+    env: Name
+    method: Name
+    seed: Seed
+    policy: PolicyName
+    protocol: Name
+    status: Status = "ok"
+    reason: Text = ""
+    """Why it was skipped or failed."""
+    episodes: Count = 0
+    return_mean: float = math.nan
+    """Undiscounted true return over the evaluation episodes: mean and standard deviation."""
+    return_std: float = math.nan
+    discounted_mean: float = math.nan
+    """True return discounted with the env's gamma, the thesis's measure."""
+    discounted_std: float = math.nan
+    length_mean: float = math.nan
+    length_std: float = math.nan
+    normalized_score: float = math.nan
+    """(J - J_random) / (J_expert - J_random), undiscounted; known once the env's reference cell is."""
+    reward_distance: float = math.nan
+    """Of pi_R rows: how far the reward is from the true one, in [0, 1] (`harness.judge.advantage`)."""
+    reward_rank: float = math.nan
+    """Of pi_R rows: Spearman's correlation of the advantages under the two."""
+    fit_seconds: float = math.nan
+    """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
+    env_steps: Count = 0
+    """Environment steps that it took: rollouts, and those that RL learned from."""
+    check_steps: Count = 0
+    """Environment steps of the episodes by which RL's checkpoints were judged, besides."""
+    rl_solves: Count = 0
+    expert: Text = ""
+    """Whose demonstrations (`harness.run.experts.Expert.name`)."""
+
+
+COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What one cell found."""
+
+    cell: Cell
+    rows: Annotated[list[Row], Meta(min_length=1, max_length=2)]
+    curves: Annotated[dict[Text, Curve], Meta(max_length=MOST_CURVES)] = field(default_factory=dict)
+    """Training curves by name, as (x, y) points. 'pi_R' and 'expert' are RL learning curves:
+    x environment steps, y mean return under the reward that was learned from, at each checkpoint; 'pi_R_true'
+    is the true return of the same episodes."""
+    endings: dict[PolicyName, Annotated[dict[Text, Count], Meta(max_length=100)]] = field(
+        default_factory=dict
+    )
+    """For each policy, how many evaluation episodes ended for which reason."""
+    warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
+    """What the user must be told, such as an expert that misses its bar."""
+    recordings: Annotated[dict[FileName, Text], Meta(max_length=2)] = field(default_factory=dict)
+    """SHA-256 of each recording that was made, by its file's name."""
+    key: Text = ""
+    """Of all that can change it (`harness.run.keys`); given when it is stored."""
+    origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
+    """The machine and the versions that it was computed with; given when it is stored."""
+    finished: Text = ""
+    """When it was stored: date and time, UTC; given then."""
+    below_bar: bool = False
+    """Of a reference: whether its expert misses its bar."""
+    details: Annotated[dict[Text, float], Meta(max_length=30)] = field(default_factory=dict)
+    """Numbers that a method tells of its fit, by name."""
+
+    def to_json(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+
+def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
+    """The rows of a cell that failed."""
+    reason = reason[:LONGEST_TEXT]
+    rows = [Row(cell.env, cell.method, cell.seed, p, protocol, "failed", reason) for p in policies_of(cell)]
+    return CellResult(cell, rows)
+
+
+def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
+    """The policies that a cell scores."""
+    if cell.method == REFERENCE:
+        return ("expert", "random")
+    return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
+
+
+def usable(value: float) -> bool:
+    """Whether it is a number, and no larger than `LARGEST`."""
+    return abs(value) <= LARGEST
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run computes; seeds is how many, from 0."""
+
+    methods: Names
+    envs: Names
+    seeds: Annotated[int, Meta(ge=1, le=1000)]
+    conditions: Conditions
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Every cell, the reference and the controls included."""
+        methods = (REFERENCE, *CONTROLS, *self.methods)
+        return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
+
+    def asks_for(self, cell: Cell) -> bool:
+        """Whether the cell is one of `cells`."""
+        known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
+        return known and cell.env in self.envs and cell.seed < self.seeds
+
+
+def command_of(request: Request) -> str:
+    """The command line that asks for all of it at once."""
+    c = request.conditions
+    words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
+    words += ["--seeds", str(request.seeds), "--budget", c.budget, "--protocol", c.protocol, "--rl", c.rl]
+    words += ["--experts", c.experts, "--record", c.record]
+    return " ".join([*words, *([] if c.deterministic else ["--fast"])])

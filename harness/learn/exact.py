@@ -1,0 +1,58 @@
+"""Solutions of environments whose model is known: value iteration instead of learning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from envs.spec import Model, Tabular
+from harness.learn.rl import Solution
+from methods.base import Array, Reward
+from methods.tabular import value_iteration
+
+TIE = 1e-7
+"""Values that differ by less, relative to the largest, are equal."""
+
+
+@dataclass(frozen=True)
+class TabularPolicy:
+    """act (S, A): what it does in each state."""
+
+    model: Model
+    act: Array
+
+    def __call__(self, obs: Array, /) -> Array:
+        return self.act[self.model.states(obs)]
+
+
+@dataclass(frozen=True)
+class ExactSolver:
+    """Solves one finite environment, in no environment steps."""
+
+    tabular: Tabular
+    gamma: float
+    rng: np.random.Generator
+
+    def solve(self, reward: Reward | None, steps: int) -> Solution:
+        """A policy that is optimal under the reward, None being the true one; `steps` do not matter. Which of
+        several, chance says, for a reward that cannot tell actions apart teaches nothing.
+
+        Raises ValueError on rewards that are not finite.
+        """
+        tabular = self.tabular
+        r = tabular.reward if reward is None else expected_rewards(tabular, reward)
+        q = value_iteration(tabular.P, r, self.gamma)[1]
+        best = q >= q.max(axis=1, keepdims=True) - TIE * np.abs(q).max()
+        choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
+        policy = TabularPolicy(tabular.model, np.eye(q.shape[1])[choice])
+        return Solution(policy, curve=[], true_curve=[])
+
+
+def expected_rewards(model: Model, reward: Reward) -> Array:
+    """(S, A): the reward of each action, averaged over where it leads."""
+    s, a, after = model.P.nonzero()
+    paid = reward(model.obs[s], np.eye(model.P.shape[1])[a], model.obs[after])
+    r = np.zeros(model.P.shape)
+    r[s, a, after] = paid
+    return np.asarray((model.P * r).sum(axis=2))

@@ -1,0 +1,69 @@
+"""The world that methods live in: an environment without its reward, and an account of its use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from envs import EnvSpec
+from harness.learn.exact import ExactSolver
+from harness.learn.rl import Learner
+from harness.learn.seeds import training_seeds
+from harness.learn.simulator import Simulator, Trajectory
+from harness.registry import Library
+from methods.base import Array, Episodes, Policy, Reward
+
+
+class TaskWorld:
+    """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave."""
+
+    def __init__(self, spec: EnvSpec, protocol: str, library: Library) -> None:
+        self.obs_size = spec.obs_size
+        self.act_size = spec.act_size
+        self.horizon = spec.horizon
+        self.gamma = spec.gamma
+        self.phi = spec.phi
+        self.env_steps = 0
+        self.check_steps = 0
+        self.rl_solves = 0
+        self.model = spec.tabular.model if spec.tabular else None
+        self._spec = spec
+        self._protocol = protocol
+        self._library = library
+        self._solver: Learner | ExactSolver | None = None
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return self._spec.random_actions(count, rng)
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        rollouts = without_rewards(Simulator(self._spec).run(policy, training_seeds(rng, episodes)))
+        self.env_steps += int(rollouts.lengths.sum())
+        return rollouts
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+        if not warm or self._solver is None:
+            self._solver = solver_for(self._spec, self._protocol, rng, self._library)
+        solution = self._solver.solve(reward, steps)
+        self.env_steps += solution.env_steps
+        self.check_steps += solution.check_steps
+        self.rl_solves += 1
+        return solution.policy
+
+
+def solver_for(
+    spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library
+) -> Learner | ExactSolver:
+    """What solves an environment: dynamic programming where its model is known, else RL by that library."""
+    if spec.tabular:
+        return ExactSolver(spec.tabular, spec.gamma, rng)
+    return Learner(spec, protocol, rng, library)
+
+
+def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:
+    """What a method may see of trajectories."""
+    return Episodes(
+        tuple(t.obs.copy() for t in trajectories),
+        tuple(t.act.copy() for t in trajectories),
+        tuple(t.terminated for t in trajectories),
+    )

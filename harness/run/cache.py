@@ -1,0 +1,81 @@
+"""What is computed once and kept for other runs: arrays and a few facts, in a file whose name says all that
+can change them. `IRL_BENCH_CACHE` names another folder for it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import safetensors.numpy
+from safetensors import safe_open
+
+from harness.run.environment import cache_folder
+from harness.run.files import opened, write_atomic
+from harness.run.keys import expert_key
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Arrays by name, and what JSON can hold."""
+
+    arrays: dict[str, Any]
+    facts: dict[str, Any]
+
+
+def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kept:
+    """What an earlier call with the same arguments computed, or what `compute` returns now. asked: what JSON
+    can hold. Where the cache cannot be written to, that is kept with the run's temporary files."""
+    path = cache_file(name, env, asked)
+    spare = Path(tempfile.gettempdir()) / "cache" / path.name
+    if found := load(path) or load(spare):
+        return found
+    computed = compute()
+    data = as_bytes(computed)
+    try:
+        _write(path, data)
+    except OSError:
+        _write(spare, data)
+    return computed
+
+
+def as_bytes(what: Kept) -> bytes:
+    """What `load` reads."""
+    facts = json.dumps(what.facts)
+    metadata = {"facts": facts, "checksum": _checksum(what.arrays, facts)}
+    return bytes(safetensors.numpy.save(what.arrays, metadata))
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, data)
+
+
+def load(path: Path) -> Kept | None:
+    """None where there is no such file or it is not as it was written."""
+    try:
+        with opened(path):  # raises for what would block
+            pass
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata()
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        facts = metadata["facts"]
+        return Kept(arrays, json.loads(facts)) if metadata["checksum"] == _checksum(arrays, facts) else None
+    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError, RecursionError):
+        return None
+
+
+def cache_file(name: str, env: str, asked: object) -> Path:
+    """Where something of this environment's expert is kept."""
+    return cache_folder() / f"{name}__{env}__{expert_key(env, [env, asked])}.safetensors"
+
+
+def _checksum(arrays: dict[str, Any], facts: str) -> str:
+    digest = hashlib.sha256(facts.encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()

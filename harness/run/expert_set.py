@@ -1,0 +1,45 @@
+"""The experts that are shipped: trained once, chosen on episodes that nothing is scored on, and fixed.
+
+<env>__<k>.safetensors          expert k: the arrays of a `Network`, and how it was made
+<env>__<k>__medium.safetensors  the checkpoint of its training with about half its return
+candidates.csv                  every agent that was trained for them, those that missed the bar included
+SHA256SUMS                      checksums, as of sha256sum
+
+`harness.expert_training` makes them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from harness.registry import BadInput
+from harness.run.cache import Kept, load
+from harness.run.files import read, sha256
+from harness.run.keys import EXPERTS, ROOT, expert_files
+
+SUMS = "SHA256SUMS"
+
+
+def folder() -> Path:
+    """Where they are."""
+    return next((ROOT / name for name in EXPERTS if (ROOT / name).is_dir()), ROOT / EXPERTS[0])
+
+
+def shipped(env: str, seed: int, medium: bool = False) -> tuple[int, Kept]:
+    """The number of the expert that run seed `seed` uses, and what its file holds. Raises BadInput where the
+    task has none, or it is damaged."""
+    names = [name for name in expert_files(env) if name.endswith("__medium.safetensors") == medium]
+    if not names:
+        raise BadInput(f"no experts of {env} are installed; see `experts train`, or run --experts trained")
+    number = seed % len(names)
+    path = ROOT / names[number]
+    found = load(path)
+    if found is None or _listed(path.parent).get(path.name) != sha256(path):
+        raise BadInput(f"{path} is damaged")
+    return number, found
+
+
+def _listed(where: Path) -> dict[str, str]:
+    """Checksums by name."""
+    lines = read(where / SUMS).decode().splitlines()
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}

@@ -1,0 +1,245 @@
+"""Keys: digests of all that can change a result, so that what is stored is never used for another one."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput, Entry
+from harness.run import environment
+from harness.run.study import ARMS, Arm
+from methods.settings import settings_for
+
+CELLS, EXPERTS_MODULE = "harness.run.cells", "harness.run.experts"
+"""What computes cells, and what they share."""
+NO_NUMBER = {
+    *("harness/registry.py", "methods/settings.py", "harness/run/study.py"),
+    *("harness/run/files.py", "harness/run/keys.py"),
+}
+"""Files that a cell imports and that change none of its numbers: what the first three say of its own method
+is in its key."""
+REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
+"""What decides, besides the program, how cells are reported."""
+PACKAGES = (
+    *("torch", "numpy", "scipy", "jax", "jaxlib", "flax", "optax", "stable-baselines3", "sbx-rl"),
+    *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
+)
+MODULES = {"sbx-rl": "sbx"}
+"""Packages whose module has another name."""
+PROGRAM = ("envs", "methods", "harness")
+EXPERTS = ("results/reference/experts", "harness/shipped")
+"""Where the shipped experts are: in the repository, and where the package is installed."""
+TEMPLATE = "harness/show/report.html.j2"
+ROOT = Path(__file__).parents[2]
+INSTRUCTIONS = ("sse4", "avx", "fma", "amx")
+
+
+@functools.cache
+def program() -> dict[str, bytes]:
+    """What Python can import of this program, the report's template and the shipped experts, by path below
+    `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files hold
+    by then."""
+    files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _counts(file)]
+    files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
+    files += [file for folder in EXPERTS if (file := ROOT / folder / "SHA256SUMS").is_file()]
+    names = {file.relative_to(ROOT).as_posix(): file for file in files}
+    return {name: file.read_bytes() for name, file in names.items()}
+
+
+def expert_files(env: str) -> dict[str, bytes]:
+    """A task's shipped experts by path below `ROOT`, in order."""
+    beginnings = tuple(f"{folder}/{env}__" for folder in EXPERTS)
+    return {name: data for name, data in program().items() if name.startswith(beginnings)}
+
+
+def experts_version(env: str) -> str:
+    """Eight hexadecimal digits that whatever changes a task's shipped experts changes; '' where it has
+    none."""
+    digests = [
+        f"{Path(name).name} {hashlib.sha256(data).hexdigest()}" for name, data in expert_files(env).items()
+    ]
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:8] if digests else ""
+
+
+def _counts(file: Path) -> bool:
+    *folders, name = file.relative_to(ROOT).parts
+    stem, _, kind = name.partition(".")
+    return (
+        all(part.isidentifier() for part in (*folders, stem)) and kind in ("py", "html.j2") and file.is_file()
+    )
+
+
+def write_program(folder: Path) -> None:
+    """Copies `program()` into the folder, which is made."""
+    for name, content in program().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[str, str]) -> dict[Cell, str]:
+    """What each cell must have been computed under to count, in processes with these `environment.numeric`
+    variables: 'TASK:METHOD'. TASK is of all that the cells of an environment share, METHOD of the source and
+    the settings of the cell's own method. Cells can be compared where TASK is the same."""
+    installed, tasks, methods = (
+        [_installed(), dict(variables)],
+        dict[str, str](),
+        dict[tuple[str, str], str](),
+    )
+    keys = {}
+    for cell in cells:
+        if cell.env not in tasks:
+            asked = [dataclasses.asdict(conditions), experts_version(cell.env)]
+            tasks[cell.env] = _digest(sources(CELLS, *_module(ENVS, cell.env)), asked, installed)
+        if (its := (cell.env, cell.method)) not in methods:
+            arm = ARMS.get(cell.method) or Arm(CONTROL_METHODS.get(cell.method, cell.method), None, {})
+            settings = settings_for(arm.method, cell.env, conditions.budget) | arm.settings
+            modules = _module(METHODS | VARIANTS, arm.method)
+            methods[its] = _digest(sources(*modules), [*arm, settings], [])
+        keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
+    return keys
+
+
+def task_of(key: str) -> str:
+    """The part of a cell's key that it shares with those it can be compared with."""
+    return key.partition(":")[0]
+
+
+def expert_key(env: str, asked: object) -> str:
+    """Of an environment's expert and what is made with it; asked: what JSON can hold."""
+    variables = environment.of_this_process()
+    return _digest(sources(EXPERTS_MODULE, *_module(ENVS, env)), asked, [_installed(), variables])
+
+
+def report_key(cells: object) -> str:
+    """Of what a report is made of: the program, and cells that JSON can hold."""
+    harness = {name for name in program() if name.startswith("harness/")}
+    return _digest(harness, cells, [_installed(), versions(REPORT_PACKAGES)])
+
+
+def sources(*modules: str) -> set[str]:
+    """The files of the program that importing these modules reads, but for `NO_NUMBER`."""
+    found: set[str] = set()
+    waiting = [name for module in modules for name in _files_of(module)]
+    while waiting:
+        if (name := waiting.pop()) not in found:
+            found.add(name)
+            waiting += [n for module in _imported(program()[name]) for n in _files_of(module)]
+    return found - NO_NUMBER
+
+
+def _files_of(module: str) -> list[str]:
+    """The files of the program that importing `module`, which may be a name in one, reads first."""
+    parts = module.split(".")
+    starts = ["/".join(parts[: i + 1]) for i in range(len(parts))]
+    return [name for start in starts for name in (f"{start}.py", f"{start}/__init__.py") if name in program()]
+
+
+@functools.cache
+def _imported(source: bytes) -> tuple[str, ...]:
+    """The modules, and names in modules, that a file imports, lazily or not; none where it cannot be read."""
+    found = []
+    with suppress(SyntaxError, ValueError):
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                found += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return tuple(found)
+
+
+def _module(known: Mapping[str, Entry], name: str) -> list[str]:
+    """Where it is, if it is known."""
+    return [known[name].target.partition(":")[0]] if name in known else []
+
+
+def _installed() -> list[object]:
+    return [platform.python_version(), versions(PACKAGES), _elsewhere()]
+
+
+def _digest(sources: Iterable[str], ingredients: object, more: object) -> str:
+    digests = {name: hashlib.sha256(program()[name]).hexdigest() for name in sources}
+    everything = json.dumps([ingredients, digests, more], sort_keys=True)
+    return hashlib.sha256(everything.encode()).hexdigest()[:16]
+
+
+@functools.cache
+def origin() -> dict[str, str]:
+    """The processor, the system and the versions that this process computes with, for people."""
+    system = f"{platform.system()} {platform.machine()} {' '.join(platform.libc_ver())}".strip()
+    return {
+        **_processor(),
+        "system": system,
+        PROGRAM_NAME: _commit(),
+        "python": platform.python_version(),
+        **dict(zip(PACKAGES, versions(PACKAGES), strict=True)),
+    }
+
+
+def versions(packages: Iterable[str]) -> list[str]:
+    """Of those installed. Raises BadInput where one is not, or only in part."""
+    found = []
+    for package in packages:
+        try:
+            version = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            version = None
+        if not isinstance(version, str):
+            raise BadInput(f"the package {package} is not installed, or only in part; install it again")
+        found.append(version)
+    return found
+
+
+@functools.cache
+def _elsewhere() -> dict[str, str]:
+    """Packages whose module is not imported from where they are installed, such as through PYTHONPATH, and
+    from where it is: their version says nothing of it."""
+    found = {}
+    for package in PACKAGES:
+        name = MODULES.get(package, package.replace("-", "_"))
+        spec = importlib.util.find_spec(name)
+        origin = Path(spec.origin) if spec and spec.origin else Path(name)
+        installed = Path(str(importlib.metadata.distribution(package).locate_file("")))
+        if not origin.resolve().is_relative_to(installed.resolve()):
+            found[package] = str(origin)
+    return found
+
+
+def _processor() -> dict[str, str]:
+    """What libraries choose their instructions by. Processors of one name differ in it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+    except OSError:  # not on Linux
+        return {"processor": platform.processor()}
+    facts = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    model = [facts.get(name, "?") for name in ("cpu family", "model", "stepping")]
+    flags = [flag for flag in facts.get("flags", "").split() if flag.startswith(INSTRUCTIONS)]
+    return {
+        "processor": facts.get("model name", platform.machine()),
+        "family, model, stepping": " ".join(model),
+        "instructions": " ".join(sorted(flags)),
+    }
+
+
+def _commit() -> str:
+    """The program's version and, where it runs from its repository, the commit, with a + where files of the
+    program differ from it."""
+    version = importlib.metadata.version("irl-bench")
+    git = ["git", "-C", str(ROOT)]
+    try:
+        ask = functools.partial(subprocess.run, check=True, capture_output=True, text=True, timeout=10)
+        commit = ask([*git, "rev-parse", "--short=10", "HEAD"]).stdout.strip()
+        changed = ask([*git, "status", "--porcelain", "--", *PROGRAM, *EXPERTS[:1]]).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return version
+    return f"{version} ({commit}{'+' if changed else ''})"

@@ -1,0 +1,115 @@
+"""What a run was asked to compute, as its directory remembers it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from harness.judge.results import FORMAT, Conditions, Request
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput
+from harness.run.codec import checked, checksum, printable
+from harness.run.files import read, unfinished, write_atomic
+
+LOCK = ".lock"
+LOCK_MARK = "irl-bench "
+"""What a lock says before the number of the process that has it."""
+REQUEST = "run.json"
+FOLDERS = {"cells": "json", "recordings": "rrd", "figures": "png"}
+"""Of a run's directory, and how the names of files end that a run writes there."""
+KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
+
+
+def write_request(path: Path, request: Request) -> None:
+    """Stores it in the directory `path`."""
+    write_atomic(path / REQUEST, as_text(request))
+
+
+def as_text(request: Request) -> str:
+    """What run.json holds."""
+    data = {"format": FORMAT, **dataclasses.asdict(request)}
+    data |= data.pop("conditions")
+    return json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n"
+
+
+def existing(path: Path) -> Request:
+    """Raises BadInput where `path` holds no run."""
+    try:
+        request = stored_request(path)
+    except BadInput as error:
+        if runs := sorted(file.parent.name for file in path.glob(f"*/{REQUEST}")):
+            raise BadInput(f"{path} holds no run itself; there are {', '.join(runs[:5])} in it") from error
+        raise
+    if request is None:
+        raise BadInput(f"{path} holds no run (no run.json)")
+    return request
+
+
+def merged(path: Path, request: Request) -> Request:
+    """The request of `path` grown by this one."""
+    old = stored_request(path)
+    if old is None:
+        return request
+    for name in KEYS:
+        there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
+        if there != asked:
+            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
+    grown = Request(
+        methods=_union(METHODS | VARIANTS, old.methods, request.methods),
+        envs=_union(ENVS, old.envs, request.envs),
+        seeds=max(old.seeds, request.seeds),
+        conditions=old.conditions,
+    )
+    try:
+        return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
+    except ValueError as error:
+        raise BadInput(f"{path} cannot hold so much: {error}") from error
+
+
+def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
+    names = {name for names in lists for name in names}
+    return tuple(name for name in order if name in names) + tuple(sorted(names - order.keys()))
+
+
+def is_begun(path: Path, first: str) -> bool:
+    """Whether the directory holds what a run that was killed before its first file was whole leaves there,
+    and nothing else."""
+    there = {file.name for file in path.iterdir()} - {
+        file.name for file in unfinished(path, re.escape(first))
+    }
+    ours = rf"({LOCK_MARK}\d{{0,20}})?".encode()
+    return there == {LOCK} and re.fullmatch(ours, read(path / LOCK)) is not None
+
+
+def stored_request(path: Path) -> Request | None:
+    """The request stored in `path`; None where nothing is there yet. Raises BadInput for all else."""
+    file = path / REQUEST
+    try:
+        if not list(path.iterdir()) or is_begun(path, REQUEST):
+            return None
+        text = read(file)
+        for folder in FOLDERS:
+            if (path / folder).is_symlink() or ((path / folder).exists() and not (path / folder).is_dir()):
+                raise BadInput(f"cannot use {path}: its {folder} is no folder of its own")
+    except FileNotFoundError as error:
+        if not os.path.lexists(path):
+            return None
+        raise BadInput(f"{path} is not empty and holds no run (no run.json)") from error
+    except OSError as error:
+        raise BadInput(f"cannot use {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise BadInput(f"cannot use {str(path)!r}: {error}") from error
+    try:
+        data = json.loads(text)
+        version = data["format"]
+        if version == FORMAT:
+            if data.pop("sha256") != checksum(data):
+                raise ValueError
+            conditions = {key: data.pop(key) for key in KEYS}
+            return checked({**data, "conditions": conditions}, Request)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadInput(f"{file} is damaged") from error
+    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")

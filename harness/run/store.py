@@ -1,0 +1,391 @@
+"""The directory of a run: one writer, whole files, checksums. See `harness.judge.results` for its layout."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import hashlib
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+from types import MappingProxyType
+
+from harness.judge.results import REFERENCE, Cell, CellResult, Request
+from harness.registry import BadInput
+from harness.run.codec import decode, encode, printable
+from harness.run.environment import numeric
+from harness.run.files import (
+    append,
+    appending,
+    opened,
+    read,
+    remove_unfinished,
+    sha256,
+    share_lock,
+    write_atomic,
+)
+from harness.run.keys import cell_keys, origin, report_key, task_of
+from harness.run.marked import held, in_use
+from harness.run.request import (
+    FOLDERS,
+    LOCK,
+    REQUEST,
+    as_text,
+    existing,
+    merged,
+    write_request,
+)
+
+LOG = "run.log"
+"""What the cells' processes print, full tracebacks included."""
+SUMS = "SHA256SUMS"
+REPORT_KEY = "report.key"
+REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
+"""Beside figures, what is rebuilt from cells."""
+OTHER_VERSION = "computed by another version of the program, its packages or its experts"
+CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
+"""Names of files that hold a cell."""
+
+
+class RunDirectory:
+    """A run's directory. Made by `open_for_run`, `open_for_report` and `open_to_verify`.
+
+    request: what its run.json says. keys: for each cell, what it must have been computed under to count;
+    empty where all of one version do.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        request: Request,
+        lock: FileIO | None = None,
+        keys: Mapping[Cell, str] = MappingProxyType({}),
+    ) -> None:
+        self.path, self.request, self.lock, self.keys = path, request, lock, keys
+
+    def check(self) -> None:
+        """Raises OSError where the path leads no more to what was opened: moved, deleted, in another's hands,
+        or asked for something else by now."""
+        try:
+            there = os.stat(self.path / LOCK, follow_symlinks=False)
+            same = self.lock is None or os.path.samestat(there, os.fstat(self.lock.fileno()))
+            same &= existing(self.path) == self.request
+        except (OSError, BadInput):
+            same = False
+        if not same:
+            raise OSError(errno.ENOENT, "moved, deleted or changed while the run goes on", str(self.path))
+
+    def save(self, result: CellResult) -> None:
+        """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
+        self.check()
+        now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
+        facts = {"key": self.keys[result.cell], "origin": origin(), "finished": now}
+        keyed = dataclasses.replace(result, **facts)  # type: ignore[arg-type]
+        name = f"cells/{result.cell.name}.json"
+        write_atomic(self.path / name, encode(keyed))
+        noted = [(sha256(self.path / name), name)]
+        noted += [(digest, f"recordings/{file}") for file, digest in result.recordings.items()]
+        append(self.path / SUMS, _lines(noted).encode())
+
+    def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
+        """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
+        results: dict[Cell, CellResult] = {}
+        unusable: dict[Path, str] = {}
+        for path in self._cell_files():
+            try:
+                result = self._load(path)
+                results[result.cell] = result
+            except (ValueError, OSError) as error:
+                unusable[path] = _reason(error)
+        for cell in [] if self.keys else _of_other_versions(results):
+            del results[cell]
+            unusable[self.path / "cells" / f"{cell.name}.json"] = OTHER_VERSION
+        return dict(sorted(results.items())), unusable
+
+    def seal(self, results: Sequence[CellResult], files: Iterable[Path]) -> None:
+        """Notes what the run holds: these results and `files`, rebuilt from them by this version. Of cells
+        that were noted before and are not among these, the lines stay."""
+        self.check()
+        known = {"", *(result.cell.name for result in results)}
+        lines = {name: digest for name, digest in self._listed().items() if _cell_of(name) not in known}
+        for result in results:
+            name = f"cells/{result.cell.name}.json"
+            lines[name] = sha256(self.path / name)
+            lines |= {f"recordings/{file}": digest for file, digest in result.recordings.items()}
+        lines |= {file.relative_to(self.path).as_posix(): sha256(file) for file in files}
+        listed = _lines((digest, name) for name, digest in sorted(lines.items()))
+        write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{_seal(listed.encode())}\n")
+        write_atomic(self.path / SUMS, listed + _lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
+
+    def is_sealed(self, results: Sequence[CellResult]) -> bool:
+        """Whether all that is rebuilt from cells is as it was written, from these and by this version."""
+        try:
+            noted = self._noted()
+            key, _ = self._report_key()
+            derived = [name for name in noted if not name.startswith(("cells/", "recordings/"))]
+            return (
+                {*REBUILT} <= {*derived}
+                and key == self._key_of_report(results)
+                and all(_is_ours(name) and sha256(self.path / name) == noted[name] for name in derived)
+            )
+        except (OSError, ValueError):
+            return False
+
+    def swapped(self, results: Iterable[CellResult]) -> dict[Path, str]:
+        """Cells among these whose files are not those that were noted when they were stored."""
+        noted = self._listed()
+        names = {f"cells/{result.cell.name}.json" for result in results} & noted.keys()
+        damages = {self.path / name: _damage(self.path / name, noted[name]) for name in sorted(names)}
+        return {path: damage for path, damage in damages.items() if damage}
+
+    def forgotten(self, results: Iterable[CellResult]) -> list[str]:
+        """The names of cells that were stored here, are not among these, and have no file any more."""
+        known = {result.cell.name for result in results}
+        listed = [Path(name) for name in self._listed() if name.startswith("cells/")]
+        cells = [path.stem for path in listed if CELL_FILE.fullmatch(path.name)]
+        there = {path.stem for path in self._cell_files()}
+        return sorted({*cells} - known - there)
+
+    def why_incomplete(self, results: Sequence[CellResult]) -> str:
+        """Why the list of checksums does not tell what was stored here, '' where it does."""
+        try:
+            noted = self._noted()
+        except (OSError, ValueError) as error:
+            return _reason(error)
+        listed = any(f"cells/{result.cell.name}.json" in noted for result in results)
+        return "it lists no cell" if results and not listed else ""
+
+    def damaged(self) -> dict[Path, str]:
+        """What is not as it was written, and why. What the run did not write is nobody's damage."""
+        results, damaged = self.load()
+        damaged |= self.damaged_recordings(results.values())
+        if read(self.path / REQUEST) != as_text(self.request).encode():
+            damaged[self.path / REQUEST] = "it is not as it was written"
+        try:
+            noted = self._noted()
+        except (OSError, ValueError) as error:
+            damaged[self.path / SUMS] = _reason(error)
+            noted = {}
+        if self.why_incomplete(list(results.values())):
+            for cell in [cell for cell in self.request.cells if cell not in results]:
+                damaged.setdefault(self.path / "cells" / f"{cell.name}.json", "not there, though asked for")
+        for name, digest in noted.items():
+            file = self.path / name
+            if file not in damaged and (
+                reason := _damage(file, digest) if _is_ours(name) else "no file of a run"
+            ):
+                damaged[file] = reason
+        there = [f"cells/{cell.name}.json" for cell in results]
+        reported = any(name in noted or (self.path / name).exists() for name in REBUILT)
+        there += REBUILT if reported else ()
+        if unlisted := [name for name in there if name not in noted]:
+            damaged.setdefault(self.path / SUMS, f"does not list {', '.join(unlisted)}")
+        return damaged
+
+    def damaged_recordings(self, results: Iterable[CellResult]) -> dict[Path, str]:
+        """Those of the results' recordings that are not as they were written, and why."""
+        folder = self.path / "recordings"
+        return {
+            folder / name: f"the recording {name} is missing or damaged"
+            for result in results
+            for name, digest in result.recordings.items()
+            if _damage(folder / name, digest)
+        }
+
+    def _cell_files(self) -> list[Path]:
+        folder = self.path / "cells"
+        try:
+            names = os.listdir(folder)
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise BadInput(f"cannot read {folder}: {error.strerror}") from error
+        ours = tuple(f"{env}__" for env in self.request.envs)
+        return sorted(folder / n for n in names if CELL_FILE.fullmatch(n) and n.startswith(ours))
+
+    def _load(self, path: Path) -> CellResult:
+        """Raises ValueError or OSError where the file holds no cell of this run."""
+        result = decode(read(path))
+        if path.stem != result.cell.name:
+            raise ValueError(f"holds the cell {result.cell.name}")
+        if not self.request.asks_for(result.cell):
+            raise ValueError("this run was not asked for it")
+        if any(row.protocol != self.request.conditions.protocol for row in result.rows):
+            raise ValueError("it was computed under another protocol")
+        if self.keys and result.key != self.keys[result.cell]:
+            raise ValueError(OTHER_VERSION)
+        if self.keys and (damaged := self.damaged_recordings([result])):
+            raise ValueError(next(iter(damaged.values())))
+        return result
+
+    def _noted(self) -> dict[str, str]:
+        """Checksums of files by their names. Raises ValueError for anything but such a list."""
+        data = read(self.path / SUMS)
+        noted = dict(map(_named, data.decode().splitlines()))
+        if REPORT_KEY in noted and not _damage(self.path / REPORT_KEY, noted[REPORT_KEY]):
+            _, seal = self._report_key()
+            if _seal(data[: int(seal.partition(" ")[0])]) != seal:
+                raise ValueError("lines of it were changed or are missing")
+        return noted
+
+    def _listed(self) -> dict[str, str]:
+        """The same, as far as it can be read."""
+        listed = {}
+        with suppress(OSError):
+            for line in read(self.path / SUMS).decode(errors="replace").splitlines():
+                with suppress(ValueError):
+                    name, digest = _named(line)
+                    listed[name] = digest
+        return listed
+
+    def _key_of_report(self, results: Iterable[CellResult]) -> str:
+        cells = [sha256(self.path / "cells" / f"{result.cell.name}.json") for result in results]
+        return report_key(cells)
+
+    def _report_key(self) -> tuple[str, str]:
+        """Which cells and which version the report was built from, and the seal of the list that was written
+        then. Raises ValueError where the file is damaged."""
+        text = read(self.path / REPORT_KEY).decode()
+        found = re.fullmatch(r"([0-9a-f]+)\n(\d{1,9} [0-9a-f]{64})\n", text)
+        if not found:
+            raise ValueError("damaged")
+        return found[1], found[2]
+
+
+@contextmanager
+def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
+    """Starts a run in `path`, which is made, or continues the one there; held until the context ends.
+
+    Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
+    other conditions or another format, or cannot be written, or is held by another process.
+    """
+    merged(path, request)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
+    except RecursionError as error:
+        raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
+    with held(path) as lock:
+        grown = merged(path, request)
+        for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
+            _check_can_append(file)
+        remove_unfinished(path, "|".join(map(re.escape, (REQUEST, SUMS, *REBUILT))))
+        for folder, kind in FOLDERS.items():
+            remove_unfinished(path / folder, rf".+\.{kind}")
+        write_request(path, grown)
+        _mend_last_line(path / SUMS)
+        variables = numeric(grown.conditions.deterministic)
+        yield RunDirectory(path, grown, lock, cell_keys(grown.cells, grown.conditions, variables))
+
+
+@contextmanager
+def open_for_report(path: Path) -> Iterator[RunDirectory]:
+    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
+    request = existing(path)
+    with held(path) as lock:
+        with suppress(OSError):  # what is no such list is replaced
+            _mend_last_line(path / SUMS)
+        yield RunDirectory(path, request, lock)
+
+
+@contextmanager
+def open_to_verify(path: Path) -> Iterator[RunDirectory]:
+    """The run in `path`, where nothing is written, not even a lock, but held where a lock is there and can be
+    read. Raises BadInput like `open_for_run`."""
+    request = existing(path)
+    with ExitStack() as stack:
+        with suppress(OSError):
+            lock = stack.enter_context(opened(path / LOCK))
+            if not share_lock(lock.fileno()):
+                raise BadInput(in_use(path))
+        yield RunDirectory(path, request)
+
+
+def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
+    """Cells that cannot be compared with the rest of their environment, that is of the version of most of its
+    references, or of most cells where it has none; nor with the rest of their method."""
+    others = set()
+    for env in {cell.env for cell in results}:
+        mine = {cell: results[cell].key for cell in sorted(results) if cell.env == env}
+        deciding = {cell: key for cell, key in mine.items() if cell.method == REFERENCE} or mine
+        task = _most(map(task_of, deciding.values()))
+        others |= {cell for cell, key in mine.items() if task_of(key) != task}
+        for method in {cell.method for cell in mine.keys() - others}:
+            its = {cell: key for cell, key in mine.items() if cell.method == method and cell not in others}
+            most = _most(its.values())
+            others |= {cell for cell, key in its.items() if key != most}
+    return sorted(others)
+
+
+def _most(keys: Iterable[str]) -> str:
+    """What most are, the first of equals."""
+    ((most, _),) = Counter(keys).most_common(1)
+    return most
+
+
+def _lines(noted: Iterable[tuple[str, str]]) -> str:
+    return "".join(f"{digest}  {name}\n" for digest, name in noted)
+
+
+def _named(line: str) -> tuple[str, str]:
+    """Name and checksum of a line of the list. Raises ValueError where it is none."""
+    digest, _, name = line.partition("  ")
+    if len(digest) != 64 or not name:
+        raise ValueError("damaged")
+    return name, digest
+
+
+def _seal(listed: bytes) -> str:
+    """Size and digest of a list, by which it is known again."""
+    return f"{len(listed)} {hashlib.sha256(listed).hexdigest()}"
+
+
+def _cell_of(name: str) -> str:
+    """The cell that a listed file belongs to, '' for what is rebuilt from all."""
+    folder, _, file = name.partition("/")
+    if folder == "cells":
+        return file.removesuffix(".json")
+    return file.rpartition("__")[0] if folder == "recordings" else ""
+
+
+def _is_ours(name: str) -> bool:
+    """Whether a run writes files of such names, by their path in its directory."""
+    folder, _, file = name.rpartition("/")
+    return folder in ("", *FOLDERS) and file not in ("", ".", "..")
+
+
+def _damage(file: Path, digest: str) -> str:
+    """Why it is not as it was written, '' where it is."""
+    try:
+        return "" if sha256(file) == digest else "its checksum does not match"
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return _reason(error)
+
+
+def _reason(error: Exception) -> str:
+    return printable(getattr(error, "strerror", None) or str(error))
+
+
+def _mend_last_line(sums: Path) -> None:
+    """Ends the list of checksums, made if it is not there, with a whole line, where a crash left a part of
+    one."""
+    with appending(sums) as file:
+        data = read(sums)
+        if not data.endswith(b"\n"):
+            file.truncate(data.rfind(b"\n") + 1)
+
+
+def _check_can_append(file: Path) -> None:
+    try:
+        with appending(file):
+            pass
+    except OSError as error:
+        raise BadInput(f"cannot write to {file}: {error.strerror}") from error

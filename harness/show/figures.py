@@ -1,0 +1,242 @@
+"""The figures of a report, as PNGs: equal results give equal bytes."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+from harness.judge.leaderboard import Entry
+from harness.judge.results import CONTROLS, REFERENCE, CellResult, Row
+
+RED = "#b00020"
+BLUE, ORANGE = "#0072b2", "#d55e00"
+"""Told apart by the colour-blind too."""
+_POLICIES = {
+    "pi_star": (r"$\pi^*$ (the apprentice)", BLUE, "o"),
+    "pi_R": (r"$\pi_R$ (RL on R*)", ORANGE, "D"),
+}
+"""Label, colour and marker."""
+MOST_PANELS, MOST_IN_ALL = 60, 2000
+"""Of a figure and of a report: one takes a tenth of a second."""
+_STYLE: dict[Any, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "font.size": 9,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure: its file name, what it says in words, the PNG itself and its size on a page in pixels."""
+
+    file: str
+    title: str
+    alt: str
+    png: bytes
+    width: int
+    height: int
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Within it, figures look alike, whatever the user's own settings."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
+
+
+def draw(
+    env: str,
+    entries: Sequence[Entry],
+    rows: Sequence[Row],
+    results: Sequence[CellResult],
+    envs: int = 1,
+    flag: str = "",
+) -> list[Picture]:
+    """The figures of one env of `envs`, from its part of the leaderboard, its scored rows and its results:
+    scores, learning curves of RL, training curves of methods; those that have nothing to show are left
+    out. flag: what is said above each."""
+    most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
+    with styled():
+        rl, truth, training = _curves([entry.method for entry in entries], results)
+        pictures = [_scores(env, entries, rows, flag)]
+        if rl:
+            alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
+            pictures.append(
+                _panels(
+                    f"{env}_rl.png",
+                    f"{env}: RL on R* (the top of blue counts; each panel has its own scale)",
+                    alt + ", ".join(rl) + ".",
+                    "environment steps (left, blue: return learned from; right, orange: true return)",
+                    rl,
+                    truth,
+                    flag,
+                    most,
+                )
+            )
+        if training:
+            alt = f"Training curves in {env}, a panel for each of: "
+            pictures.append(
+                _panels(
+                    f"{env}_training.png",
+                    f"{env}: training of the methods",
+                    alt + ", ".join(training) + ".",
+                    "iteration",
+                    training,
+                    {},
+                    flag,
+                    most,
+                )
+            )
+    return pictures
+
+
+def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) -> Picture:
+    """A point a seed, a diamond or disc at the mean, a bar for its interval; controls on grey."""
+    methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
+    figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
+    axes = figure.add_subplot()
+    for value, name in ((0.0, "random"), (1.0, "expert")):
+        axes.axvline(value, color="#888888", linewidth=1, linestyle="--", zorder=0)
+        axes.text(value, 1.01, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    told = []
+    for place, method in enumerate(methods):
+        ground = "#eeeeee" if method in CONTROLS else "white"
+        axes.axhspan(place - 0.5, place + 0.5, color=ground, linewidth=0, zorder=-1)
+        mine = [entry for entry in entries if entry.method == method]
+        words = []
+        for entry in mine:
+            y = place + (0.0 if len(mine) == 1 else -0.22 if entry.policy == "pi_star" else 0.18)
+            _, colour, marker = _POLICIES[entry.policy]
+            if not math.isfinite(entry.score_mean):
+                text = f"{entry.policy} {_why(entry)}"
+                box = {"facecolor": ground, "linewidth": 0, "pad": 1}
+                style: dict[str, Any] = {"va": "center", "fontsize": 8, "parse_math": False, "bbox": box}
+                axes.text(0.02, y, text, transform=axes.get_yaxis_transform(), color=colour, **style)
+                words.append(f"{entry.policy} n/a")
+                continue
+            dots = [r.normalized_score for r in rows if (r.method, r.policy) == (method, entry.policy)]
+            axes.scatter(dots, [y + 0.17] * len(dots), s=14, color=colour, alpha=0.5, linewidths=0)
+            if math.isfinite(entry.score_low):
+                axes.plot([entry.score_low, entry.score_high], [y, y], color=colour, linewidth=2, zorder=3)
+            axes.scatter(entry.score_mean, y, s=38, color=colour, marker=marker, edgecolors="white", zorder=4)
+            words.append(f"{entry.policy} {entry.score_mean:.2f}")
+        told.append(f"{method} {', '.join(words)}")
+    axes.set_yticks(range(len(methods)), methods, parse_math=False)
+    axes.set_ylim(len(methods) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("normalized score (small dots: seeds; markers: means; bars: 95 % intervals)")
+    if flag:
+        axes.set_title(flag, color=RED, pad=18)
+    for label, colour, marker in _POLICIES.values():
+        axes.scatter([], [], s=38, color=colour, marker=marker, label=label)
+    figure.legend(loc="outside upper right", ncols=2, frameon=False)
+    # Of two or three seeds an interval may be many times as wide as all scores.
+    shown = [row.normalized_score for row in rows if math.isfinite(row.normalized_score)]
+    shown += [entry.score_mean for entry in entries if math.isfinite(entry.score_mean)]
+    low, high = min([0.0, *shown]), max([1.0, *shown])
+    axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+    alt = f"Mean normalized scores in {env} (0 random, 1 expert): {'; '.join(told)}."
+    return _picture(f"{env}_scores.png", f"{env}: normalized scores", alt, figure)
+
+
+def _why(entry: Entry) -> str:
+    """Why there is no score, in a line."""
+    text = " ".join(entry.note.split()) or "no score: it takes an expert better than random"
+    return text if len(text) <= 70 else text[:69] + "…"
+
+
+Curves = dict[str, list[list[tuple[float, float]]]]
+"""Lines by the title of their panel, one a seed."""
+
+
+def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves]:
+    """RL's curves under the reward learned from, their true returns, and the methods' own curves, in the
+    order of `methods`."""
+    ranked = [result for result in results if result.cell.method in methods]
+    ranked.sort(key=lambda result: (methods.index(result.cell.method), result.cell.seed))
+    rl: Curves = {}
+    truth: Curves = {}
+    training: Curves = {}
+    for result in ranked:
+        method = result.cell.method
+        for name, points in sorted(result.curves.items()):
+            finite = [(x, y) for x, y in points if math.isfinite(y)]
+            if not finite:
+                continue
+            if name in ("pi_R", "expert"):
+                rl.setdefault("expert" if name == "expert" else method, []).append(finite)
+            elif name == "pi_R_true":
+                truth.setdefault(method, []).append(finite)
+            else:
+                training.setdefault(f"{method}: {name}", []).append(finite)
+    return rl, truth, training
+
+
+def _panels(
+    file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves, flag: str, most: int
+) -> Picture:
+    """A panel for each title of `curves`, up to `most`; those of `second` have an axis of their own, on the
+    right."""
+    if len(curves) > most:
+        title += f" (the first {most} of {len(curves)} panels)"
+        curves = dict(list(curves.items())[:most])
+    columns = min(4, len(curves))
+    lines = math.ceil(len(curves) / columns)
+    figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
+    for place, (name, seeds) in enumerate(curves.items()):
+        axes: Axes = figure.add_subplot(lines, columns, place + 1)
+        plot_seeds(axes, seeds, BLUE)
+        axes.set_title(name, parse_math=False)
+        if name in second:
+            twin = axes.twinx()
+            twin.spines["right"].set_visible(True)
+            plot_seeds(twin, second[name], ORANGE)
+    figure.supxlabel(xlabel, fontsize=9)
+    if flag:
+        figure.suptitle(flag, color=RED)
+    return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
+
+
+def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
+    """A thin line a seed, a thick one for their mean where all have a point."""
+    for points in seeds:
+        marker = "." if len(points) == 1 else ""
+        axes.plot(*zip(*points, strict=True), color=colour, linewidth=0.8, alpha=0.5, marker=marker)
+    frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
+    means = frame.groupby("x")["y"].agg(["mean", "count"])
+    means = means[means["count"] == len(seeds)]
+    if len(seeds) > 1:
+        axes.plot(means.index, means["mean"], color=colour, linewidth=2)
+    axes.locator_params(nbins=4)
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def _picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
+    width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
+    return Picture(file, title, alt, png(figure), round(width), round(height))
+
+
+def png(figure: Figure) -> bytes:
+    """The figure's PNG, of equal bytes for equal figures."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,271 @@
+"""The report of a run, rebuilt from its results alone: scores, leaderboard, figures and one page."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import shlex
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from harness.judge.leaderboard import Entry, indistinct, leaderboard, overall, scored_rows
+from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell, CellResult, Request, Row, command_of
+from harness.show import figures
+
+HEADINGS = (
+    *("Method", "Role", "Policy", "Seeds ok", "Score [95 %]", "Behind the best [95 %]"),
+    *("Above best lower control", "Reward: distance", "Reward: rank", "Return [95 %]", "Note"),
+)
+COST_HEADINGS = ("Method", "Policy", "Seconds", "Env steps", "Check steps", "RL solves", "Discounted return")
+OVERALL_HEADINGS = (
+    "Method",
+    "Policy",
+    "Environments",
+    "Runs",
+    "Interquartile mean [95 %]",
+    "Runs below 0.95",
+)
+DETAIL_HEADINGS = ("Method", "Detail of its fit", "Mean over seeds")
+NO_RESULT = "NOT A RESULT"
+
+
+def report_files(
+    request: Request, results: Sequence[CellResult], template: str, recorded: Collection[str]
+) -> dict[str, bytes | str]:
+    """scores.csv, leaderboard.csv, leaderboard.md, figures/*.png and report.html, by name. template: of the
+    last. recorded: names of the recordings that are there.
+
+    A run may be partial: what is not known is an empty field, 'n/a' in tables for people.
+    """
+    rows = scored_rows(results)
+    entries = leaderboard(rows)
+    made = _made(request, results)
+    files: dict[str, bytes | str] = {
+        "scores.csv": _scores_csv(rows, request, results),
+        "leaderboard.csv": as_csv(entries, [f.name for f in dataclasses.fields(Entry)]),
+    }
+
+    envs = list(dict.fromkeys(entry.env for entry in entries))
+    flags = {env: _why_no_result(env, request, results) for env in envs}
+    tables = {
+        env: [
+            (HEADINGS, [_cells(entry) for entry in entries if entry.env == env]),
+            (COST_HEADINGS, [_costs(entry) for entry in entries if entry.env == env]),
+            (DETAIL_HEADINGS, _details(env, results)),
+        ]
+        for env in envs
+    }
+    left_out = indistinct(entries)
+    across = [
+        [
+            *(x.method, x.policy, str(x.envs), str(x.runs)),
+            *(_range(x.score, x.low, x.high, "z.2f"), f"{x.below:.0%}"),
+        ]
+        for x in overall(rows, tuple(left_out))
+    ]
+    apart = [f"{env} is left out: {why}" for env, why in left_out.items()] if len(envs) > 1 else []
+    flag = f"{NO_RESULT}: " if any(flags.values()) else ""
+    parts = [f"# {flag}Leaderboard\n", "".join(f"- {_escaped(line)}\n" for line in made)]
+    if across or apart:
+        said = "".join(f"- {_escaped(line)}\n" for line in apart)
+        table = _markdown(OVERALL_HEADINGS, across) if across else ""
+        parts.append(f"## Across environments\n\n{said}\n{table}")
+    for env, its_tables in tables.items():
+        shown = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
+        parts.append(f"## {env}{f': {NO_RESULT}, {flags[env]}' if flags[env] else ''}\n\n{shown}")
+    origins = _origins(results)
+    parts.append("## Computed with\n\n" + "".join(f"- {_escaped(line)}\n" for line in origins))
+    files["leaderboard.md"] = "\n".join(parts)
+
+    pictures = {}
+    for env in envs:
+        pictures[env] = figures.draw(
+            env,
+            [entry for entry in entries if entry.env == env],
+            [row for row in rows if row.env == env],
+            [result for result in results if result.cell.env == env],
+            len(envs),
+            f"{NO_RESULT}: {flags[env]}" if flags[env] else "",
+        )
+        files |= {f"figures/{picture.file}": picture.png for picture in pictures[env]}
+
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    files["report.html"] = environment.from_string(template).render(
+        flag=flag,
+        flags=flags,
+        no_result=NO_RESULT,
+        made=made,
+        tables=tables,
+        overall_headings=OVERALL_HEADINGS,
+        overall=across,
+        left_out=apart,
+        pictures=pictures,
+        endings=_endings(results),
+        warnings=_warnings(results, rows),
+        origins=origins,
+        recordings=[
+            (name, f"rerun {shlex.quote(f'recordings/{name}')} --bind 127.0.0.1")
+            for name in sorted(name for result in results for name in result.recordings)
+            if name in recorded
+        ],
+    )
+    return files
+
+
+def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
+    """What was asked for and what computed it, a line each."""
+    conditions = request.conditions
+    experts = sorted({row.expert.partition(":")[0] for r in results for row in r.rows if row.expert})
+    commits = sorted({r.origin[PROGRAM_NAME] for r in results if PROGRAM_NAME in r.origin})
+    days = sorted(r.finished.partition(" ")[0] for r in results if r.finished)
+    spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
+    instructions = "fixed" if conditions.deterministic else "of the machine"
+    there, asked = len(results), len(request.cells)
+    seeds = "seed 0" if request.seeds == 1 else f"seeds 0 to {request.seeds - 1}"
+    return [
+        *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
+        f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, "
+        f"RL library {conditions.rl}, instructions {instructions}",
+        f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",
+        f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",
+        f"command: {command_of(request)}",
+    ]
+
+
+def _why_no_result(env: str, request: Request, results: Sequence[CellResult]) -> str:
+    """Why an environment's numbers are none to quote, '' where they are."""
+    if request.conditions.budget == "smoke":
+        return "budget smoke only shows that everything runs"
+    below = sorted(r.cell.seed for r in results if r.below_bar and r.cell.env == env)
+    seeds = ", ".join(map(str, below))
+    return f"the expert of seed {seeds} misses its bar" if below else ""
+
+
+def _details(env: str, results: Sequence[CellResult]) -> list[list[str]]:
+    """What methods tell of their fits, means over seeds."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for result in results:
+        for name, value in result.details.items() if result.cell.env == env else ():
+            found.setdefault((result.cell.method, name), []).append(value)
+    return [[m, name, f"{sum(v) / len(v):.2g}"] for (m, name), v in sorted(found.items())]
+
+
+def _scores_csv(rows: Sequence[Row], request: Request, results: Sequence[CellResult]) -> str:
+    """The rows, with what each was computed under."""
+    cells = {result.cell: result for result in results}
+    frame = _frame(rows, COLUMNS)
+    conditions = request.conditions
+    frame["budget"], frame["rl"] = conditions.budget, conditions.rl
+    mine = [cells[Cell(row.env, row.method, row.seed)] for row in rows]
+    frame["program"] = [result.origin.get(PROGRAM_NAME, "") for result in mine]
+    frame["finished"] = [result.finished for result in mine]
+    return frame.to_csv(index=False, lineterminator="\n")
+
+
+def as_csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
+    """A table of the items, a line each, which a spreadsheet shows as it is."""
+    return _frame(items, columns).to_csv(index=False, lineterminator="\n")
+
+
+def _frame(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> pd.DataFrame:
+    frame = pd.DataFrame([dataclasses.asdict(item) for item in items], columns=list(columns))
+    for name in ("reason", "note"):
+        if name in frame:  # A spreadsheet would compute what begins like this.
+            frame[name] = ["'" + text if text.startswith(tuple("=+-@")) else text for text in frame[name]]
+    return frame
+
+
+def _number(value: float, spec: str) -> str:
+    return format(value, spec) if math.isfinite(value) else "n/a"
+
+
+def _range(mean: float, low: float, high: float, spec: str) -> str:
+    return _number(mean, spec) + (f" [{low:{spec}}, {high:{spec}}]" if math.isfinite(low) else "")
+
+
+def _cells(entry: Entry) -> list[str]:
+    """The entry for people, in the order of HEADINGS."""
+    behind = _range(entry.behind_mean, entry.behind_low, entry.behind_high, "+z.2f")
+    if math.isfinite(entry.behind_mean):
+        behind += " tied" if entry.tied else ""
+    elif entry.role == "method" and math.isfinite(entry.score_mean):
+        behind = "the best"
+    else:
+        behind = ""
+    learned = entry.policy == "pi_R"
+    note = [entry.note] if entry.note else []
+    if entry.varies == "episodes" and math.isfinite(entry.return_low):
+        note.append("one seed: intervals are over episodes")
+    return [
+        entry.method,
+        entry.role,
+        entry.policy,
+        f"{entry.seeds_ok} of {entry.seeds}",
+        _range(entry.score_mean, entry.score_low, entry.score_high, "z.2f"),
+        behind,
+        _number(entry.above_best_lower_control, "+z.2f") if learned else "",
+        _number(entry.reward_distance, "z.2f") if learned else "",
+        _number(entry.reward_rank, "z.2f") if learned else "",
+        _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
+        " ".join("; ".join(note).split()),
+    ]
+
+
+def _costs(entry: Entry) -> list[str]:
+    """What it cost, in the order of COST_HEADINGS."""
+    return [
+        entry.method,
+        entry.policy,
+        _number(entry.fit_seconds, ".1f"),
+        _number(entry.env_steps, ",.0f"),
+        _number(entry.check_steps, ",.0f"),
+        _number(entry.rl_solves, ".0f"),
+        _number(entry.discounted_mean, "z.2f"),
+    ]
+
+
+def _markdown(headings: Sequence[str], table: Sequence[Sequence[str]]) -> str:
+    lines = [headings, ["---"] * len(headings), *table]
+    return "".join("| " + " | ".join(map(_escaped, line)) + " |\n" for line in lines)
+
+
+def _escaped(text: str) -> str:
+    """For Markdown, in which it is neither table nor HTML nor link."""
+    return re.sub(r"([\\|<>&`]|(?<=\])\()", r"\\\1", text)
+
+
+def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, list[tuple[str, int]]]]]:
+    """For each env: method, policy, and how many evaluation episodes ended how, over all seeds."""
+    counts: dict[tuple[str, str, str], Counter[str]] = {}
+    for result in results:
+        for name, endings in result.endings.items():
+            counts.setdefault((result.cell.env, result.cell.method, name), Counter()).update(endings)
+    table: dict[str, list[tuple[str, str, list[tuple[str, int]]]]] = {}
+    for (env, method, policy), counter in sorted(counts.items()):
+        table.setdefault(env, []).append(
+            (method, policy, sorted(counter.items(), key=lambda item: (-item[1], item[0])))
+        )
+    return table
+
+
+def _origins(results: Sequence[CellResult]) -> list[str]:
+    """The machines and versions that cells were computed with, and how many cells with each."""
+    lines = (", ".join(f"{name} {value}" for name, value in result.origin.items()) for result in results)
+    return [f"{count} cells: {line}" for line, count in sorted(Counter(lines).items())]
+
+
+def _warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
+    found = [f"{r.cell.name}: {text}" for r in sorted(results, key=lambda r: r.cell) for text in r.warnings]
+    unscored = {(r.env, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
+    machines = {tuple((k, v) for k, v in r.origin.items() if k != PROGRAM_NAME) for r in results}
+    if len(machines) > 1:
+        found.append("the cells were computed on different machines or with different versions, see the end")
+    for env, seed in sorted(unscored):
+        found.append(f"{env}, seed {seed}: no normalized scores, for want of an expert better than random")
+    return found

@@ -1,0 +1,73 @@
+"""The forms that rewards take in several places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from methods.base import Array, World
+from methods.network import Network
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Pays `value` while alive."""
+
+    value: float
+    absorbing: float
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.full(len(obs), self.value)
+
+
+@dataclass(frozen=True)
+class LinearReward:
+    """w^T phi(s, a), of weights w (K + 1,); the last is what the absorbing state pays."""
+
+    world: World
+    w: Array
+
+    @property
+    def absorbing(self) -> float:
+        return float(self.w[-1])
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.world.phi(obs, act) @ self.w[:-1]
+
+
+@dataclass(frozen=True)
+class StateReward:
+    """A network of the observation alone, for environments without an absorbing state."""
+
+    network: Network
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.network(obs)[:, 0]
+
+
+@dataclass(frozen=True)
+class NetworkReward:
+    """`bound` times the tanh of a network of (observation, action, absorbing indicator)."""
+
+    network: Network
+    bound: float
+    absorbing: float
+
+    @classmethod
+    def of(cls, layers: torch.nn.Module, mean: Array, std: Array, bound: float) -> NetworkReward:
+        """From torch layers, before the tanh, on standardised observations (`mean`, `std`), actions and the
+        indicator."""
+        linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
+        rest = linear[0].in_features - len(mean)
+        shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
+        network = Network.from_torch(layers, shift, scale, tanh=True)
+        absorbed = np.append(mean, np.zeros(rest))
+        absorbed[-1] = 1
+        return cls(network, bound, bound * float(network(absorbed[None])[0, 0]))
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        inputs = np.concatenate([obs, act, np.zeros((len(obs), 1))], axis=1)
+        return self.bound * self.network(inputs)[:, 0]

@@ -1,0 +1,74 @@
+"""What is stored counts as long as nothing that can change it has changed, and no longer."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from harness.judge.results import Cell, Conditions
+from harness.run import keys
+from harness.run.keys import PROGRAM, ROOT
+from methods import settings
+
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+
+
+def cell_key(env: str, method: str) -> str:
+    cell = Cell(env, method, 0)
+    return keys.cell_keys([cell], CONDITIONS, {})[cell]
+
+
+KEYED = [
+    *(("cartpole", method) for method in ("bc", "maxent", "reference", "control_clone", "control_shuffled")),
+    *(("highway", method) for method in ("bc", "reference")),
+]
+
+
+def test_a_cells_key_covers_all_source_that_computes_it() -> None:
+    code = "import sys, harness.run.cells, harness.show.recordings, methods.maxmargin, envs.highway\n"
+    code += "print(*(m.__file__ for m in list(sys.modules.values()) if getattr(m, '__file__', None)))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    files = map(Path, done.stdout.split())
+    imported = {f.relative_to(ROOT).as_posix() for f in files if f.is_relative_to(ROOT)}
+    imported = {name for name in imported if name.split("/")[0] in PROGRAM}
+    assert "harness/learn/rl.py" in imported
+    covered = keys.sources(keys.CELLS, "methods.maxmargin", "envs.highway")
+    assert imported - keys.NO_NUMBER == covered
+    assert covered.isdisjoint({"methods/maxent.py", "envs/cartpole.py"})
+
+
+def test_a_key_is_of_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = cell_key("cartpole", "bc")
+    program = dict(keys.program())
+    one, other = "harness/learn/rl.py", "harness/learn/world.py"
+    program[one], program[other] = program[other], program[one]
+    monkeypatch.setattr(keys, "program", lambda: program)
+    assert cell_key("cartpole", "bc") != before
+
+
+# What changes a file, and which cells' keys that changes.
+EDITS = {
+    "methods/bc.py": {("cartpole", "bc"), ("highway", "bc"), ("cartpole", "control_clone")},
+    "methods/shaped.py": {("cartpole", "control_shuffled")},
+    "methods/network.py": {*KEYED},
+    "envs/highway_batch.py": {("highway", "bc"), ("highway", "reference")},
+    "harness/learn/rl.py": {*KEYED},
+    "harness/judge/leaderboard.py": set(),
+    "harness/run/store.py": set(),
+    "harness/registry.py": set(),
+}
+
+
+@pytest.mark.parametrize("file", EDITS)
+def test_an_edit_concerns_the_cells_that_it_can_change(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {cell: cell_key(*cell) for cell in KEYED}
+    edited = {**keys.program(), file: keys.program()[file] + b"# edited\n"}
+    monkeypatch.setattr(keys, "program", lambda: edited)
+    assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == EDITS[file]
+
+
+def test_settings_concern_the_cells_that_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {cell: cell_key(*cell) for cell in KEYED}
+    monkeypatch.setitem(settings.SETTINGS, ("bc", "highway", "*"), {"steps": 7})
+    assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == {("highway", "bc")}
