@@ -25,7 +25,7 @@ from envs import EnvSpec
 from envs.highway import CONFIG, HORIZON
 from envs.highway_fast import FastHighwayEnv
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.learn.rl import WARM_UP, Learner
+from harness.learn.rl import WARM_UP, Agent
 from harness.learn.settings import rl_settings_for
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
@@ -160,7 +160,7 @@ def _one_by_one(spec: EnvSpec, policy: Policy) -> int:
 
 
 def _solve(env: str) -> int:
-    Learner(SPECS[env], "absorbing", np.random.default_rng(0), "sbx").solve(None, SOLVE_STEPS)
+    Agent(SPECS[env], "absorbing", np.random.default_rng(0), "sbx").solve(None, SOLVE_STEPS)
     return SOLVE_STEPS
 
 
@@ -171,7 +171,7 @@ def _solve_plainly(env: str) -> int:
 
 def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
     """What Stable-Baselines3's DDPG learns in so many steps by itself, used as its documentation has it, with
-    our networks, batch and one gradient step a step; without checkpoints or anything else of `Learner`."""
+    our networks, batch and one gradient step a step; without checkpoints or anything else of `Agent`."""
     spec, settings = SPECS[env], rl_settings_for(env)
     model = DDPG(
         "MlpPolicy",

@@ -18,7 +18,7 @@ from pebble.concurrent import process as in_a_process
 
 from envs import EnvSpec
 from harness.judge.evaluation import evaluate
-from harness.learn.rl import Learner, disturbed
+from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
 from harness.learn.settings import rl_settings_for
 from harness.registry import SPECS, BadInput
@@ -117,7 +117,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     started = time.perf_counter()
     if every := spec.shipped.checkpoint_every:
         settings = dataclasses.replace(settings, checkpoint_every=every)
-    learner = Learner(spec, "absorbing", rng_for(seed, env, "shipped expert"), "sbx", settings)
+    learner = Agent(spec, "absorbing", rng_for(seed, env, "shipped expert"), "sbx", settings)
     solution = learner.solve(None, spec.shipped.steps)
     few, rng = tuning_seeds(FIRST_EPISODES), rng_for(seed, env, "random")
     random_return = measure(spec, lambda obs: spec.random_actions(len(obs), rng), few).mean_return

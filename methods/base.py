@@ -38,6 +38,26 @@ class Reward(Protocol):
 
 
 @dataclass(frozen=True)
+class Transitions:
+    """N steps. obs, next_obs (N, O); act (N, A); absorbing, next_absorbing (N,): whether each was taken in
+    the absorbing state, and whether it led there. In the absorbing state observations mean nothing."""
+
+    obs: Array
+    act: Array
+    next_obs: Array
+    absorbing: NDArray[np.bool_]
+    next_absorbing: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.act)
+
+
+Payment = Callable[[Transitions], Array]
+"""What an agent is paid for each step, (N,), those in the absorbing state and into it included: for methods
+that need to say more than a `Reward` can."""
+
+
+@dataclass(frozen=True)
 class Episodes:
     """Episodes without rewards: demonstrations, or rollouts in a `World`. Its arrays are read-only.
 
@@ -80,6 +100,25 @@ class Episodes:
         return np.concatenate([obs[:-1] for obs in self.obs]), np.concatenate(self.act)
 
 
+class Agent(Protocol):
+    """Learns by reinforcement, and goes on from where it is under whatever reward comes next. Where the model
+    is known it knows at once, without a step."""
+
+    def learn(self, steps: int, reward: Reward | Payment) -> None:
+        """For so many environment steps. All that it has seen counts, paid by this reward alone."""
+
+    def best(self, reward: Reward) -> Policy:
+        """The checkpoint of what was learned last that does best under the reward."""
+
+    @property
+    def policy(self) -> Policy:
+        """What it would do now."""
+
+    def replay(self) -> Transitions:
+        """The latest steps that it has seen, of all that it learned. Where the model is known there are
+        none, and this raises ValueError; and where nothing was learned yet."""
+
+
 class World(Protocol):
     """The environment without its reward: all that a method may touch. It counts what it is asked for."""
 
@@ -99,10 +138,11 @@ class World(Protocol):
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         """Fresh episodes of the policy."""
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
-        """Reinforcement learning for `steps` environment steps under the reward; `warm` goes on from
-        this world's last solve, with its networks and its experience relabelled by the new reward.
-        Where the model is known, exactly and without a step."""
+    def agent(self, rng: np.random.Generator) -> Agent:
+        """One that has not learned yet."""
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+        """What an agent of its own learns in `steps` environment steps under the reward, at its best."""
 
 
 @dataclass(frozen=True)

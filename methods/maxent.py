@@ -87,6 +87,7 @@ class MaxEnt:
         visits_demo = visitations(demos, world.horizon, mean, std)
         visits_policy: list[Array] = []
         gaps: list[float] = []
+        agent = world.agent(rng)
         for i in range(self.iterations):
             if i > 0:
                 rollouts = world.rollout(policy, self.rollouts, rng)
@@ -104,7 +105,8 @@ class MaxEnt:
                 optimizer.step()
             gaps.append((d.mean() - e.mean()).item())
             reward = NetworkReward.of(network, mean, std, 1 / self.prior)
-            policy = world.solve(reward, rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
+            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
+            policy = agent.best(reward)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
 
 

@@ -71,6 +71,7 @@ class MaxEntLinear:
         means: list[Array] = []
         second: list[Array] = []
         gaps: list[float] = []
+        agent = world.agent(rng)
         for i in range(self.iterations):
             mean, moment = moments(world.rollout(policy, self.rollouts, rng), world)
             means.append(mean)
@@ -80,7 +81,8 @@ class MaxEntLinear:
             w = np.linalg.solve(precision + self.weight_prior * np.eye(len(gap)), gap)
             gaps.append(float(w @ gap))
             reward = LinearReward(world, w)
-            policy = world.solve(reward, rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0)
+            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
+            policy = agent.best(reward)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
 
 

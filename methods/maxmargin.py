@@ -51,10 +51,11 @@ class MaxMargin:
         separate = projection if self.projection else max_margin
         w, margin = separate(expert, found)
         margins, policies, weights = [margin], [], []
+        agent = world.agent(rng)
         for i in range(self.iterations):
-            policy = world.solve(
-                LinearReward(world, w), rng, self.rl_steps * (2 if i == 0 else 1), warm=i > 0
-            )
+            reward = LinearReward(world, w)
+            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
+            policy = agent.best(reward)
             policies.append(policy)
             weights.append(w)
             found.append(self._expectations(policy, world, rng))

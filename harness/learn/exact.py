@@ -8,7 +8,7 @@ import numpy as np
 
 from envs.spec import Model, Tabular
 from harness.learn.rl import Solution
-from methods.base import Array, Reward
+from methods.base import Array, Payment, Policy, Reward, Transitions
 from methods.tabular import value_iteration
 
 TIE = 1e-7
@@ -26,17 +26,24 @@ class TabularPolicy:
         return self.act[self.model.states(obs)]
 
 
-@dataclass(frozen=True)
 class ExactSolver:
-    """Solves one finite environment, in no environment steps."""
+    """Solves one finite environment, in no environment steps; an agent that knows at once."""
 
-    tabular: Tabular
-    gamma: float
-    rng: np.random.Generator
+    env_steps = 0
 
-    def solve(self, reward: Reward | None, steps: int) -> Solution:
-        """A policy that is optimal under the reward, None being the true one; `steps` do not matter. Which of
-        several, chance says, for a reward that cannot tell actions apart teaches nothing.
+    def __init__(self, tabular: Tabular, gamma: float, rng: np.random.Generator) -> None:
+        self.tabular, self.gamma, self.rng = tabular, gamma, rng
+        self._reward: Reward | None = None
+
+    def learn(self, steps: int, reward: Reward | Payment | None) -> None:
+        """Takes the reward to heart; `steps` do not matter. Raises ValueError for a `Payment`."""
+        if reward is not None and not isinstance(reward, Reward):
+            raise ValueError("where the model is known, an agent learns under rewards alone")
+        self._reward = reward
+
+    def best(self, reward: Reward | None) -> Solution:
+        """A policy that is optimal under the reward, None being the true one. Which of several, chance says,
+        for a reward that cannot tell actions apart teaches nothing.
 
         Raises ValueError on rewards that are not finite.
         """
@@ -47,6 +54,20 @@ class ExactSolver:
         choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
         policy = TabularPolicy(tabular.model, np.eye(q.shape[1])[choice])
         return Solution(policy, curve=[], true_curve=[])
+
+    def solve(self, reward: Reward | None, steps: int) -> Solution:
+        """`learn` and `best`."""
+        self.learn(steps, reward)
+        return self.best(reward)
+
+    @property
+    def policy(self) -> Policy:
+        """Optimal under the reward of the last `learn`."""
+        return self.best(self._reward).policy
+
+    def replay(self) -> Transitions:
+        """Raises ValueError: there is none."""
+        raise ValueError("where the model is known, nothing is seen")
 
 
 def expected_rewards(model: Model, reward: Reward) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec, Shape
 from envs.spec import Batch
-from methods.base import Array, Policy
+from methods.base import Array, Policy, Transitions
 
 
 @dataclass
@@ -24,6 +24,12 @@ class Trajectory:
     terminated: bool
     ending: str
     """Why it ended: the environment's words, or 'time limit'."""
+
+    def transitions(self) -> Transitions:
+        """Its steps."""
+        into = np.zeros(len(self.act), bool)
+        into[-1] = self.terminated
+        return Transitions(self.obs[:-1], self.act, self.obs[1:], np.zeros_like(into), into)
 
 
 def copies_of(spec: EnvSpec, count: int) -> Batch:

@@ -8,11 +8,11 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.learn.exact import ExactSolver
-from harness.learn.rl import Learner
+from harness.learn.rl import Agent
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import Library
-from methods.base import Array, Episodes, Policy, Reward
+from methods.base import Array, Episodes, Payment, Policy, Reward, Transitions
 
 
 class TaskWorld:
@@ -31,7 +31,6 @@ class TaskWorld:
         self._spec = spec
         self._protocol = protocol
         self._library = library
-        self._solver: Learner | ExactSolver | None = None
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return self._spec.random_actions(count, rng)
@@ -41,23 +40,48 @@ class TaskWorld:
         self.env_steps += int(rollouts.lengths.sum())
         return rollouts
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
-        if not warm or self._solver is None:
-            self._solver = solver_for(self._spec, self._protocol, rng, self._library)
-        solution = self._solver.solve(reward, steps)
-        self.env_steps += solution.env_steps
-        self.check_steps += solution.check_steps
-        self.rl_solves += 1
+    def agent(self, rng: np.random.Generator) -> WorldAgent:
+        return WorldAgent(self, solver_for(self._spec, self._protocol, rng, self._library))
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+        agent = self.agent(rng)
+        agent.learn(steps, reward)
+        return agent.best(reward)
+
+
+class WorldAgent:
+    """A `methods.base.Agent`, which its world keeps an account of."""
+
+    def __init__(self, world: TaskWorld, solver: Agent | ExactSolver) -> None:
+        self._world, self._solver = world, solver
+
+    def learn(self, steps: int, reward: Reward | Payment) -> None:
+        before = self._solver.env_steps
+        self._solver.learn(steps, reward)
+        self._world.env_steps += self._solver.env_steps - before
+        self._world.rl_solves += 1
+
+    def best(self, reward: Reward) -> Policy:
+        solution = self._solver.best(reward)
+        self._world.check_steps += solution.check_steps
         return solution.policy
+
+    @property
+    def policy(self) -> Policy:
+        return self._solver.policy
+
+    def replay(self) -> Transitions:
+        seen = self._solver.replay()
+        return Transitions(*(column.copy() for column in vars(seen).values()))
 
 
 def solver_for(
     spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library
-) -> Learner | ExactSolver:
+) -> Agent | ExactSolver:
     """What solves an environment: dynamic programming where its model is known, else RL by that library."""
     if spec.tabular:
         return ExactSolver(spec.tabular, spec.gamma, rng)
-    return Learner(spec, protocol, rng, library)
+    return Agent(spec, protocol, rng, library)
 
 
 def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:

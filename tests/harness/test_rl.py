@@ -17,10 +17,11 @@ from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
 from harness.learn import rl
-from harness.learn.rl import Learner, Solution
+from harness.learn.rl import Agent, Solution
 from harness.learn.seeds import TRAINING, evaluation_seeds
 from harness.learn.settings import SETTINGS, Settings, rl_settings_for
 from harness.learn.simulator import Simulator, Trajectory
+from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
 from methods.base import Array, Policy
 from methods.network import Network
@@ -42,7 +43,7 @@ def solve(
     library: Library = "sb3",
 ) -> Solution:
     """By default with Stable-Baselines3, whose first step takes no seconds of compiling."""
-    return Learner(spec, protocol, np.random.default_rng(seed), library).solve(reward, steps)
+    return Agent(spec, protocol, np.random.default_rng(seed), library).solve(reward, steps)
 
 
 both_libraries = pytest.mark.parametrize("library", LIBRARIES)
@@ -165,13 +166,14 @@ def test_the_generator_decides_everything(steady: EnvSpec, library: Library) -> 
 def actors(monkeypatch: pytest.MonkeyPatch) -> list[Network]:
     """The actor at every checkpoint, the untrained one first."""
     seen: list[Network] = []
-    actor = Learner.actor
+    policy = Agent.policy.fget
+    assert policy is not None
 
-    def spy(self: Learner) -> Network:
-        seen.append(actor(self))
+    def spy(self: Agent) -> Network:
+        seen.append(policy(self))
         return seen[-1]
 
-    monkeypatch.setattr(Learner, "actor", spy)
+    monkeypatch.setattr(Agent, "policy", property(spy))
     return seen
 
 
@@ -229,8 +231,13 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     kept: int,
 ) -> None:
     monkeypatch.setitem(SETTINGS, steady.name, Settings(checkpoint_every=100))
-    scores, truth = iter(returns + disturbed), (-value for value in returns + disturbed)
-    monkeypatch.setattr(Learner, "check", lambda self, policy, seeds: (next(scores), next(truth), 1))
+    scores = iter(returns + disturbed)
+
+    def check(self: Agent, policy: Policy) -> tuple[float, float]:
+        self.check_steps += 1
+        return (score := next(scores)), -score
+
+    monkeypatch.setattr(Agent, "check", check)
     solution = solve(steady, Seek(), steps=800)
     assert [value for _, value in solution.curve] == returns
     assert [value for _, value in solution.true_curve] == [-value for value in returns]
@@ -243,20 +250,20 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     checked: list[int] = []
     trained: list[int] = []
-    check, begin = Simulator.run, rl._TrainingEnv._reset
+    check, begin = Simulator.run, TrainingEnv._reset
 
     def run(self: Simulator, policy: Policy, seeds: Sequence[int]) -> list[Trajectory]:
         checked.extend(seeds)
         return check(self, policy, seeds)
 
-    def reset(self: rl._TrainingEnv, place: int) -> None:
+    def reset(self: TrainingEnv, place: int) -> None:
         batch = self._batch.reset
         self._batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
         begin(self, place)
         self._batch.reset = batch
 
     monkeypatch.setattr(Simulator, "run", run)
-    monkeypatch.setattr(rl._TrainingEnv, "_reset", reset)
+    monkeypatch.setattr(TrainingEnv, "_reset", reset)
     solve(fragile, Seek())
     assert len(checked) > 20
     assert len(trained) > 100
@@ -290,7 +297,7 @@ def test_the_learning_rate_falls_within_each_solve(
             rates.append(self.actor.optimizer.param_groups[0]["lr"])
 
     monkeypatch.setattr(solver, "train", spy)
-    learner = Learner(steady, "absorbing", np.random.default_rng(0), library)
+    learner = Agent(steady, "absorbing", np.random.default_rng(0), library)
     learner.solve(Seek(), 400)
     first = list(rates)
     rates.clear()
@@ -340,7 +347,7 @@ def test_what_one_agent_compiled_serves_the_next(steady: EnvSpec, caplog: pytest
 
 @both_libraries
 def test_a_second_solve_follows_the_new_reward(steady: EnvSpec, library: Library) -> None:
-    learner = Learner(steady, "absorbing", np.random.default_rng(0), library)
+    learner = Agent(steady, "absorbing", np.random.default_rng(0), library)
     first = learner.solve(Seek(), 600)
     second = learner.solve(Seek(side=-1.0), 1000)
     assert np.abs(first.policy(OBS) - OBS).mean() < 0.25

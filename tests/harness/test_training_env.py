@@ -9,10 +9,11 @@ import pytest
 
 from envs import EnvSpec
 from harness.learn import rl
-from harness.learn.rl import ABSORBING_STEPS, REWARD_SIZE, Learner
+from harness.learn.rl import Agent
 from harness.learn.settings import SETTINGS, Settings
+from harness.learn.training_env import ABSORBING_STEPS, REWARD_SIZE, TrainingEnv
 from harness.registry import PROTOCOLS
-from methods.base import Array
+from methods.base import Array, Transitions
 from tests.harness.rewards import Seek
 
 COPIES = 4
@@ -21,7 +22,7 @@ STATE, OFFSET = ("absorbing", "state"), ("absorbing", "offset")
 
 
 def training_env(spec: EnvSpec, protocol: str) -> Any:
-    return rl._TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
+    return TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
 
 
 def some_miss(seen: np.ndarray) -> np.ndarray:
@@ -83,7 +84,7 @@ def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) 
         assert all(info["TimeLimit.truncated"] for info in steps[-1][3])
 
 
-def experience(learner: Learner) -> dict[str, Array]:
+def experience(learner: Agent) -> dict[str, Array]:
     """What the agent learned from, in order: arrays (steps, ...), of all copies after each other."""
     buffer: Any = learner._model.replay_buffer  # type: ignore[union-attr]
     names = ("observations", "actions", "next_observations", "rewards", "dones", "timeouts")
@@ -97,7 +98,7 @@ def test_which_transitions_are_terminal(
     fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str, copies: int
 ) -> None:
     monkeypatch.setitem(SETTINGS, fragile.name, Settings(copies=copies))
-    learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
+    learner = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
     learner.solve(Seek(), 300)
     seen = experience(learner)
     assert len(seen["dones"]) == 300
@@ -115,7 +116,7 @@ def test_which_transitions_are_terminal(
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
-    learner = Learner(fragile, protocol, np.random.default_rng(0), "sb3")
+    learner = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
     second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
     for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
         learner.solve(reward, steps)
@@ -130,3 +131,42 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
         expected = (raw - centre) / np.abs(known).mean() * REWARD_SIZE
         np.testing.assert_allclose(seen["rewards"], expected, atol=1e-5)
     assert len(seen["rewards"]) == 500
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_it_learns_on_when_its_memory_is_full(
+    fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str
+) -> None:
+    monkeypatch.setattr(rl, "BUFFER", 200)
+    agent = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+    for reward in (Seek(), Seek(side=-1.0, absorbing=-0.5)):
+        agent.learn(300, reward)
+        seen, buffer = agent.replay(), agent._replay
+        assert (len(seen), buffer.full) == (200, True)
+        alive = ~seen.absorbing
+        np.testing.assert_allclose(
+            buffer.observations.reshape(-1, 2)[alive, 0], seen.obs[alive, 0] / 0.5, rtol=1e-6
+        )
+        raw = reward(seen.obs, seen.act, seen.next_obs)
+        raw = np.where(alive, raw - (reward.absorbing if protocol in OFFSET else 0.0), 0.0)
+        # What was new when it learned was paid by the normalisation of before, so by another scale.
+        paid = buffer.rewards.ravel().astype(float)
+        assert np.corrcoef(raw, paid)[0, 1] > 0.999
+        np.testing.assert_allclose(np.polyval(np.polyfit(raw, paid, 1), raw), paid, atol=1e-5)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_payment_sees_the_steps_into_absorption_and_in_it(fragile: EnvSpec, protocol: str) -> None:
+    def payment(steps: Transitions) -> Array:
+        return np.where(steps.absorbing, -1.0, np.where(steps.next_absorbing, 5.0, 1.0))
+
+    agent = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+    agent.learn(300, payment)
+    seen = agent.replay()
+    missed = ~seen.absorbing & (np.abs(seen.obs[:, 0] - seen.act[:, 0]) > 0.5)
+    np.testing.assert_array_equal(seen.next_absorbing, missed | seen.absorbing)
+    assert seen.absorbing.any() == (protocol in STATE)
+    raw = payment(seen)
+    paid = agent._replay.rewards[: agent._replay.size()].ravel().astype(float)
+    assert len(np.unique(paid.round(5))) == len(np.unique(raw))
+    assert np.corrcoef(raw, paid)[0, 1] > 0.999

@@ -17,7 +17,7 @@ from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
 from harness.judge.results import CONTROLS
 from harness.learn.exact import ExactSolver
-from harness.learn.rl import Learner
+from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
@@ -51,8 +51,12 @@ def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
     # So short a solve checks one episode of ten steps before it learns and at its end.
     world.solve(ZERO, rng(), 40)
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 40, 20, 1)
-    world.solve(ZERO, rng(), 20, warm=True)
-    assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 60, 40, 2)
+    agent = world.agent(rng())
+    agent.learn(20, ZERO)
+    agent.learn(20, ZERO)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 20, 3)
+    agent.best(ZERO)
+    assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 40, 3)
 
 
 def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
@@ -62,18 +66,31 @@ def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
     assert episodes.terminated == (True,) * 4
 
 
-def test_a_solve_starts_anew_unless_it_is_warm(steady: EnvSpec) -> None:
-    def solve(world: TaskWorld, seed: int, warm: bool) -> Network:
-        policy = world.solve(ZERO, rng(seed), 40, warm)
+def test_a_solve_starts_anew(steady: EnvSpec) -> None:
+    def solve(world: TaskWorld, seed: int) -> Network:
+        policy = world.solve(ZERO, rng(seed), 40)
         assert isinstance(policy, Network)
         return policy
 
     world, obs = TaskWorld(steady, "absorbing", "sb3"), np.linspace(-0.8, 0.8, 9)[:, None]
-    first = solve(world, 0, False)(obs)
+    first = solve(world, 0)(obs)
     # Under a constant reward learning stands still, and the first actor of a solve is the one returned.
-    np.testing.assert_array_equal(solve(world, 0, False)(obs), first)
-    assert (solve(world, 1, False)(obs) != first).any()
-    np.testing.assert_array_equal(solve(TaskWorld(steady, "absorbing", "sb3"), 0, True)(obs), first)
+    np.testing.assert_array_equal(solve(world, 0)(obs), first)
+    assert (solve(world, 1)(obs) != first).any()
+    agent = world.agent(rng(0))
+    agent.learn(40, ZERO)
+    np.testing.assert_array_equal(agent.best(ZERO)(obs), first)
+
+
+def test_what_an_agent_has_seen_is_a_copy_without_rewards(fragile: EnvSpec) -> None:
+    agent = TaskWorld(fragile, "absorbing", "sb3").agent(rng())
+    with pytest.raises(ValueError, match="has seen nothing"):
+        agent.replay()
+    agent.learn(40, ZERO)
+    seen = agent.replay()
+    assert len(seen) == 40
+    seen.obs[:] = 7.0
+    assert np.abs(agent.replay().obs).max() < 1
 
 
 def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
@@ -136,9 +153,11 @@ def test_no_public_path_leads_a_method_to_the_true_reward(env: str, steady: EnvS
     spec = steady if env == "steady" else SPECS[env]
     world = TaskWorld(spec, "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 20)
-    found = reachable([world, policy, world.rollout(policy, 2, rng())])
+    agent = world.agent(rng())
+    agent.learn(20, ZERO)
+    found = reachable([world, policy, agent, agent.best(ZERO), world.rollout(policy, 2, rng())])
     assert len(found) > 20
-    forbidden = (EnvSpec, Tabular, gym.Env, Trajectory, Simulator, Learner, ExactSolver)
+    forbidden = (EnvSpec, Tabular, gym.Env, Trajectory, Simulator, Agent, ExactSolver)
     assert [type(thing) for thing in found if isinstance(thing, forbidden)] == []
     if spec.tabular:
         rewards = spec.tabular.reward
@@ -148,7 +167,11 @@ def test_no_public_path_leads_a_method_to_the_true_reward(env: str, steady: EnvS
 def test_in_a_known_model_a_solve_takes_no_steps() -> None:
     world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 1000)
-    world.solve(ZERO, rng(), 1000, warm=True)
+    agent = world.agent(rng())
+    agent.learn(1000, ZERO)
+    assert agent.policy(SPECS["gridworld"].tabular.obs).shape == (144, 5)  # type: ignore[union-attr]
+    with pytest.raises(ValueError, match="nothing is seen"):
+        agent.replay()
     assert (world.env_steps, world.check_steps, world.rl_solves) == (0, 0, 2)
     episodes = world.rollout(policy, 3, rng())
     assert world.env_steps == 3 * 50

@@ -4,6 +4,7 @@ themselves."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ class FakeWorld:
     def __init__(self, lifetime: int = 10) -> None:
         self.lifetime = lifetime
         self.solves: list[tuple[Reward, int, bool]] = []
+        """Reward, steps, and whether an agent went on from before."""
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -35,13 +37,36 @@ class FakeWorld:
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
-        self.solves.append((reward, steps, warm))
+    def agent(self, rng: np.random.Generator) -> FakeAgent:
+        return FakeAgent(self, rng)
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+        return FakeAgent(self, rng).after(steps, reward)
+
+    def solved(self, reward: Reward, rng: np.random.Generator) -> Policy:
         obs = rng.uniform(-1, 1, (64, 3))
         choices = rng.uniform(-1, 1, (500, 2))
         values = [reward(obs, np.tile(c, (64, 1)), obs).mean() for c in choices]
         best = choices[int(np.argmax(values))]
         return lambda o: np.tile(best, (len(o), 1))
+
+
+class FakeAgent:
+    """Of a world that says what is best."""
+
+    def __init__(self, world: Any, rng: np.random.Generator) -> None:
+        self.world, self.rng, self.warm = world, rng, False
+
+    def learn(self, steps: int, reward: Reward) -> None:
+        self.world.solves.append((reward, steps, self.warm))
+        self.warm = True
+
+    def best(self, reward: Reward) -> Policy:
+        return self.world.solved(reward, self.rng)
+
+    def after(self, steps: int, reward: Reward) -> Policy:
+        self.learn(steps, reward)
+        return self.best(reward)
 
 
 class NoEnvironment:
@@ -59,6 +84,7 @@ class FiniteWorld:
     def __init__(self, tabular: Tabular, horizon: int = 10, gamma: float = 0.9) -> None:
         self.tabular, self.model, self.horizon, self.gamma = tabular, tabular.model, horizon, gamma
         self.obs_size, self.act_size = tabular.obs.shape[1], tabular.P.shape[1]
+        self.solves: list[tuple[Reward, int, bool]] = []
         self.found: list[Array] = []
         """What was solved, as (S, A)."""
 
@@ -81,7 +107,13 @@ class FiniteWorld:
             act.append(np.stack(choices))
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+    def agent(self, rng: np.random.Generator) -> FakeAgent:
+        return FakeAgent(self, rng)
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+        return FakeAgent(self, rng).after(steps, reward)
+
+    def solved(self, reward: Reward, rng: np.random.Generator) -> Policy:
         obs = np.repeat(self.model.obs, self.act_size, axis=0)
         r = reward(obs, np.tile(np.eye(self.act_size), (len(self.model.obs), 1)), obs)
         self.found.append(greedy(value_iteration(self.model.P, r.reshape(-1, self.act_size), self.gamma)[1]))

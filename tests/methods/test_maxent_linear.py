@@ -30,7 +30,7 @@ class KnownWorld:
     def phi(self, obs: Array, act: Array) -> Array:
         return obs
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         r = reward(MODEL.obs, np.zeros((len(MODEL.obs), 5)), MODEL.obs)
         best = value_iteration(MODEL.P, r, self.gamma)[1].argmax(axis=1)
         return lambda obs: np.eye(5)[best[MODEL.states(obs)]]
@@ -148,10 +148,16 @@ class Bandit:
         obs = tuple(np.zeros((self.lifetime + 1, 1)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int, warm: bool = False) -> Policy:
+    def agent(self, rng: np.random.Generator) -> Any:
+        return self
+
+    def learn(self, steps: int, reward: Reward) -> None:
         actions = np.linspace(-1, 1, 41)[:, None]
         best = actions[reward(np.zeros_like(actions), actions, np.zeros_like(actions)).argmax()]
-        self.solves.append((reward, steps, warm, constant(*best)))
+        self.solves.append((reward, steps, bool(self.solves), constant(*best)))
+
+    def best(self, reward: Reward) -> Policy:
+        assert reward is self.solves[-1][0]
         return self.solves[-1][3]
 
 

@@ -1,0 +1,190 @@
+"""The environment as an agent of the RL library sees it, and what it has seen there.
+
+Protocol `absorbing` has two parts (Kostrikov et al. 2019, Discriminator-Actor-Critic). The state:
+observations carry an absorbing indicator; what would terminate goes to the absorbing state instead, which
+pays 0, stays there a few steps, and is truncated and bootstrapped like a time limit. The offset: the agent
+learns on reward - reward.absorbing, so that a constant reward is 0 everywhere. Protocols `state` and `offset`
+have one part alone, to tell what each does. Protocol `native` has neither: episodes end, and the agent learns
+on the reward as it is.
+
+Rewards are scaled to a fixed mean size and, where there is an absorbing state, centred by one constant, its
+own reward included. Neither changes which policy is better.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.buffers import NStepReplayBuffer
+from stable_baselines3.common.vec_env import VecEnv
+
+from envs import EnvSpec
+from harness.learn.seeds import training_seeds
+from harness.learn.simulator import copies_of
+from methods.base import Array, Payment, Reward, Transitions
+from methods.rewards import Constant
+
+ABSORBING_STEPS = 5
+"""Steps in the absorbing state before the episode is truncated."""
+NOT_ABSORBED = -1
+REWARD_SIZE = 0.1
+"""Mean absolute reward after scaling."""
+
+
+class TrainingEnv(VecEnv):
+    """Copies of the environment as the agent sees them."""
+
+    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, copies: int) -> None:
+        actions: spaces.Space[Any] = (
+            spaces.Discrete(spec.act_size)
+            if spec.discrete
+            else spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
+        )
+        super().__init__(copies, spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32), actions)
+        self.reward: Reward | Payment | None = None
+        self.spec = spec
+        self._batch = copies_of(spec, copies)
+        self._obs_scale = np.array(spec.obs_scale)
+        self._state = protocol in ("absorbing", "state")
+        self._offset = protocol in ("absorbing", "offset")
+        self._rng = rng
+        self._obs = np.zeros((copies, spec.obs_size))
+        self._age = np.zeros(copies, np.int64)
+        self._absorbed_for = np.full(copies, NOT_ABSORBED)
+        self._actions: NDArray[Any]
+        self._centre, self._size = 0.0, 1.0
+        self.latest: tuple[Transitions, Array]
+        """The last step of every copy, and what the environment paid for it."""
+
+    def raw_rewards(self, steps: Transitions, true: Array) -> Array:
+        """(N,): what each step pays before normalisation. true: what the environment paid. Raises
+        FloatingPointError if that is not finite."""
+        reward = self.reward
+        if reward is None:
+            paid = true
+        elif isinstance(reward, Reward):
+            paid = np.zeros(len(true))
+            alive = ~steps.absorbing
+            if alive.any():
+                living = reward(steps.obs[alive], steps.act[alive], steps.next_obs[alive])
+                if living.shape != (alive.sum(),):
+                    raise FloatingPointError("the reward must give one finite number for each step")
+                paid[alive] = living - reward.absorbing if self._offset else living
+        else:
+            paid = reward(steps)
+        if paid.shape != true.shape or not np.isfinite(paid).all():
+            raise FloatingPointError("the reward must give one finite number for each step")
+        return paid
+
+    @property
+    def pays_nothing(self) -> bool:
+        """Whether the agent learns on 0 everywhere."""
+        reward = self.reward
+        return self._offset and isinstance(reward, Constant) and reward.value == reward.absorbing
+
+    def normalise(self, steps: Transitions, true: Array) -> Array:
+        """Fits the normalisation to these steps (N,); their rewards under it."""
+        raw = self.raw_rewards(steps, true)
+        alive = raw[~steps.absorbing]
+        size = float(np.abs(alive).mean())
+        self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
+        self._centre = float(alive.mean()) if self._state else 0.0
+        return (raw - self._centre) / self._size
+
+    def reset(self) -> NDArray[np.float32]:
+        for place in range(self.num_envs):
+            self._reset(place)
+        return self._seen()
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[Any]]:
+        spec, obs = self.spec, self._obs
+        act = np.eye(spec.act_size)[self._actions] if spec.discrete else self._actions.astype(np.float64)
+        alive = self._absorbed_for == NOT_ABSORBED
+        next_obs, true, terminated = obs.copy(), np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        if alive.any():
+            stepped = self._batch.step(np.flatnonzero(alive).tolist(), act[alive])
+            next_obs[alive], true[alive], terminated[alive] = stepped
+        self.latest = Transitions(obs, act, next_obs, ~alive, terminated | ~alive), true
+        raw = self.raw_rewards(*self.latest)
+        self._obs = next_obs
+        self._age += 1
+        self._absorbed_for[~alive] += 1
+        ended = terminated & (not self._state)
+        self._absorbed_for[terminated & ~ended] = 0
+        at_horizon = alive & ~terminated & (self._age == spec.horizon)
+        truncated = at_horizon | (self._absorbed_for == ABSORBING_STEPS)
+        done = ended | truncated
+        seen = self._seen()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for place in np.flatnonzero(done).tolist():
+            infos[place] = {
+                "terminal_observation": seen[place],
+                "TimeLimit.truncated": bool(truncated[place]),
+            }
+            self._reset(place)
+        rewards = ((raw - self._centre) / self._size).astype(np.float32)
+        return self._seen() if done.any() else seen, rewards, done, infos
+
+    def _reset(self, place: int) -> None:
+        self._obs = self._obs.copy()  # what was seen stays as it was
+        self._obs[place] = self._batch.reset(place, training_seeds(self._rng, 1)[0])
+        self._age[place], self._absorbed_for[place] = 0, NOT_ABSORBED
+
+    def _seen(self) -> NDArray[np.float32]:
+        absorbed = self._absorbed_for[:, None] != NOT_ABSORBED
+        obs = np.where(absorbed, 0.0, self._obs / self._obs_scale)
+        return np.concatenate([obs, absorbed], axis=1).astype(np.float32)
+
+    # What stable-baselines3 asks of environments besides.
+    render_mode = None
+
+    def close(self) -> None: ...
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self, attr_name)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+class Replay(NStepReplayBuffer):
+    """The latest steps, as the agent sees them, for its library, and as they were, for rewards to come."""
+
+    def __init__(self, *args: Any, source: TrainingEnv, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self._source = source
+        spec, shape = source.spec, (self.buffer_size, self.n_envs)
+        self._obs, self._next_obs = (np.empty((*shape, spec.obs_size)) for _ in range(2))
+        self._act, self._true = np.empty((*shape, spec.act_size)), np.empty(shape)
+        self._absorbing, self._next_absorbing = (np.empty(shape, bool) for _ in range(2))
+
+    def add(self, *seen: Any) -> None:
+        """Adds the source's latest step, `seen` being how the library sees it."""
+        at = self.pos
+        steps, self._true[at] = self._source.latest
+        self._obs[at], self._act[at], self._next_obs[at] = steps.obs, steps.act, steps.next_obs
+        self._absorbing[at], self._next_absorbing[at] = steps.absorbing, steps.next_absorbing
+        super().add(*seen)
+
+    def relabel(self) -> None:
+        """Gives every step the reward that its source pays now, normalised anew."""
+        count = self.size()
+        rewards = self._source.normalise(self.steps(), self._true[:count].ravel())
+        self.rewards[:count] = rewards.reshape(count, self.n_envs)
+
+    def steps(self) -> Transitions:
+        """All that is kept."""
+        columns: list[Any] = [self._obs, self._act, self._next_obs, self._absorbing, self._next_absorbing]
+        return Transitions(*(c[: self.size()].reshape(-1, *c.shape[2:]) for c in columns))
