@@ -43,6 +43,27 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
             assert score.strip("| ") == expected, (method, policy)
 
 
+def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
+    text = (ROOT / "docs/termination.md").read_text(encoding="utf-8")
+    tables = re.findall(r"<!-- the 2 x 2 on (\w+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    assert [env for env, _ in tables] == ["cartpole", "pendulum"]
+    for env, table in tables:
+        heading, _, *lines = [line.strip("| ").split(" | ") for line in table.splitlines()]
+        found = {}
+        for protocol in heading[1:]:
+            file = ROOT / "results/reference/termination" / protocol / "leaderboard.csv"
+            for entry in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
+                if (entry["env"], entry["policy"]) == (env, "pi_R"):
+                    mean, low, high = (float(entry[f"score_{name}"]) for name in ("mean", "low", "high"))
+                    found[entry["method"], protocol] = f"{mean:z.2f} [{low:z.2f}, {high:z.2f}]"
+        shown = {
+            (method.strip("`"), protocol): score
+            for method, *scores in lines
+            for protocol, score in zip(heading[1:], scores, strict=True)
+        }
+        assert shown == found
+
+
 def test_every_command_and_option_of_the_documents_exists() -> None:
     from harness.arguments import parser
 
