@@ -8,6 +8,7 @@ import gymnasium as gym
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
 from envs import cartpole
+from envs.learners import DQN
 from envs.spec import EnvSpec, Shape, Shipped
 
 
@@ -50,4 +51,5 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     shipped=Shipped(steps=60_000, bar=500.0),
     discrete=True,
+    rl=DQN(),
 )

@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from envs.learners import DQN
 from envs.spec import Array, EnvSpec, Shape, Tabular
 
 ACTIONS = ("right", "up", "left", "down", "stay")
@@ -183,6 +184,7 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=lambda env: "",
     discrete=True,
+    rl=DQN(),
     tabular=WORLD,
 )
 

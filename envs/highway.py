@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from envs.highway_batch import Road, Scenes
 from envs.highway_fast import FastHighwayEnv, speed_up_vehicle
+from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Shape, Shipped
 
 HORIZON = 75  # 30 s
@@ -276,6 +277,17 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000),
+    rl=DDPG(
+        final_learning_rate=5e-5,
+        tau=0.005,
+        batch=256,
+        critics=2,
+        noise=0.15,
+        copies=40,
+        gradient_steps=20,
+        checkpoint_every=4000,
+        check_episodes=40,
+    ),
     batch=HighwayBatch,
 )
 

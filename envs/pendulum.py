@@ -13,6 +13,7 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from numpy.typing import NDArray
 
 from envs.cartpole import draw_cart_and_pole
+from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Shape, Shipped
 
 HORIZON = 1000
@@ -119,6 +120,8 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=80_000, bar=1000.0, checkpoint_every=500),
+    # Its episodes are long, and begin alike.
+    rl=DDPG(checkpoint_every=2000, check_episodes=5),
     batch=PendulumBatch,
 )
 

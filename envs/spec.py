@@ -3,20 +3,26 @@ and `Shape`, the unit of drawings."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import RescaleAction
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+
+from envs.learners import DDPG, DQN, Learner
 
 Array = NDArray[np.float64]
 
 BUDGETS = ("smoke", "quick", "full")
+RANDOM_STEPS = 1000
+"""Steps of random actions by which a typical size of observations is told."""
 ROUNDING = 1e-9  # how far from 1 probabilities may sum
 
 
@@ -98,6 +104,10 @@ class Tabular(Model):
         return Model(self.P, self.start, self.obs)
 
 
+def _budgets(smoke: int, quick: int, full: int) -> dict[str, int]:
+    return dict(zip(BUDGETS, (smoke, quick, full), strict=True))
+
+
 class Batch(Protocol):
     """Copies of an environment that step together, numbered from 0. Each is reset before it is stepped; time
     limits are not theirs to keep."""
@@ -137,36 +147,41 @@ class EnvSpec:
 
     name: str
     """What `--envs` calls it."""
-    summary: str
-    """One line for `list`."""
     env_id: str
-    """Gymnasium id; `import envs` registers it."""
+    """Gymnasium id, registered when the spec's module is imported."""
     obs_size: int
     act_size: int
     obs_scale: tuple[float, ...]
     """A typical size of each observation while the task goes well; RL divides by it."""
     horizon: int
     """Steps after which an episode is truncated."""
-    gamma: float
+    summary: str = ""
+    """One line for `list`."""
+    gamma: float = 0.99
     """Discount in (0, 1) for discounted returns and for every RL solve."""
-    time_step: float
+    time_step: float = 1.0
     """Seconds between actions."""
-    bar: Callable[[Sequence[int]], float]
+    bar: Callable[[Sequence[int]], float] = lambda seeds: -math.inf
     """Mean undiscounted true return that the expert must reach on the episodes of these seeds."""
-    max_terminated: Mapping[str, float]
+    max_terminated: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(BUDGETS, 1.0))
     """Largest share of the expert's episodes that may terminate early, for each of `BUDGETS`."""
-    rl_steps: Mapping[str, int]
+    rl_steps: Mapping[str, int] = field(default_factory=lambda: _budgets(600, 20_000, 60_000))
     """Environment steps of one RL solve, for each of `BUDGETS`."""
-    eval_episodes: Mapping[str, int]
+    eval_episodes: Mapping[str, int] = field(default_factory=lambda: _budgets(5, 50, 100))
     """Evaluation episodes for each policy, for each of `BUDGETS`."""
-    demo_episodes: Mapping[str, int]
+    demo_episodes: Mapping[str, int] = field(default_factory=lambda: _budgets(5, 100, 100))
     """Demonstration episodes drawn for each seed, for each of `BUDGETS`."""
-    phi: Callable[[Array, Array], Array]
-    """Features for linear rewards: (B, O) observations and (B, A) actions to (B, K), within [-1, 1]."""
-    draw: Callable[[gym.Env], dict[str, Shape]]
+    phi: Callable[[Array, Array], Array] | None = None
+    """Features for linear rewards: (B, O) observations and (B, A) actions to (B, K), within [-1, 1].
+    Default: the actions, and observations in units of `obs_scale`, squashed, and their squares."""
+    draw: Callable[[gym.Env], dict[str, Shape]] = lambda env: {}
     """The scene as it stands, in metres; the same names throughout an episode."""
-    why_ended: Callable[[gym.Env], str]
+    why_ended: Callable[[gym.Env], str] = lambda env: "terminated"
     """Why the episode just terminated, in a few words, e.g. 'pole fell'."""
+    wrap: Callable[[gym.Env], gym.Env] = lambda env: env
+    """What Gymnasium's environment is wrapped in."""
+    rl: Learner = field(default_factory=DDPG)
+    """What reinforcement learning uses."""
     batch: Callable[[int], Batch] | None = None
     """So many copies, where they step faster together and bit for bit as they would alone."""
     discrete: bool = False
@@ -181,6 +196,8 @@ class EnvSpec:
             raise ValueError(f"{self.name}: gamma must lie in (0, 1), not {self.gamma}")
         if len(self.obs_scale) != self.obs_size or min(self.obs_scale) <= 0:
             raise ValueError(f"{self.name}: obs_scale must hold a positive number for each observation")
+        if isinstance(self.rl, DQN) != self.discrete:
+            raise ValueError(f"{self.name}: DQN is for choices, and choices need DQN")
         tables = (self.rl_steps, self.eval_episodes, self.demo_episodes)
         counts = [self.obs_size, self.act_size, self.horizon, *(t[b] for t in tables for b in BUDGETS)]
         if min(counts) < 1:
@@ -188,7 +205,7 @@ class EnvSpec:
 
     def make(self) -> gym.Env:
         """A new instance, checked against the sizes above."""
-        env = gym.make(self.env_id)
+        env = self.wrap(gym.make(self.env_id))
         obs, act = env.observation_space, env.action_space
         actions = (
             isinstance(act, spaces.Discrete) and act.n == self.act_size
@@ -202,6 +219,13 @@ class EnvSpec:
                 f"{self.name}: the environment is not truncated at the spec's {self.horizon} steps"
             )
         return env
+
+    def features(self, obs: Array, act: Array) -> Array:
+        """(B, K): `phi` of (B, O) observations and (B, A) actions."""
+        if self.phi is not None:
+            return self.phi(obs, act)
+        squashed = np.tanh(obs / np.array(self.obs_scale))
+        return np.concatenate([squashed, squashed**2, act], axis=1)
 
     def executed(self, act: Array) -> Array:
         """(B, A): what a policy's actions (B, A) amount to; in a discrete environment 1 for the largest
@@ -219,3 +243,41 @@ class EnvSpec:
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         """(count, A), uniform over all actions."""
         return self.executed(rng.uniform(-1, 1, (count, self.act_size)))
+
+
+def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
+    """The spec of a Gymnasium environment, with what can be told from it: sizes, horizon, whether actions are
+    choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1]. fields:
+    of `EnvSpec`, what is known better.
+
+    Raises ValueError for observations that are not flat, actions that are neither choices nor bounded, and
+    where there is no time limit.
+    """
+    env = gym.make(env_id)
+    obs, act = env.observation_space, env.action_space
+    if not isinstance(obs, spaces.Box) or obs.shape is None or len(obs.shape) != 1:
+        raise ValueError(f"{env_id}: observations must be a flat box, not {obs}")
+    if env.spec is None or env.spec.max_episode_steps is None:
+        raise ValueError(f"{env_id}: it has no time limit")
+    if isinstance(act, spaces.Discrete):
+        found: dict[str, Any] = {"act_size": int(act.n), "discrete": True, "rl": DQN()}
+    elif isinstance(act, spaces.Box) and len(act.shape) == 1 and act.is_bounded():
+        found = {"act_size": act.shape[0], "wrap": _scaled}
+        env = _scaled(env)
+    else:
+        raise ValueError(f"{env_id}: actions must be choices or a bounded box, not {act}")
+    env.action_space.seed(0)
+    seen = [env.reset(seed=0)[0]]
+    for _ in range(RANDOM_STEPS):
+        after, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        seen.append(env.reset()[0] if terminated or truncated else after)
+    found["obs_size"] = obs.shape[0]
+    found["obs_scale"] = tuple(float(x) or 1.0 for x in np.sqrt(np.square(seen).mean(axis=0)))
+    found["horizon"] = env.spec.max_episode_steps if env.spec else 0
+    found["summary"] = f"Gymnasium's {env_id}"
+    return EnvSpec(name, env_id, **(found | fields))
+
+
+def _scaled(env: gym.Env) -> gym.Env:
+    """With actions in [-1, 1], in 32 bits."""
+    return RescaleAction(env, np.float32(-1), np.float32(1))

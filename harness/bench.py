@@ -26,7 +26,6 @@ from envs.highway import CONFIG, HORIZON
 from envs.highway_fast import FastHighwayEnv
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import WARM_UP, Agent
-from harness.learn.settings import rl_settings_for
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
 from harness.run.experts import expert_for, prepare
@@ -172,7 +171,8 @@ def _solve_plainly(env: str) -> int:
 def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
     """What Stable-Baselines3's DDPG learns in so many steps by itself, used as its documentation has it, with
     our networks, batch and one gradient step a step; without checkpoints or anything else of `Agent`."""
-    spec, settings = SPECS[env], rl_settings_for(env)
+    spec = SPECS[env]
+    settings = spec.rl
     model = DDPG(
         "MlpPolicy",
         spec.make(),

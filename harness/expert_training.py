@@ -20,7 +20,6 @@ from envs import EnvSpec
 from harness.judge.evaluation import evaluate
 from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
-from harness.learn.settings import rl_settings_for
 from harness.registry import SPECS, BadInput
 from harness.run.cache import Kept, as_bytes, load
 from harness.run.expert_set import SUMS
@@ -112,7 +111,8 @@ def confirm(spec: EnvSpec, policy: Policy, judged: Measured) -> float:
 def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     """Trains an agent on the true reward; it, judged on tuning episodes, and the files of the expert and of
     the medium one."""
-    spec, settings = SPECS[env], rl_settings_for(env)
+    spec = SPECS[env]
+    settings = spec.rl
     assert spec.shipped is not None
     started = time.perf_counter()
     if every := spec.shipped.checkpoint_every:

@@ -23,8 +23,9 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 from envs import EnvSpec
+from envs.learners import DDPG as DDPGSettings
+from envs.learners import Learner
 from harness.learn.seeds import training_seeds
-from harness.learn.settings import Settings, rl_settings_for
 from harness.learn.simulator import Simulator
 from harness.learn.training_env import Replay, TrainingEnv
 from harness.registry import PROTOCOLS, Library
@@ -37,9 +38,7 @@ STEPS_PER_CHECK_EPISODE = 75
 """A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
 FIRST_ACTIONS = 0.01
 """Size of an untrained actor's last weights, of what SBX draws."""
-BUFFER = 100_000
-"""Transitions that a learner can hold, over all its solves."""
-_FUNCTIONS: dict[tuple[Settings, int], list[tuple[Any, Any]]] = {}
+_FUNCTIONS: dict[tuple[Learner, int], list[tuple[Any, Any]]] = {}
 """Networks' and optimizers' functions, of the first agent with these settings and size of actions. What JAX
 compiles for a function it keeps; each agent's own would be compiled, and kept, again."""
 
@@ -72,14 +71,14 @@ class Agent:
         protocol: str,
         rng: np.random.Generator,
         library: Library,
-        settings: Settings | None = None,
+        settings: Learner | None = None,
     ) -> None:
         if protocol not in PROTOCOLS:
             raise ValueError(f"no protocol named {protocol!r}")
         self.spec = spec
         self._rng = rng
         self._library = library
-        self.settings = settings or rl_settings_for(spec.name)
+        self.settings = settings or spec.rl
         self._env = TrainingEnv(spec, protocol, rng, self.settings.copies)
         self._checks = Simulator(spec)
         self._model: sbx.DDPG | DDPG | DQN | None = None
@@ -151,7 +150,7 @@ class Agent:
         return replace(self.best(reward), env_steps=self.env_steps - before)
 
     def replay(self) -> Transitions:
-        """The latest steps, up to `BUFFER`. Raises ValueError where nothing was learned yet."""
+        """The latest steps. Raises ValueError where nothing was learned yet."""
         return self._replay.steps()
 
     @property
@@ -167,7 +166,7 @@ class Agent:
             "policy": "MlpPolicy",
             "env": self._env,
             "learning_rate": s.learning_rate,
-            "buffer_size": BUFFER,
+            "buffer_size": s.buffer,
             "learning_starts": warm_up,
             "batch_size": s.batch,
             "tau": s.tau,
@@ -189,6 +188,7 @@ class Agent:
                 exploration_final_eps=s.noise,
                 policy_kwargs=network | {"optimizer_kwargs": ADAM},
             )
+        assert isinstance(s, DDPGSettings)
         network["n_critics"] = s.critics
         common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
         if self._library == "sb3":

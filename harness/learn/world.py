@@ -23,7 +23,7 @@ class TaskWorld:
         self.act_size = spec.act_size
         self.horizon = spec.horizon
         self.gamma = spec.gamma
-        self.phi = spec.phi
+        self.phi = spec.features
         self.env_steps = 0
         self.check_steps = 0
         self.rl_solves = 0

@@ -13,7 +13,6 @@ from envs import EnvSpec
 from harness.judge.advantage import Replays, replay
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
-from harness.learn.settings import rl_settings_for
 from harness.learn.simulator import Simulator
 from harness.learn.world import solver_for, without_rewards
 from harness.registry import SPECS
@@ -54,7 +53,7 @@ def expert_for(env: str, seed: int, conditions: Conditions) -> Expert:
         number, found = shipped(env, seed)
         name = f"{version}:{number}"
     else:
-        asked = [conditions.rl, spec.rl_steps[conditions.budget], asdict(rl_settings_for(env))]
+        asked = [conditions.rl, spec.rl_steps[conditions.budget], asdict(spec.rl)]
         found = kept(f"expert{seed}", env, asked, lambda: _trained(spec, seed, conditions)[1])
         name = f"trained:{seed}"
     facts = {key: found.facts[key] for key in ("seconds", "env_steps", "check_steps")}

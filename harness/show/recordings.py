@@ -129,20 +129,12 @@ def _send_facts(
 def _blueprint(
     spec: EnvSpec, trajectory: Trajectory, frames: Sequence[dict[str, Shape]], learned_reward: Array | None
 ) -> rrb.Blueprint:
-    """The scene over the facts on the left, the plots on the right."""
-    points = np.concatenate([shape.points for frame in frames for shape in frame.values()]) * [1.0, -1.0]
-    margin = _MARGIN * float(np.ptp(points, axis=0).max())
-    (left, top), (right, bottom) = points.min(axis=0) - margin, points.max(axis=0) + margin
-    scene = rrb.Spatial2DView(
-        origin="scene",
-        name=spec.name,
-        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
-        background=[255, 255, 255],
-    )
+    """The scene, where there is one, over the facts on the left, the plots on the right."""
     facts = rrb.Horizontal(
         rrb.TextDocumentView(origin="episode", name="Episode"),
         rrb.TextLogView(origin="ending", name="How it ended"),
     )
+    told = rrb.Vertical(_scene(spec, frames), facts, row_shares=[5, 3]) if frames[0] else facts
     plots = [_plot("reward/true", "True reward of a step", trajectory.rewards)]
     if learned_reward is not None:
         plots.append(_plot("reward/learned", "R* of a step, above absorption", learned_reward))
@@ -150,13 +142,24 @@ def _blueprint(
     plots.append(_plot("action", "Actions", np.array([-1.0, 1.0])))
     plots.append(_plot("observation", "Observations", trajectory.obs))
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(scene, facts, row_shares=[5, 3]), rrb.Vertical(*plots), column_shares=[3, 2]
-        ),
+        rrb.Horizontal(told, rrb.Vertical(*plots), column_shares=[3, 2]),
         rrb.TimePanel(timeline="sim_time", state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
+    )
+
+
+def _scene(spec: EnvSpec, frames: Sequence[dict[str, Shape]]) -> rrb.Spatial2DView:
+    """All that is drawn, with a margin."""
+    points = np.concatenate([shape.points for frame in frames for shape in frame.values()]) * [1.0, -1.0]
+    margin = _MARGIN * float(np.ptp(points, axis=0).max())
+    (left, top), (right, bottom) = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return rrb.Spatial2DView(
+        origin="scene",
+        name=spec.name,
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
+        background=[255, 255, 255],
     )
 
 

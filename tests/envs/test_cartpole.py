@@ -69,5 +69,5 @@ def test_two_actions_are_gymnasiums_and_full_force_left_and_right() -> None:
 def test_phi_is_one_at_the_centre_and_falls_to_zero_at_the_limits() -> None:
     obs = np.array([[0, 0, 0, 0], [2.4, 0, 12 * math.pi / 180, 0]], float)
     np.testing.assert_allclose(
-        SPEC.phi(obs, np.zeros((2, 1))), [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1]], atol=1e-12
+        SPEC.features(obs, np.zeros((2, 1))), [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1]], atol=1e-12
     )

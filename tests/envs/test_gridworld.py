@@ -182,7 +182,7 @@ def test_features_of_the_task_are_those_of_the_state_observed() -> None:
     obs, info = env.reset(seed=3)
     rng = np.random.default_rng(0)
     for act in SPEC.random_actions(SPEC.horizon, rng):
-        features = SPEC.phi(obs.astype(np.float64)[None], act[None])
+        features = SPEC.features(obs.astype(np.float64)[None], act[None])
         assert features.tolist() == [WORLD.features[info["state"]].tolist()]
         obs, *_, info = env.step(SPEC.native(act))
 

@@ -220,7 +220,7 @@ def test_phi_in_range_and_of_the_observation_alone() -> None:
     obs = np.concatenate(
         [obs, np.random.default_rng(0).normal(0, 3, obs.shape), np.zeros((1, SPEC.obs_size))]
     )
-    features = SPEC.phi(obs, np.zeros((len(obs), 2)))
+    features = SPEC.features(obs, np.zeros((len(obs), 2)))
     assert features.shape == (len(obs), 8)
     assert np.abs(features).max() <= 1
     assert (features[:, -1] == 1).all()

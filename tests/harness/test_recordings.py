@@ -79,6 +79,14 @@ def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Any
     assert tip[1] < 0  # up in the picture, where y points down
 
 
+def test_a_task_that_draws_nothing_is_recorded_without_a_scene(tmp_path: Path, episode: Any) -> None:
+    trajectory, frames = episode
+    write_atomic(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", trajectory, [{}] * len(frames), None))
+    columns = read(tmp_path / "a.rrd")
+    assert np.array_equal(values(columns["/reward/true"]["Scalars:scalars"]), trajectory.rewards)
+    assert not any(name.startswith("/scene") for name in columns)
+
+
 def test_the_ending_and_the_facts_are_in_the_recording(tmp_path: Path, episode: Any) -> None:
     trajectory, frames = episode
     length = len(trajectory.act)

@@ -16,10 +16,10 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
+from envs.learners import DDPG
 from harness.learn import rl
 from harness.learn.rl import Agent, Solution
 from harness.learn.seeds import TRAINING, evaluation_seeds
-from harness.learn.settings import SETTINGS, Settings, rl_settings_for
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
@@ -61,7 +61,7 @@ def test_it_learns_the_task(steady: EnvSpec, library: Library) -> None:
     returns = [value for _, value in learned.curve]
     assert max(returns) > 8.5 > 7 > returns[0]
     xs = [x for x, _ in learned.curve]
-    assert xs == [STEPS / 2, 2 * Settings.checkpoint_every, STEPS]
+    assert xs == [STEPS / 2, 2 * DDPG().checkpoint_every, STEPS]
     # Twenty episodes of ten steps at each checkpoint.
     assert learned.check_steps == len(xs) * 20 * 10
     assert learned.env_steps == STEPS
@@ -84,7 +84,7 @@ def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, 
     "spec", [spec for spec in all_specs() if not spec.tabular], ids=lambda spec: spec.name
 )
 def test_every_solve_that_runs_ask_for_suits_the_copies(spec: EnvSpec) -> None:
-    settings = rl_settings_for(spec.name)
+    settings = spec.rl
     asked = [*spec.rl_steps.values(), settings.checkpoint_every]
     for name in METHODS | VARIANTS:
         for budget in BUDGETS:
@@ -230,7 +230,7 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     disturbed: list[float],
     kept: int,
 ) -> None:
-    monkeypatch.setitem(SETTINGS, steady.name, Settings(checkpoint_every=100))
+    spec = dataclasses.replace(steady, rl=DDPG(checkpoint_every=100))
     scores = iter(returns + disturbed)
 
     def check(self: Agent, policy: Policy) -> tuple[float, float]:
@@ -238,7 +238,7 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
         return (score := next(scores)), -score
 
     monkeypatch.setattr(Agent, "check", check)
-    solution = solve(steady, Seek(), steps=800)
+    solution = solve(spec, Seek(), steps=800)
     assert [value for _, value in solution.curve] == returns
     assert [value for _, value in solution.true_curve] == [-value for value in returns]
     assert (solution.env_steps, solution.check_steps) == (800, len(returns + disturbed))
@@ -272,19 +272,18 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
 
 def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) -> None:
     obs = np.zeros((10_000, 1))
-    noise = rl.disturbed(lambda obs: obs, steady, Settings.noise)(obs)
+    noise = rl.disturbed(lambda obs: obs, steady, DDPG().noise)(obs)
     assert noise.mean() == pytest.approx(0, abs=0.01)
-    assert noise.std() == pytest.approx(Settings.noise, rel=0.05)
+    assert noise.std() == pytest.approx(DDPG().noise, rel=0.05)
     assert np.abs(noise).max() <= 1
-    assert np.array_equal(noise, rl.disturbed(lambda obs: obs, steady, Settings.noise)(obs))
+    assert np.array_equal(noise, rl.disturbed(lambda obs: obs, steady, DDPG().noise)(obs))
 
 
 @both_libraries
 def test_the_learning_rate_falls_within_each_solve(
     steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library
 ) -> None:
-    settings = Settings(learning_rate=1e-3, final_learning_rate=1e-4)
-    monkeypatch.setitem(SETTINGS, steady.name, settings)
+    spec = dataclasses.replace(steady, rl=DDPG(learning_rate=1e-3, final_learning_rate=1e-4))
     rates: list[float] = []
     solver: Any = sbx.DDPG if library == "sbx" else stable_baselines3.DDPG
     train = solver.train
@@ -297,7 +296,7 @@ def test_the_learning_rate_falls_within_each_solve(
             rates.append(self.actor.optimizer.param_groups[0]["lr"])
 
     monkeypatch.setattr(solver, "train", spy)
-    learner = Agent(steady, "absorbing", np.random.default_rng(0), library)
+    learner = Agent(spec, "absorbing", np.random.default_rng(0), library)
     learner.solve(Seek(), 400)
     first = list(rates)
     rates.clear()

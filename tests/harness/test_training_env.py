@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness.learn import rl
+from envs.learners import DDPG
 from harness.learn.rl import Agent
-from harness.learn.settings import SETTINGS, Settings
 from harness.learn.training_env import ABSORBING_STEPS, REWARD_SIZE, TrainingEnv
 from harness.registry import PROTOCOLS
 from methods.base import Array, Transitions
@@ -94,11 +94,9 @@ def experience(learner: Agent) -> dict[str, Array]:
 
 @pytest.mark.parametrize("copies", [1, 10])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_which_transitions_are_terminal(
-    fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str, copies: int
-) -> None:
-    monkeypatch.setitem(SETTINGS, fragile.name, Settings(copies=copies))
-    learner = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str, copies: int) -> None:
+    spec = dataclasses.replace(fragile, rl=DDPG(copies=copies))
+    learner = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     learner.solve(Seek(), 300)
     seen = experience(learner)
     assert len(seen["dones"]) == 300
@@ -134,11 +132,9 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_it_learns_on_when_its_memory_is_full(
-    fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch, protocol: str
-) -> None:
-    monkeypatch.setattr(rl, "BUFFER", 200)
-    agent = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+def test_it_learns_on_when_its_memory_is_full(fragile: EnvSpec, protocol: str) -> None:
+    spec = dataclasses.replace(fragile, rl=DDPG(buffer=200))
+    agent = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     for reward in (Seek(), Seek(side=-1.0, absorbing=-0.5)):
         agent.learn(300, reward)
         seen, buffer = agent.replay(), agent._replay
