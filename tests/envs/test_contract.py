@@ -9,6 +9,7 @@ from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
 from envs import BUDGETS, EnvSpec, from_gymnasium
+from envs.learners import DDPG, DQN
 from harness.registry import SPECS, all_specs
 
 # A task of others, of which nothing is told but its id: it is wrapped, never terminates and draws nothing.
@@ -150,8 +151,11 @@ def test_a_spec_that_contradicts_its_environment_is_refused(spec: EnvSpec) -> No
     liar = dataclasses.replace(spec, obs_size=spec.obs_size + 1, obs_scale=(*spec.obs_scale, 1.0))
     with pytest.raises(ValueError, match="contradict"):
         liar.make()
+    other = DDPG() if spec.discrete else DQN()
     with pytest.raises(ValueError, match="contradict"):
-        dataclasses.replace(spec, discrete=not spec.discrete).make()
+        dataclasses.replace(spec, discrete=not spec.discrete, rl=other).make()
+    with pytest.raises(ValueError, match="choices need DQN"):
+        dataclasses.replace(spec, rl=other)
     with pytest.raises(ValueError, match="not truncated at"):
         dataclasses.replace(spec, horizon=spec.horizon + 1).make()
 

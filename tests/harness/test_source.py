@@ -95,6 +95,25 @@ def test_source_that_is_edited_while_a_run_goes_on_changes_nothing_of_it(copy: P
     assert "RuntimeError: edited" in again
 
 
+def test_a_new_and_an_edited_method_compute_their_own_cells_and_no_others(copy: Path) -> None:
+    told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
+    assert process.returncode == 0, told
+    (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n")
+    registry = copy / "harness/registry.py"
+    line = '"mine": Entry("methods.mine:BehaviourCloning", "mine"),'
+    registry.write_text(registry.read_text().replace("METHODS = {", f"METHODS = {{ {line}", 1))
+    for file in ("methods/maxent.py", "envs/cartpole.py", "harness/cli.py"):
+        (copy / file).write_text((copy / file).read_text() + "\n# edited\n")
+    more = ["run", "--methods", "mine,bc", *RUN[3:]]
+    told, _ = (process := start(copy, *more)).communicate(timeout=120)
+    assert process.returncode == 0, told
+    assert "1 cells to run, 10 kept from before" in told
+    (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n# edited\n")
+    told, _ = (process := start(copy, *more)).communicate(timeout=120)
+    assert process.returncode == 0, told
+    assert "1 cells to run, 10 kept from before" in told
+
+
 def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__cpu_features__, "AVX2", True)
     monkeypatch.setitem(__cpu_features__, "FMA3", True)

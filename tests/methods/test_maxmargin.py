@@ -187,7 +187,7 @@ def test_the_closest_policy_is_returned_with_the_reward_it_was_found_under(
         rewards.append(reward)
         return constant(*actions[len(rewards) - 1])
 
-    monkeypatch.setattr(world, "solve", solve)
+    monkeypatch.setattr(world, "solved", solve)
     learned: Any = MaxMargin(iterations=3, epsilon=-1.0).fit(
         demonstrate(constant(0.3, -0.6)), world, np.random.default_rng(0)
     )
