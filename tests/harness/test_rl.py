@@ -16,7 +16,7 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from envs.learners import DDPG
+from envs.learners import DDPG, DQN
 from harness.learn import rl
 from harness.learn.rl import Agent, Solution
 from harness.learn.seeds import TRAINING, evaluation_seeds
@@ -125,8 +125,8 @@ class Side(gym.Env):
 
 def test_it_learns_to_choose(steady: EnvSpec) -> None:
     gym.register("irl_bench_tests/Side-v0", Side, max_episode_steps=10, disable_env_checker=True)
-    spec = dataclasses.replace(
-        steady, name="Side", env_id="irl_bench_tests/Side-v0", act_size=2, discrete=True, obs_scale=(1.0,)
+    spec = EnvSpec(
+        "Side", "irl_bench_tests/Side-v0", 1, 2, (1.0,), 10, gamma=steady.gamma, discrete=True, rl=DQN()
     )
     positive = OBS[:, 0] > 0
 
