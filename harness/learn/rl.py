@@ -121,7 +121,10 @@ class Agent:
         self.env_steps += steps
 
     def best(self, reward: Reward | Payment | None) -> Solution:
-        """The best checkpoint of what was learned last, under the reward."""
+        """The best checkpoint of what was learned last, under the reward. Raises ValueError where nothing was
+        learned yet."""
+        if not self._checkpoints:
+            raise ValueError("an agent that has not learned yet has no best policy")
         self._env.reward = reward
         steps_before = self.check_steps
         curve, true_curve, equals = [], [], list[Network]()

@@ -86,6 +86,8 @@ def test_what_an_agent_has_seen_is_a_copy_without_rewards(fragile: EnvSpec) -> N
     agent = TaskWorld(fragile, "absorbing", "sb3").agent(rng())
     with pytest.raises(ValueError, match="has seen nothing"):
         agent.replay()
+    with pytest.raises(ValueError, match="has no best policy"):
+        agent.best(ZERO)
     agent.learn(40, ZERO)
     seen = agent.replay()
     assert len(seen) == 40
