@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from harness.registry import (
     BUDGETS,
+    ENGINES,
     ENVS,
     EXPERTS,
     LIBRARIES,
@@ -20,7 +21,7 @@ from harness.registry import (
 )
 
 MOST = 1000
-"""Largest count that --seeds and --workers take."""
+"""Largest count that --seeds and --workers take; seeds lie below it."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
 EXIT_CODES = """Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
@@ -40,7 +41,12 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
     add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
     add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join(ENVS))
-    add.add_argument("--seeds", type=_count, metavar="K", help="how many, from 0 (default 1; 5 for full)")
+    add.add_argument(
+        "--seeds",
+        type=_seeds,
+        metavar="K|A,B-C",
+        help="how many, from 0, or which: 0,3,5-9 (7-7 is seed 7 alone; default 1; 5 for full)",
+    )
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
@@ -50,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
     )
-    add.add_argument("--seeds", type=_count, metavar="K", default=5, help="how many, from 0 (default 5)")
+    add.add_argument("--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help="default 5")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--out", default=Path("results/reproduce"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
@@ -92,18 +98,42 @@ def _version() -> str:
 def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--workers", type=_count, metavar="N", help="processes at a time (default: the cores)")
+    add(
+        "--engine",
+        default="isolated",
+        choices=ENGINES,
+        help="each cell in a process of its own, or all inline, in this one, for a debugger",
+    )
     add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
     add(
         "--fast",
         action="store_true",
         help="libraries choose their instructions: a little faster, and other numbers on other processors",
     )
-    add("--record", default="first", choices=RECORDS, help="which episode of each policy of seed 0")
+    add(
+        "--record",
+        default="first",
+        choices=RECORDS,
+        help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
+    )
     add("--retry-failed", action="store_true", help="compute again what failed before")
 
 
 def _count(text: str) -> int:
     return _whole(text, MOST)
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """How many from 0, or numbers and ranges."""
+    if "," not in text and "-" not in text[1:]:
+        return tuple(range(_count(text)))
+    found: set[int] = set()
+    for part in text.split(","):
+        ends = [_whole(end, MOST - 1, least=0) for end in part.split("-", 1)]
+        if ends[-1] < ends[0]:
+            raise argparse.ArgumentTypeError(f"{part[:40]!r} ends before it begins")
+        found |= {*range(ends[0], ends[-1] + 1)}
+    return tuple(sorted(found))
 
 
 def _seconds(text: str) -> int:
@@ -116,11 +146,11 @@ def _folder(text: str) -> Path:
     return Path(os.path.realpath(path)) if ".." in path.parts else path
 
 
-def _whole(text: str, most: int) -> int:
+def _whole(text: str, most: int, least: int = 1) -> int:
     try:
         number = int(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number") from error
-    if not 1 <= number <= most:
-        raise argparse.ArgumentTypeError(f"must lie between 1 and {most}, not {text[:40]}")
+    if not least <= number <= most:
+        raise argparse.ArgumentTypeError(f"must lie between {least} and {most}, not {text[:40]}")
     return number

@@ -9,11 +9,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,8 +26,9 @@ from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import WARM_UP, Agent
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run.experts import expert_for, prepare
+from harness.run.experts import expert_for
 from harness.run.grid import Grid
+from harness.run.isolated import Isolated
 from methods.base import Policy
 
 REPEATS = 5
@@ -203,24 +202,28 @@ def _beside_the_work() -> list[float]:
     """Of what each cell adds to a run, its process and its evaluation included. What a run computes once for
     all methods is there before; the first cell compiles, and does not count."""
     cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    for cell in cells:
-        prepare(cell.env, cell.seed, CONDITIONS)
-    done = compute(cells, CONDITIONS, workers=1)
-    work = [sum(row.fit_seconds for row in result.rows) for _, result in done]
-    took = [ended - before for (before, _), (ended, _) in pairwise(done)]
-    return [100 * (1 - inside / whole) for inside, whole in zip(work[1:], took, strict=True)]
+    seconds = [result.seconds for result in compute(cells, CONDITIONS, workers=1)[1:]]
+    return [100 * (1 - (its["fit"] + its["retrain"]) / sum(its.values())) for its in seconds]
 
 
-def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[tuple[float, CellResult]]:
-    """Cells as `run` computes them, each with when it came (s). Raises RuntimeError where one failed."""
-    done: list[tuple[float, CellResult]] = []
+class _Results:
+    """Where they go: into a list."""
 
-    def save(result: CellResult) -> None:
-        done.append((time.perf_counter(), result))
+    def __init__(self) -> None:
+        self.found: list[CellResult] = []
 
-    with tempfile.TemporaryDirectory() as directory, contextlib.redirect_stdout(io.StringIO()):
-        Grid(conditions, Path(directory), workers, save).run(cells)
-    reasons = [row.reason for _, result in done for row in result.rows if row.status == "failed"]
+    def save(self, result: CellResult, files: Mapping[str, bytes]) -> None:
+        self.found.append(result)
+
+    def log(self, printed: bytes) -> None: ...
+
+
+def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[CellResult]:
+    """Cells as `run` computes them, in the order in which they came. Raises RuntimeError where one failed."""
+    results = _Results()
+    with contextlib.redirect_stdout(io.StringIO()):
+        Grid(conditions, results, Isolated(workers)).run(cells)
+    reasons = [row.reason for result in results.found for row in result.rows if row.status == "failed"]
     if reasons:
         raise RuntimeError(f"a cell failed: {reasons[0]}")
-    return done
+    return results.found

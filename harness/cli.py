@@ -24,6 +24,7 @@ from harness.run.signals import ignore_stops, stop_cleanly
 
 if TYPE_CHECKING:
     from harness.judge.results import Cell, CellResult, Request
+    from harness.run.engines import Engine
     from harness.run.store import RunDirectory
 
 MOST_NAMED = 20
@@ -114,13 +115,14 @@ def _run(args: argparse.Namespace) -> int:
     from harness.run.store import open_for_run
 
     _prepare()
-    seeds = args.seeds or (5 if args.budget == "full" else 1)
+    seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
     fixed = _is_deterministic(args)
     conditions = Conditions(args.budget, args.protocol, args.rl, fixed, args.experts, args.record)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
-    with open_for_run(args.out, request) as run:
-        results = _compute(run, request, args)
+    engine = _engine(args)
+    with open_for_run(args.out, request, engine.variables) as run:
+        results = _compute(run, request, args, engine)
         whole = _write_report(run, list(results.values()), anew=False)
         failed = _tell_troubles([results[cell] for cell in request.cells])
     return int(failed or not whole)
@@ -140,7 +142,7 @@ def _reproduce(args: argparse.Namespace) -> int:
 
     _prepare()
     _handle_signals()
-    found = {}
+    engine, found = _engine(args), {}
     with open_study(args.out):
         requests, fixed = {}, _is_deterministic(args)
         for protocol in PROTOCOLS:
@@ -148,8 +150,8 @@ def _reproduce(args: argparse.Namespace) -> int:
             requests[protocol] = Request(tuple(ARMS), ENVS, args.seeds, conditions)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
         for protocol, request in requests.items():
-            with open_for_run(args.out / protocol, request) as run:
-                results = _compute(run, request, args)
+            with open_for_run(args.out / protocol, request, engine.variables) as run:
+                results = _compute(run, request, args, engine)
             found[protocol] = [results[cell] for cell in request.cells]
         write_study(args.out, found)
         say("\n" + _text(args.out / "study.md"))
@@ -166,6 +168,7 @@ def _prepare() -> None:
     if keys.TEMPLATE not in keys.program():
         raise BadInput(f"{keys.TEMPLATE} is missing; install the program again")
     try:
+        importlib.import_module("harness.run.isolated")
         importlib.import_module("harness.run.grid")
         importlib.import_module("harness.run.reporting")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
@@ -216,7 +219,20 @@ def _experts(args: argparse.Namespace) -> int:
     return 0
 
 
-def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> dict[Cell, CellResult]:
+def _engine(args: argparse.Namespace) -> Engine:
+    """What the cells are computed on. Raises BadInput for what it cannot do."""
+    from harness.run import engines, isolated
+
+    if args.engine == "isolated":
+        return isolated.Isolated(args.workers or _cores(), args.cell_timeout, _is_deterministic(args))
+    if args.workers or args.cell_timeout:
+        raise BadInput("--engine inline computes one cell after the other and cannot stop any")
+    return engines.Inline()
+
+
+def _compute(
+    run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine
+) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then."""
     from harness.judge.results import failed_rows
     from harness.run.environment import cache_folder
@@ -232,10 +248,9 @@ def _compute(run: RunDirectory, request: Request, args: argparse.Namespace) -> d
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
-    workers = args.workers or _cores()
     if cells and not can_write(cache_folder()):
         tell(f"the cache {cache_folder()} cannot be written to: experts are trained for this run alone")
-    grid = Grid(conditions, run.path.absolute(), workers, run.save, timeout=args.cell_timeout)
+    grid = Grid(conditions, run, engine)
     grid.run(cells)
     results, _ = run.load()
     if lost := [cell for cell in request.cells if cell not in results]:
@@ -289,11 +304,13 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
 
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
-    damaged = run.damaged_recordings(results) | run.swapped(results)
+    damaged = run.damaged_files(results) | run.swapped(results)
     if anew or not run.is_sealed(results):
         run.seal(results, write_report(run.path, run.request, results))
     say("\n" + _text(run.path / "leaderboard.md"))
-    shown = ["scores.csv", "report.html"] + ["recordings"] * any(result.recordings for result in results)
+    shown = ["scores.csv", "report.html"]
+    shown += ["recordings"] * any(result.recordings for result in results)
+    shown += ["artifacts"] * any(result.artifacts for result in results)
     for name in shown:
         say(f"{name:11} {run.path / name}")
     there = {result.cell for result in results}

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import TypeVar
 
 import psutil
@@ -19,8 +18,8 @@ from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ENVS, SPECS
-from harness.run.cells import run_cell
-from harness.run.experts import demonstrations_for, prepare
+from harness.run.cells import prepare, run_cell
+from harness.run.experts import demonstrations_for
 from methods.shaped import Shaped
 
 T = TypeVar("T")
@@ -36,7 +35,6 @@ def growth() -> Iterator[Measure]:
     """Every figure, as it is measured, once each."""
     for env in ("pendulum", "highway"):
         conditions = Conditions("full", "absorbing", "sbx")
-        prepare(env, 1, conditions)
         with watch() as peak:
             compute([Cell(env, "shaped", 1)], conditions, workers=1)
         yield Measure(f"{env}, a cell of shaped at full, its process", "MB", [peak.largest], bar=700)
@@ -108,9 +106,9 @@ def _fit(count: int) -> float:
 
 def _cells_in_a_row(count: int) -> list[float]:
     """This process's memory after each, in MB."""
-    sizes = []
-    with tempfile.TemporaryDirectory() as directory:
-        for _ in range(count):
-            run_cell(Cell("cartpole", "shaped", 1), SMOKE, Path(directory))
-            sizes.append(psutil.Process().memory_info().rss / MEGABYTE)
+    sizes, cell = [], Cell("cartpole", "shaped", 1)
+    inputs = prepare([cell], SMOKE)
+    for _ in range(count):
+        run_cell(cell, SMOKE, inputs)
+        sizes.append(psutil.Process().memory_info().rss / MEGABYTE)
     return sizes

@@ -14,10 +14,12 @@ if TYPE_CHECKING:
 Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained"]
 Record = Literal["first", "none"]
+EngineName = Literal["isolated", "inline"]
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
+ENGINES: tuple[EngineName, ...] = ("isolated", "inline")
 RECORDS: tuple[Record, ...] = ("first", "none")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """What becomes of an episode's end (`harness.learn.rl`); the last two are parts of the first."""

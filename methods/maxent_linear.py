@@ -60,7 +60,7 @@ class MaxEntLinear:
             return value, self.weight_prior * w - np.tensordot(gradient, phi, axes=2)
 
         w = optimize.minimize(loss, np.zeros(phi.shape[2]), jac=True, method="L-BFGS-B").x
-        reward = LinearReward(world, np.append(w, 0.0))
+        reward = LinearReward(world.phi, np.append(w, 0.0))
         policy = world.solve(reward, rng, self.rl_steps)
         return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
 
@@ -80,7 +80,7 @@ class MaxEntLinear:
             precision = self.prior * (moment_demo + np.mean(second, axis=0))
             w = np.linalg.solve(precision + self.weight_prior * np.eye(len(gap)), gap)
             gaps.append(float(w @ gap))
-            reward = LinearReward(world, w)
+            reward = LinearReward(world.phi, w)
             agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
             policy = agent.best(reward)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})

@@ -53,7 +53,7 @@ class MaxMargin:
         margins, policies, weights = [margin], [], []
         agent = world.agent(rng)
         for i in range(self.iterations):
-            reward = LinearReward(world, w)
+            reward = LinearReward(world.phi, w)
             agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
             policy = agent.best(reward)
             policies.append(policy)
@@ -66,7 +66,7 @@ class MaxMargin:
         distances = [float(np.linalg.norm(expert - mu)) for mu in found[1:]]
         best = int(np.argmin(distances))
         curves = {"margin": margins, "distance": distances}
-        return Learned(policies[best], LinearReward(world, weights[best]), curves)
+        return Learned(policies[best], LinearReward(world.phi, weights[best]), curves)
 
     def _expectations(self, policy: Policy, world: World, rng: np.random.Generator) -> Array:
         """mu of a policy: exact where the model is known, else from rollouts."""

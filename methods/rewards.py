@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from methods.base import Array, World
+from methods.base import Array
 from methods.network import Network
 
 
@@ -24,9 +25,9 @@ class Constant:
 
 @dataclass(frozen=True)
 class LinearReward:
-    """w^T phi(s, a), of weights w (K + 1,); the last is what the absorbing state pays."""
+    """w^T phi(s, a), of weights w (K + 1,); the last is what the absorbing state pays. phi: the world's."""
 
-    world: World
+    phi: Callable[[Array, Array], Array]
     w: Array
 
     @property
@@ -34,7 +35,7 @@ class LinearReward:
         return float(self.w[-1])
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.world.phi(obs, act) @ self.w[:-1]
+        return self.phi(obs, act) @ self.w[:-1]
 
 
 @dataclass(frozen=True)

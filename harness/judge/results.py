@@ -8,6 +8,7 @@ DIR/report.html, figures/  the report
 DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
                            size and digest of the list of checksums that was written then
 DIR/recordings/*.rrd       rerun recordings
+DIR/artifacts/*.safetensors  what each cell learned (`harness.run.artifacts`)
 DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
                            a file is listed twice, the last line counts
 DIR/run.log                what the cells' processes print, full tracebacks included
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -41,7 +43,9 @@ Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
 FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=200)]
 Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
 """One line for people."""
-Seed = Annotated[int, Meta(ge=0, lt=1000)]
+MOST_SEEDS = 1000
+"""A run's seeds lie below it."""
+Seed = Annotated[int, Meta(ge=0, lt=MOST_SEEDS)]
 Count = Annotated[int, Meta(ge=0, le=10**15)]
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 
@@ -144,6 +148,8 @@ class CellResult:
     """What the user must be told, such as an expert that misses its bar."""
     recordings: Annotated[dict[FileName, Text], Meta(max_length=2)] = field(default_factory=dict)
     """SHA-256 of each recording that was made, by its file's name."""
+    artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
+    """SHA-256 of the file of what was learned, by its name."""
     key: Text = ""
     """Of all that can change it (`harness.run.keys`); given when it is stored."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
@@ -154,6 +160,14 @@ class CellResult:
     """Of a reference: whether its expert misses its bar."""
     details: Annotated[dict[Text, float], Meta(max_length=30)] = field(default_factory=dict)
     """Numbers that a method tells of its fit, by name."""
+    seconds: Annotated[dict[Text, float], Meta(max_length=20)] = field(default_factory=dict)
+    """Wall time by stage, 'start' being all that is none; that one is given when it is stored."""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of each file that it has besides its own, by the path in the run's directory."""
+        folders = {"recordings": self.recordings, "artifacts": self.artifacts}
+        return {f"{at}/{name}": digest for at, files in folders.items() for name, digest in files.items()}
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -180,29 +194,41 @@ def usable(value: float) -> bool:
 
 @dataclass(frozen=True)
 class Request:
-    """What a run computes; seeds is how many, from 0."""
+    """What a run computes."""
 
     methods: Names
     envs: Names
-    seeds: Annotated[int, Meta(ge=1, le=1000)]
+    seeds: Annotated[tuple[Seed, ...], Meta(min_length=1, max_length=MOST_SEEDS)]
+    """In ascending order."""
     conditions: Conditions
 
     @property
     def cells(self) -> list[Cell]:
         """Every cell, the reference and the controls included."""
         methods = (REFERENCE, *CONTROLS, *self.methods)
-        return [Cell(e, m, s) for e in self.envs for m in methods for s in range(self.seeds)]
+        return [Cell(e, m, s) for e in self.envs for m in methods for s in self.seeds]
 
     def asks_for(self, cell: Cell) -> bool:
         """Whether the cell is one of `cells`."""
         known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
-        return known and cell.env in self.envs and cell.seed < self.seeds
+        return known and cell.env in self.envs and cell.seed in self.seeds
+
+
+def as_seeds(seeds: Sequence[int]) -> str:
+    """As `--seeds` takes them: how many, where they are those from 0; else numbers and ranges, '0,3,5-9'."""
+    if list(seeds) == list(range(len(seeds))):
+        return str(len(seeds))
+    starts = [s for s in seeds if s - 1 not in seeds]
+    ends = [s for s in seeds if s + 1 not in seeds]
+    ranges = [f"{a}-{b}" if a < b or len(seeds) == 1 else str(a) for a, b in zip(starts, ends, strict=True)]
+    return ",".join(ranges)
 
 
 def command_of(request: Request) -> str:
     """The command line that asks for all of it at once."""
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
-    words += ["--seeds", str(request.seeds), "--budget", c.budget, "--protocol", c.protocol, "--rl", c.rl]
+    words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
+    words += ["--rl", c.rl]
     words += ["--experts", c.experts, "--record", c.record]
     return " ".join([*words, *([] if c.deterministic else ["--fast"])])

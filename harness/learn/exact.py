@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from envs.spec import Model, Tabular
 from harness.learn.rl import Solution
@@ -17,13 +19,17 @@ TIE = 1e-7
 
 @dataclass(frozen=True)
 class TabularPolicy:
-    """act (S, A): what it does in each state."""
+    """act (S, A): what it does in each state; obs (S, O): how each is known, by the nearest observation."""
 
-    model: Model
+    obs: Array
     act: Array
 
     def __call__(self, obs: Array, /) -> Array:
-        return self.act[self.model.states(obs)]
+        return self.act[self._tree.query(obs)[1]]
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.obs)
 
 
 class ExactSolver:
@@ -52,7 +58,7 @@ class ExactSolver:
         q = value_iteration(tabular.P, r, self.gamma)[1]
         best = q >= q.max(axis=1, keepdims=True) - TIE * np.abs(q).max()
         choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
-        policy = TabularPolicy(tabular.model, np.eye(q.shape[1])[choice])
+        policy = TabularPolicy(tabular.obs, np.eye(q.shape[1])[choice])
         return Solution(policy, curve=[], true_curve=[])
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,16 @@ from harness.registry import Library
 from methods.base import Array, Episodes, Payment, Policy, Reward, Transitions
 
 
+@dataclass(frozen=True)
+class Features:
+    """A task's features for linear rewards, (B, K) of observations (B, O) and actions (B, A)."""
+
+    spec: EnvSpec
+
+    def __call__(self, obs: Array, act: Array, /) -> Array:
+        return self.spec.features(obs, act)
+
+
 class TaskWorld:
     """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave."""
 
@@ -23,7 +34,7 @@ class TaskWorld:
         self.act_size = spec.act_size
         self.horizon = spec.horizon
         self.gamma = spec.gamma
-        self.phi = spec.features
+        self.phi = Features(spec)
         self.env_steps = 0
         self.check_steps = 0
         self.rl_solves = 0

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import safetensors.numpy
-from safetensors import safe_open
 
 from harness.run.environment import cache_folder
 from harness.run.files import opened, write_atomic
@@ -44,10 +43,15 @@ def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kep
 
 
 def as_bytes(what: Kept) -> bytes:
-    """What `load` reads."""
+    """What `from_bytes` and `load` read."""
     facts = json.dumps(what.facts)
     metadata = {"facts": facts, "checksum": _checksum(what.arrays, facts)}
-    return bytes(safetensors.numpy.save(what.arrays, metadata))
+    data = safetensors.numpy.save(what.arrays, metadata)
+    size = int.from_bytes(data[:8], "little")
+    # It writes its header's entries in any order; the same things are the same bytes here.
+    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -55,17 +59,25 @@ def _write(path: Path, data: bytes) -> None:
     write_atomic(path, data)
 
 
+def from_bytes(data: bytes) -> Kept:
+    """The inverse of `as_bytes`. Raises ValueError for anything that it did not write."""
+    try:
+        arrays = safetensors.numpy.load(data)
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        facts, checksum = (header["__metadata__"][name] for name in ("facts", "checksum"))
+        if checksum == _checksum(arrays, facts):
+            return Kept(arrays, json.loads(facts))
+    except (safetensors.SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise ValueError("it is not as it was written") from error
+    raise ValueError("its checksum does not match")
+
+
 def load(path: Path) -> Kept | None:
     """None where there is no such file or it is not as it was written."""
     try:
-        with opened(path):  # raises for what would block
-            pass
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata()
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        facts = metadata["facts"]
-        return Kept(arrays, json.loads(facts)) if metadata["checksum"] == _checksum(arrays, facts) else None
-    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError, RecursionError):
+        with opened(path) as file:
+            return from_bytes(file.read())
+    except (OSError, ValueError):
         return None
 
 

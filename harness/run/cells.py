@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,37 +32,48 @@ from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.simulator import drawings
 from harness.learn.world import TaskWorld, solver_for
 from harness.registry import SPECS, load_method
-from harness.run.experts import Expert, demonstrations_for, expert_for, prepare, replays_for
-from harness.run.files import sha256, write_atomic
+from harness.run.artifacts import KIND, artifact
+from harness.run.experts import Shared
+from harness.run.experts import prepare as shared_by
+from harness.run.files import sha256_of
 from harness.run.study import ARMS, Arm
 from methods.base import Episodes, Learned, Policy, Reward, World
 from methods.settings import settings_for
 
-__all__ = ["prepare", "run_cell"]
 
-
-def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
-    """Everything of one cell; recordings go to `directory`/recordings. Raises what its method raises."""
-    task = Task(cell, conditions)
+def run_cell(
+    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+) -> tuple[CellResult, dict[str, bytes]]:
+    """Everything of one cell, and the files that it adds to the run, by their path there. inputs: of
+    `prepare`. Raises what its method raises."""
+    task = Task(cell, conditions, Shared(inputs))
     made = policies(task)
     scored = {one.name: score(task, one.policy) for one in made if one.policy}
+    missed = [missed_bar(task, scored["expert"])] if cell.method == REFERENCE else []
+    artifacts, lost = kept(task, made)
+    recordings = {
+        f"{cell.name}__{one.name}.rrd": recorded(task, one, scored[one.name]) for one in shown(task, made)
+    }
     result = CellResult(
         cell,
         rows=[row(task, one, scored.get(one.name)) for one in made],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
-        warnings=[warning for one in made for warning in one.warnings],
+        warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost],
+        recordings={name: sha256_of(data) for name, data in recordings.items()},
+        artifacts={name: sha256_of(data) for name, data in artifacts.items()},
+        below_bar=any(missed),
         details={name: value for one in made for name, value in one.details.items()},
+        seconds=task.seconds,
     )
-    if cell.method == REFERENCE and (missed := missed_bar(task, scored["expert"])):
-        result = replace(result, below_bar=True, warnings=[*result.warnings, missed])
-    if cell.seed == 0 and conditions.record == "first":
-        for one in made:
-            if one.name in scored:
-                path = directory / "recordings" / f"{cell.name}__{one.name}.rrd"
-                write_atomic(path, recorded(task, one, scored[one.name]))
-                result.recordings[path.name] = sha256(path)
-    return result
+    folders = {"recordings": recordings, "artifacts": artifacts}
+    return result, {f"{at}/{name}": data for at, files in folders.items() for name, data in files.items()}
+
+
+def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
+    """What these cells, of one environment and seed, share."""
+    counts = {demonstration_count(cell, conditions) for cell in cells}
+    return shared_by(cells[0].env, cells[0].seed, sorted(counts), conditions)
 
 
 @dataclass(frozen=True)
@@ -72,14 +82,20 @@ class Task:
 
     cell: Cell
     conditions: Conditions
+    shared: Shared
+    seconds: dict[str, float] = field(default_factory=dict)
+    """That each stage took so far."""
+
+    @contextmanager
+    def during(self, stage: str) -> Iterator[None]:
+        """Counts the time until the context ends as the stage's."""
+        started = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
 
     @property
     def spec(self) -> EnvSpec:
         return SPECS[self.cell.env]
-
-    @cached_property
-    def expert(self) -> Expert:
-        return expert_for(self.cell.env, self.cell.seed, self.conditions)
 
     @property
     def seeds(self) -> range:
@@ -128,7 +144,7 @@ def policies(task: Task) -> list[Made]:
 
 def reference(task: Task) -> list[Made]:
     """The expert and a random policy."""
-    expert, spec, rng = task.expert, task.spec, task.rng("random policy")
+    expert, spec, rng = task.shared.expert, task.spec, task.rng("random policy")
     took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
     took |= {"check_steps": expert.check_steps, "rl_solves": 1}
     return [
@@ -139,9 +155,13 @@ def reference(task: Task) -> list[Made]:
 
 def demonstrations(task: Task) -> Episodes:
     """Those of this environment and seed, the same for every method."""
-    cell = task.cell
-    episodes = arm_of(cell).demonstrations or task.spec.demo_episodes[task.conditions.budget]
-    return demonstrations_for(cell.env, cell.seed, episodes, task.conditions)
+    with task.during("demonstrate"):
+        return task.shared.demonstrations(demonstration_count(task.cell, task.conditions))
+
+
+def demonstration_count(cell: Cell, conditions: Conditions) -> int:
+    """How many episodes a cell learns from."""
+    return arm_of(cell).demonstrations or SPECS[cell.env].demo_episodes[conditions.budget]
 
 
 def arm_of(cell: Cell) -> Arm:
@@ -160,9 +180,9 @@ def learned_by(task: Task, method: str, more: Mapping[str, Any], demos: Episodes
 def fit(task: Task, demos: Episodes) -> Made:
     """pi_star, with R*."""
     arm, world = arm_of(task.cell), task.world()
-    started = time.perf_counter()
-    learned = learned_by(task, arm.method, arm.settings, demos, world)
-    took = {"fit_seconds": time.perf_counter() - started, "env_steps": world.env_steps}
+    with task.during("fit"):
+        learned = learned_by(task, arm.method, arm.settings, demos, world)
+    took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
     most = MOST_CURVES - len(("pi_R", "pi_R_true"))
     curves = {name: thinned(values) for name, values in list(learned.curves.items())[:most]}
@@ -189,10 +209,10 @@ def control(task: Task) -> Reward | None:
 
 def retrain(task: Task, reward: Reward | None) -> Made:
     """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
-    started = time.perf_counter()
-    solver = solver_for(task.spec, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl)
-    solution = solver.solve(reward, task.rl_steps)
-    took = {"fit_seconds": time.perf_counter() - started, "env_steps": solution.env_steps}
+    with task.during("retrain"):
+        solver = solver_for(task.spec, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl)
+        solution = solver.solve(reward, task.rl_steps)
+    took = {"fit_seconds": task.seconds["retrain"], "env_steps": solution.env_steps}
     took |= {"check_steps": solution.check_steps, "rl_solves": 1}
     curves = {"pi_R": solution.curve, "pi_R_true": solution.true_curve}
     return Made("pi_R", solution.policy, reward, took | measured(task, reward), curves)
@@ -200,23 +220,25 @@ def retrain(task: Task, reward: Reward | None) -> Made:
 
 def measured(task: Task, reward: Reward | None) -> dict[str, float]:
     """How far the reward is from the true one."""
-    spec, cell = task.spec, task.cell
-    if spec.tabular:
-        distance, rank = known_comparison(reward, spec.tabular, spec.gamma)
-    else:
-        distance, rank = sampled_comparison(reward, replays_for(cell.env, cell.seed, task.conditions))
+    spec = task.spec
+    with task.during("measure"):
+        if spec.tabular:
+            distance, rank = known_comparison(reward, spec.tabular, spec.gamma)
+        else:
+            distance, rank = sampled_comparison(reward, task.shared.replays)
     return {"reward_distance": distance, "reward_rank": rank}
 
 
 def score(task: Task, policy: Policy) -> Evaluation:
     """In the original environment, by the true reward."""
-    return evaluate(task.spec, policy, task.seeds)
+    with task.during("score"):
+        return evaluate(task.spec, policy, task.seeds)
 
 
 def row(task: Task, made: Made, scored: Evaluation | None) -> Row:
     """Of scores.csv."""
     cell = task.cell
-    columns = {"expert": task.expert.name, **made.columns, **(scored.columns() if scored else {})}
+    columns = {"expert": task.shared.expert.name, **made.columns, **(scored.columns() if scored else {})}
     status: Status = "ok" if scored else "skipped"
     return Row(cell.env, cell.method, cell.seed, made.name, task.conditions.protocol, status, **columns)
 
@@ -235,11 +257,31 @@ def missed_bar(task: Task, expert: Evaluation) -> str:
     )
 
 
+def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]:
+    """The file of what was learned, by its name, and why some of that is not in it."""
+    if task.conditions.record == "none":
+        return {}, []
+    learned: dict[str, Policy | Reward] = {one.name: one.policy for one in made if one.policy is not None}
+    learned.pop("random", None)
+    if (reward := made[-1].reward) is not None:
+        learned["reward"] = reward
+    with task.during("record"):
+        data, lost = artifact(task.cell, task.conditions, learned)
+    return ({f"{task.cell.name}.{KIND}": data} if data else {}), lost
+
+
+def shown(task: Task, made: Sequence[Made]) -> list[Made]:
+    """Those of which an episode is recorded."""
+    wanted = task.cell.seed == 0 and task.conditions.record == "first"
+    return [one for one in made if wanted and one.policy is not None]
+
+
 def recorded(task: Task, made: Made, scored: Evaluation) -> bytes:
     """The recording of its first evaluation episode."""
     from harness.show import recordings  # 30 MB, which other seeds do without
 
     first, reward = scored.first, made.reward
-    paid = None if reward is None else reward(first.obs[:-1], first.act, first.obs[1:]) - reward.absorbing
-    frames = drawings(task.spec, task.seeds[0], first.act)
-    return recordings.record(task.spec, task.cell, made.name, first, frames, paid)
+    with task.during("record"):
+        paid = None if reward is None else reward(first.obs[:-1], first.act, first.obs[1:]) - reward.absorbing
+        frames = drawings(task.spec, task.seeds[0], first.act)
+        return recordings.record(task.spec, task.cell, made.name, first, frames, paid)

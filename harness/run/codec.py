@@ -35,7 +35,7 @@ def decode(data: bytes | str) -> CellResult:
     except (KeyError, TypeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
         raise ValueError("it is no stored cell") from error
     result = checked(payload, CellResult)
-    if _plain(msgspec.to_builtins(result)) != _plain(payload):
+    if not _holds(_plain(msgspec.to_builtins(result)), _plain(payload)):
         raise ValueError("it holds more than a cell does")
     cell = result.cell
     for row in result.rows:
@@ -71,6 +71,15 @@ def printable(text: str) -> str:
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number")
+
+
+def _holds(known: Any, stored: Any) -> bool:
+    """Whether nothing is stored that is not known; fields that were not there yet have their defaults."""
+    if isinstance(known, dict) and isinstance(stored, dict):
+        return all(key in known and _holds(known[key], value) for key, value in stored.items())
+    if isinstance(known, list) and isinstance(stored, list):
+        return len(known) == len(stored) and all(map(_holds, known, stored))
+    return bool(known == stored)
 
 
 def _plain(value: Any) -> Any:

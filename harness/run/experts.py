@@ -1,10 +1,12 @@
-"""What all methods of a run seed share: the expert, its demonstrations, and the replays by which rewards are
-measured. Each is made once and kept in the cache."""
+"""What all cells of an environment and a run seed share: the expert, its demonstrations, and the replays by
+which rewards are measured. Each is made once, kept in the cache, and handed to cells as bytes."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,9 +16,10 @@ from harness.judge.advantage import Replays, replay
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator
+from harness.learn.stored import from_arrays, to_arrays
 from harness.learn.world import solver_for, without_rewards
 from harness.registry import SPECS
-from harness.run.cache import Kept, kept
+from harness.run.cache import Kept, as_bytes, from_bytes, kept
 from harness.run.expert_set import shipped
 from harness.run.keys import experts_version
 from methods.base import Episodes, Policy
@@ -24,6 +27,8 @@ from methods.network import Network
 
 REPLAYS = {"smoke": 20, "quick": 200, "full": 500}
 """States and actions by which a reward is compared with the true one, for each budget."""
+EXPERT, REPLAYED = "expert", "replays"
+"""Names of what is handed to cells, beside those of demonstrations."""
 
 
 @dataclass(frozen=True)
@@ -48,69 +53,108 @@ def expert_for(env: str, seed: int, conditions: Conditions) -> Expert:
     the cache."""
     spec = SPECS[env]
     if spec.tabular:  # An exact solution is found faster than it is read.
-        return _trained(spec, seed, conditions)[0]
+        return _trained(spec, seed, conditions)
     if conditions.experts == "shipped" and (version := experts_version(env)):
         number, found = shipped(env, seed)
-        name = f"{version}:{number}"
-    else:
-        asked = [conditions.rl, spec.rl_steps[conditions.budget], asdict(spec.rl)]
-        found = kept(f"expert{seed}", env, asked, lambda: _trained(spec, seed, conditions)[1])
-        name = f"trained:{seed}"
-    facts = {key: found.facts[key] for key in ("seconds", "env_steps", "check_steps")}
-    curve = [(x, y) for x, y in found.facts["curve"]]
-    return Expert(name, Network.from_arrays(found.arrays), curve, **facts)
+        facts = {key: found.facts[key] for key in ("seconds", "env_steps", "check_steps")}
+        curve = [(x, y) for x, y in found.facts["curve"]]
+        return Expert(f"{version}:{number}", Network.from_arrays(found.arrays), curve, **facts)
+    asked = [conditions.rl, spec.rl_steps[conditions.budget], asdict(spec.rl)]
+    return _expert(kept(f"expert{seed}", env, asked, lambda: _as_kept(_trained(spec, seed, conditions))))
 
 
 def demonstrations_for(env: str, seed: int, episodes: int, conditions: Conditions) -> Episodes:
     """So many demonstrations of the run seed's expert, the same for every method."""
-    expert, spec = expert_for(env, seed, conditions), SPECS[env]
+    return _episodes(_demonstrations(expert_for(env, seed, conditions), env, seed, episodes, conditions))
 
+
+def prepare(env: str, seed: int, counts: Iterable[int], conditions: Conditions) -> dict[str, bytes]:
+    """What `Shared` reads, with so many demonstrations and so many; made now, or found in the cache."""
+    expert, spec = expert_for(env, seed, conditions), SPECS[env]
+    found = {EXPERT: _as_kept(expert)}
+    for count in counts:
+        found[_demonstrations_name(count)] = _demonstrations(expert, env, seed, count, conditions)
+    if not spec.tabular:
+        found[REPLAYED] = _replays(expert, env, seed, conditions)
+    return {name: as_bytes(what) for name, what in found.items()}
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What `prepare` made, by name. Raises KeyError for what is not there."""
+
+    inputs: Mapping[str, bytes]
+
+    @cached_property
+    def expert(self) -> Expert:
+        """The run seed's."""
+        return _expert(from_bytes(self.inputs[EXPERT]))
+
+    def demonstrations(self, episodes: int) -> Episodes:
+        """So many of them, the same for every method."""
+        return _episodes(from_bytes(self.inputs[_demonstrations_name(episodes)]))
+
+    @property
+    def replays(self) -> Replays:
+        """The same states and actions for every reward."""
+        return Replays(**from_bytes(self.inputs[REPLAYED]).arrays)
+
+
+def _demonstrations_name(episodes: int) -> str:
+    return f"demonstrations of {episodes} episodes"
+
+
+def _demonstrations(expert: Expert, env: str, seed: int, episodes: int, conditions: Conditions) -> Kept:
     def draw() -> Kept:
         seeds = demonstration_seeds(seed, episodes)
-        demos = without_rewards(Simulator(spec).run(expert.policy, seeds))
+        demos = without_rewards(Simulator(SPECS[env]).run(expert.policy, seeds))
         arrays: dict[str, Any] = {"obs": np.concatenate(demos.obs), "act": np.concatenate(demos.act)}
         arrays |= {"lengths": demos.lengths, "terminated": np.array(demos.terminated)}
         return Kept(arrays, {})
 
-    found = kept(f"demonstrations{seed}", env, _shared(expert, conditions, episodes), draw).arrays
-    ends = np.cumsum(found["lengths"])
+    return kept(f"demonstrations{seed}", env, _asked(expert, conditions, episodes), draw)
+
+
+def _episodes(found: Kept) -> Episodes:
+    lengths = found.arrays["lengths"]
+    ends = np.cumsum(lengths)
     return Episodes(
-        tuple(np.split(found["obs"], (ends + np.arange(1, episodes + 1))[:-1])),
-        tuple(np.split(found["act"], ends[:-1])),
-        tuple(bool(x) for x in found["terminated"]),
+        tuple(np.split(found.arrays["obs"], (ends + np.arange(1, len(lengths) + 1))[:-1])),
+        tuple(np.split(found.arrays["act"], ends[:-1])),
+        tuple(bool(x) for x in found.arrays["terminated"]),
     )
 
 
-def replays_for(env: str, seed: int, conditions: Conditions) -> Replays:
-    """The same states and actions for every reward of an environment and run seed."""
-    expert, spec, count = expert_for(env, seed, conditions), SPECS[env], REPLAYS[conditions.budget]
+def _replays(expert: Expert, env: str, seed: int, conditions: Conditions) -> Kept:
+    count = REPLAYS[conditions.budget]
 
     def sample() -> Kept:
         rng = rng_for(seed, env, "replays")
-        return Kept(replay(spec, expert.policy, evaluation_seeds(seed, count), rng).arrays(), {})
+        return Kept(replay(SPECS[env], expert.policy, evaluation_seeds(seed, count), rng).arrays(), {})
 
-    return Replays(**kept(f"replays{seed}", env, _shared(expert, conditions, count), sample).arrays)
-
-
-def prepare(env: str, seed: int, conditions: Conditions) -> None:
-    """Makes sure that all of these are in the cache."""
-    spec = SPECS[env]
-    if not spec.tabular:
-        demonstrations_for(env, seed, spec.demo_episodes[conditions.budget], conditions)
-        replays_for(env, seed, conditions)
+    return kept(f"replays{seed}", env, _asked(expert, conditions, count), sample)
 
 
-def _shared(expert: Expert, conditions: Conditions, count: int) -> list[object]:
+def _asked(expert: Expert, conditions: Conditions, count: int) -> list[object]:
     trained = [conditions.rl, conditions.budget] if expert.name.startswith("trained") else []
     return [expert.name, count, *trained]
 
 
-def _trained(spec: EnvSpec, seed: int, conditions: Conditions) -> tuple[Expert, Kept]:
+def _as_kept(expert: Expert) -> Kept:
+    arrays, policy = to_arrays(expert.policy, "policy")
+    return Kept(arrays, {**vars(expert), "policy": policy})
+
+
+def _expert(found: Kept) -> Expert:
+    facts = {**found.facts, "policy": from_arrays(found.arrays, found.facts["policy"])}
+    return Expert(**facts | {"curve": [(x, y) for x, y in facts["curve"]]})
+
+
+def _trained(spec: EnvSpec, seed: int, conditions: Conditions) -> Expert:
     started = time.perf_counter()
     solver = solver_for(spec, "absorbing", rng_for(seed, spec.name, "expert"), conditions.rl)
     solution = solver.solve(None, spec.rl_steps[conditions.budget])
     seconds = time.perf_counter() - started
-    took = {"seconds": seconds, "env_steps": solution.env_steps, "check_steps": solution.check_steps}
-    expert = Expert("exact", solution.policy, solution.curve, **took)  # type: ignore[arg-type]
-    arrays = solution.policy.arrays() if isinstance(solution.policy, Network) else {}
-    return expert, Kept(arrays, {"curve": solution.curve, **took})
+    name = "exact" if spec.tabular else f"trained:{seed}"
+    took = (seconds, solution.env_steps, solution.check_steps)
+    return Expert(name, solution.policy, solution.curve, *took)

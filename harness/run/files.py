@@ -134,6 +134,11 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it has readinto
 
 
+def sha256_of(data: bytes) -> str:
+    """In hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def can_write(folder: Path) -> bool:
     """Whether files can be put into the folder, which need not be there yet."""
     while not os.path.lexists(folder) and folder != folder.parent:

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from harness.judge.results import FORMAT, Conditions, Request
+from harness.judge.results import FORMAT, MOST_SEEDS, Conditions, Request
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
@@ -18,7 +18,7 @@ LOCK = ".lock"
 LOCK_MARK = "irl-bench "
 """What a lock says before the number of the process that has it."""
 REQUEST = "run.json"
-FOLDERS = {"cells": "json", "recordings": "rrd", "figures": "png"}
+FOLDERS = {"cells": "json", "recordings": "rrd", "artifacts": "safetensors", "figures": "png"}
 """Of a run's directory, and how the names of files end that a run writes there."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
@@ -32,6 +32,8 @@ def as_text(request: Request) -> str:
     """What run.json holds."""
     data = {"format": FORMAT, **dataclasses.asdict(request)}
     data |= data.pop("conditions")
+    if data["seeds"] == tuple(range(len(data["seeds"]))):
+        data["seeds"] = len(data["seeds"])
     return json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n"
 
 
@@ -60,13 +62,19 @@ def merged(path: Path, request: Request) -> Request:
     grown = Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
-        seeds=max(old.seeds, request.seeds),
+        seeds=tuple(sorted({*old.seeds, *request.seeds})),
         conditions=old.conditions,
     )
     try:
         return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
     except ValueError as error:
         raise BadInput(f"{path} cannot hold so much: {error}") from error
+
+
+def _seeds(stored: Any) -> Any:
+    """Which they are, where it is said how many from 0."""
+    few = type(stored) is int and 0 < stored <= MOST_SEEDS
+    return list(range(stored)) if few else stored
 
 
 def _union(order: dict[str, Any], *lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -109,7 +117,10 @@ def stored_request(path: Path) -> Request | None:
             if data.pop("sha256") != checksum(data):
                 raise ValueError
             conditions = {key: data.pop(key) for key in KEYS}
-            return checked({**data, "conditions": conditions}, Request)
+            request = checked({**data, "conditions": conditions, "seeds": _seeds(data["seeds"])}, Request)
+            if list(request.seeds) != sorted({*request.seeds}):
+                raise ValueError
+            return request
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadInput(f"{file} is damaged") from error
     raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")

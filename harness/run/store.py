@@ -47,6 +47,8 @@ SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
+OF_CELLS = ("cells/", "recordings/", "artifacts/")
+"""How the names of files begin that a cell wrote."""
 OTHER_VERSION = "computed by another version of the program, its packages or its experts"
 CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
 """Names of files that hold a cell."""
@@ -80,17 +82,24 @@ class RunDirectory:
         if not same:
             raise OSError(errno.ENOENT, "moved, deleted or changed while the run goes on", str(self.path))
 
-    def save(self, result: CellResult) -> None:
-        """Stores a cell's result. Raises OSError where it cannot be written, TypeError for no JSON."""
+    def save(self, result: CellResult, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
+        """Stores a cell's result and its files. Raises OSError where one cannot be written, TypeError for no
+        JSON."""
         self.check()
+        for name, data in files.items():
+            write_atomic(self.path / name, data)
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
         facts = {"key": self.keys[result.cell], "origin": origin(), "finished": now}
         keyed = dataclasses.replace(result, **facts)  # type: ignore[arg-type]
         name = f"cells/{result.cell.name}.json"
         write_atomic(self.path / name, encode(keyed))
         noted = [(sha256(self.path / name), name)]
-        noted += [(digest, f"recordings/{file}") for file, digest in result.recordings.items()]
+        noted += [(digest, name) for name, digest in result.files.items()]
         append(self.path / SUMS, _lines(noted).encode())
+
+    def log(self, printed: bytes) -> None:
+        """Adds to what jobs printed. Raises OSError where it cannot be written."""
+        append(self.path / LOG, printed)
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
         """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
@@ -116,7 +125,7 @@ class RunDirectory:
         for result in results:
             name = f"cells/{result.cell.name}.json"
             lines[name] = sha256(self.path / name)
-            lines |= {f"recordings/{file}": digest for file, digest in result.recordings.items()}
+            lines |= result.files
         lines |= {file.relative_to(self.path).as_posix(): sha256(file) for file in files}
         listed = _lines((digest, name) for name, digest in sorted(lines.items()))
         write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{_seal(listed.encode())}\n")
@@ -127,7 +136,7 @@ class RunDirectory:
         try:
             noted = self._noted()
             key, _ = self._report_key()
-            derived = [name for name in noted if not name.startswith(("cells/", "recordings/"))]
+            derived = [name for name in noted if not name.startswith(OF_CELLS)]
             return (
                 {*REBUILT} <= {*derived}
                 and key == self._key_of_report(results)
@@ -163,7 +172,7 @@ class RunDirectory:
     def damaged(self) -> dict[Path, str]:
         """What is not as it was written, and why. What the run did not write is nobody's damage."""
         results, damaged = self.load()
-        damaged |= self.damaged_recordings(results.values())
+        damaged |= self.damaged_files(results.values())
         if read(self.path / REQUEST) != as_text(self.request).encode():
             damaged[self.path / REQUEST] = "it is not as it was written"
         try:
@@ -187,14 +196,13 @@ class RunDirectory:
             damaged.setdefault(self.path / SUMS, f"does not list {', '.join(unlisted)}")
         return damaged
 
-    def damaged_recordings(self, results: Iterable[CellResult]) -> dict[Path, str]:
-        """Those of the results' recordings that are not as they were written, and why."""
-        folder = self.path / "recordings"
+    def damaged_files(self, results: Iterable[CellResult]) -> dict[Path, str]:
+        """Those of the results' recordings and artifacts that are not as they were written, and why."""
         return {
-            folder / name: f"the recording {name} is missing or damaged"
+            self.path / name: f"{name} is missing or damaged"
             for result in results
-            for name, digest in result.recordings.items()
-            if _damage(folder / name, digest)
+            for name, digest in result.files.items()
+            if _damage(self.path / name, digest)
         }
 
     def _cell_files(self) -> list[Path]:
@@ -219,7 +227,7 @@ class RunDirectory:
             raise ValueError("it was computed under another protocol")
         if self.keys and result.key != self.keys[result.cell]:
             raise ValueError(OTHER_VERSION)
-        if self.keys and (damaged := self.damaged_recordings([result])):
+        if self.keys and (damaged := self.damaged_files([result])):
             raise ValueError(next(iter(damaged.values())))
         return result
 
@@ -258,8 +266,11 @@ class RunDirectory:
 
 
 @contextmanager
-def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
+def open_for_run(
+    path: Path, request: Request, variables: Mapping[str, str] | None = None
+) -> Iterator[RunDirectory]:
     """Starts a run in `path`, which is made, or continues the one there; held until the context ends.
+    variables: those of the engine that computes it.
 
     Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
     other conditions or another format, or cannot be written, or is held by another process.
@@ -280,7 +291,8 @@ def open_for_run(path: Path, request: Request) -> Iterator[RunDirectory]:
             remove_unfinished(path / folder, rf".+\.{kind}")
         write_request(path, grown)
         _mend_last_line(path / SUMS)
-        variables = numeric(grown.conditions.deterministic)
+        if variables is None:
+            variables = numeric(grown.conditions.deterministic)
         yield RunDirectory(path, grown, lock, cell_keys(grown.cells, grown.conditions, variables))
 
 
@@ -349,8 +361,8 @@ def _seal(listed: bytes) -> str:
 def _cell_of(name: str) -> str:
     """The cell that a listed file belongs to, '' for what is rebuilt from all."""
     folder, _, file = name.partition("/")
-    if folder == "cells":
-        return file.removesuffix(".json")
+    if folder in ("cells", "artifacts"):
+        return file.rpartition(".")[0]
     return file.rpartition("__")[0] if folder == "recordings" else ""
 
 

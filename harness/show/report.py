@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from harness.judge.leaderboard import Entry, indistinct, leaderboard, overall, scored_rows
-from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell, CellResult, Request, Row, command_of
+from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell, CellResult, Request, Row, as_seeds, command_of
 from harness.show import figures
 
 HEADINGS = (
@@ -118,6 +118,12 @@ def report_files(
     return files
 
 
+def _seeds(seeds: Sequence[int]) -> str:
+    if len(seeds) == 1:
+        return f"seed {seeds[0]}"
+    return f"seeds 0 to {len(seeds) - 1}" if seeds[-1] == len(seeds) - 1 else f"seeds {as_seeds(seeds)}"
+
+
 def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
     """What was asked for and what computed it, a line each."""
     conditions = request.conditions
@@ -127,10 +133,9 @@ def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
     spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
     instructions = "fixed" if conditions.deterministic else "of the machine"
     there, asked = len(results), len(request.cells)
-    seeds = "seed 0" if request.seeds == 1 else f"seeds 0 to {request.seeds - 1}"
     return [
         *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
-        f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, "
+        f"budget {conditions.budget}, protocol {conditions.protocol}, {_seeds(request.seeds)}, "
         f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",

@@ -7,6 +7,7 @@ As a script it is the real command line with these cells, for tests that send it
 import ctypes
 import dataclasses
 import functools
+import hashlib
 import json
 import math
 import os
@@ -16,12 +17,15 @@ import sys
 import tempfile
 import time
 import types
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of
+from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
+from harness.run.store import RunDirectory
 
 
 class Panic(BaseException):
@@ -57,12 +61,25 @@ def _raise(error: BaseException, *_: object) -> None:
     raise error
 
 
-def prepare(env: str, seed: int, conditions: Conditions) -> None:
-    if env == "nowhere":
+FOLDER = "IRL_BENCH_FAKES"
+"""The variable that says where the run's directory is, for these cells alone."""
+
+
+def prepare(cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]:
+    if cells[0].env == "nowhere":
         raise RuntimeError("no gradient")
+    return {"shared": cells[0].env.encode()}
 
 
-def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
+def run_cell(
+    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+) -> tuple[CellResult, dict[str, bytes]]:
+    assert inputs == {"shared": cell.env.encode()}
+    files = {"recordings/ours.rrd": b"a recording"} if cell.method == "records" else {}
+    return faked(cell, conditions, Path(os.environ[FOLDER])), files
+
+
+def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     with (directory / "computed.txt").open("a") as file:
         file.write(f"{cell.name} {os.getpid()}\n")
     print("a cell speaks; pytest here:", "pytest" in sys.modules)
@@ -117,6 +134,9 @@ def run_cell(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         return CellResult(cell, _rows(cell, dataclasses.replace(conditions, protocol="another"), 1.0))
     if behaviour == "ghost_recording":
         return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ghost.rrd": "0" * 64})
+    if behaviour == "records":
+        digest = hashlib.sha256(b"a recording").hexdigest()
+        return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ours.rrd": digest})
     if behaviour == "one_row":
         return CellResult(cell, _rows(cell, conditions, 1.0)[:1])
     if behaviour == "many_curves":
@@ -165,11 +185,21 @@ def write_report(directory: Path, request: Request, results: list[CellResult]) -
 
 def install() -> None:
     """Makes the command line use the cells and the report of this file."""
+    import harness.run.engines
     import harness.run.grid
+    import harness.run.isolated
 
-    harness.run.grid.Grid = functools.partial(
-        harness.run.grid.Grid, work="fake_cells", preload="harness.run.grid"
+    grid = harness.run.grid.Grid
+
+    def told_where(conditions: Conditions, run: RunDirectory, engine: Engine) -> harness.run.grid.Grid:
+        os.environ[FOLDER] = str(run.path.absolute())
+        return grid(conditions, run, engine)
+
+    harness.run.grid.Grid = told_where
+    harness.run.isolated.Isolated = functools.partial(
+        harness.run.isolated.Isolated, work="fake_cells", preload="harness.run.isolated"
     )
+    harness.run.engines.Inline = functools.partial(harness.run.engines.Inline, work="fake_cells")
     report = types.ModuleType("harness.run.reporting")
     report.write_report = write_report
     sys.modules["harness.run.reporting"] = report

@@ -11,7 +11,7 @@ from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 
 ENVS = ("cartpole", "pendulum")
-REQUEST = Request(("bc", "shaped", "maxmargin"), ENVS, 3, Conditions("quick", "absorbing", "sbx"))
+REQUEST = Request(("bc", "shaped", "maxmargin"), ENVS, (0, 1, 2), Conditions("quick", "absorbing", "sbx"))
 RETURNS = {
     ("reference", "expert"): 500.0,
     ("reference", "random"): 20.0,

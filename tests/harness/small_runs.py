@@ -13,7 +13,7 @@ from harness.run.files import sha256, write_atomic
 from harness.run.store import open_for_run
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
-REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
+REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)
 RECORDING = "cartpole__bc__seed0__pi_star.rrd"
 
 

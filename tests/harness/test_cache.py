@@ -18,7 +18,7 @@ from harness.registry import SPECS
 from harness.run import cache, experts
 from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
-from harness.run.experts import demonstrations_for, expert_for, prepare, replays_for
+from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
 from harness.run.keys import experts_version, program
 
 CARTPOLE = SPECS["cartpole"]
@@ -119,26 +119,27 @@ def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
 def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     conditions = Conditions("smoke", "absorbing", "sb3", experts="trained")
     asked = ("cartpole", 3, conditions)
-    one, demos, replays = (
-        expert_for(*asked),
-        demonstrations_for(*asked[:2], 4, conditions),
-        replays_for(*asked),
-    )
-    prepare(*asked)
+    one, demos = expert_for(*asked), demonstrations_for(*asked[:2], 4, conditions)
+    shared = Shared(prepare(*asked[:2], [4, 5], conditions))
     before = len(list(folder.iterdir()))
     for name in ("solver_for", "replay", "Simulator"):
         monkeypatch.setattr(experts, name, lambda *_: never())
-    prepare(*asked)
-    other, again = expert_for(*asked), demonstrations_for(*asked[:2], 4, conditions)
-    assert (one.name, one.curve, one.seconds) == (other.name, other.curve, other.seconds)
-    np.testing.assert_array_equal(one.policy(np.eye(4)), other.policy(np.eye(4)))
-    for mine, its in zip((*demos.obs, *demos.act), (*again.obs, *again.act), strict=True):
-        np.testing.assert_array_equal(mine, its)
-    for name, array in vars(replays).items():
-        np.testing.assert_array_equal(getattr(replays_for(*asked), name), array)
+    again = Shared(prepare(*asked[:2], [4, 5], conditions))
+    for other in (shared, again):
+        its = other.expert
+        assert (one.name, one.curve, one.seconds) == (its.name, its.curve, its.seconds)
+        np.testing.assert_array_equal(one.policy(np.eye(4)), its.policy(np.eye(4)))
+        drawn = other.demonstrations(4)
+        for mine, theirs in zip((*demos.obs, *demos.act), (*drawn.obs, *drawn.act), strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        assert len(other.demonstrations(5)) == 5
+        with pytest.raises(KeyError):
+            other.demonstrations(6)
+    for name, array in vars(shared.replays).items():
+        np.testing.assert_array_equal(getattr(again.replays, name), array)
     assert len(list(folder.iterdir())) == before == 4
     with pytest.raises(pytest.fail.Exception, match="again"):
-        replays_for("cartpole", 4, conditions)
+        prepare("cartpole", 4, [4], conditions)
 
 
 def test_demonstrations_come_back_as_they_were_drawn() -> None:

@@ -3,17 +3,20 @@
 import dataclasses
 import functools
 import itertools
+import json
+import os
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
 from harness import cli, registry
 from harness.judge.results import CellResult, Request
-from harness.run import store
+from harness.run import engines, grid, isolated, store
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 
@@ -29,9 +32,11 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.chdir(tmp_path)
     import fake_cells
 
-    import harness.run.grid
-
-    monkeypatch.setattr(harness.run.grid, "Grid", harness.run.grid.Grid)
+    # Set as they are, so that what is installed over them goes with the test.
+    monkeypatch.setattr(grid, "Grid", grid.Grid)
+    monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
+    monkeypatch.setattr(engines, "Inline", engines.Inline)
+    monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
     monkeypatch.setattr(cli, "_handle_signals", lambda: None)
     fake_cells.install()
@@ -127,6 +132,11 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         ("run --seeds 0", "argument --seeds: must lie between 1 and 1000, not 0"),
         ("run --cell-timeout 0", "argument --cell-timeout: must lie between 1 and 1000000, not 0"),
         ("run --seeds -1", "argument --seeds: must lie between 1 and 1000, not -1"),
+        ("run --seeds 3-1", "argument --seeds: '3-1' ends before it begins"),
+        ("run --seeds 0,,1", "argument --seeds: '' is not a whole number"),
+        ("run --seeds 5-", "argument --seeds: '' is not a whole number"),
+        ("run --seeds 1-1000", "argument --seeds: must lie between 0 and 999, not 1000"),
+        ("run --seeds 1-2-3", "argument --seeds: '2-3' is not a whole number"),
         ("run --seeds two", "'two' is not a whole number"),
         ("run --seeds 1.5", "'1.5' is not a whole number"),
         ("run --seeds " + "9" * 5000, "argument --seeds"),
@@ -184,7 +194,7 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
     assert f"a table of {PER_SEED + 1} cells" in out
-    assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in run_cell (fake_cells.py:" in err
+    assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in faked (fake_cells.py:" in err
     damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
     damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
     code, _, err = main("report", "run")
@@ -210,9 +220,9 @@ def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
     lost = tmp_path / "run/cells/cartpole__control_true__seed0.json"
     save, again = store.RunDirectory.save, False
 
-    def lose(self: store.RunDirectory, result: CellResult) -> None:
+    def lose(self: store.RunDirectory, result: CellResult, files: Mapping[str, bytes]) -> None:
         nonlocal again
-        save(self, result)
+        save(self, result, files)
         if result.cell.method == "control_true" and not again:
             again = True
             lost.write_text("{") if how == "damaged" else lost.unlink()
@@ -227,13 +237,51 @@ def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
     assert computed(tmp_path / "run").count("cartpole__control_true__seed0") == 2
 
 
+def test_seeds_are_a_count_or_numbers_and_ranges(main: Main) -> None:
+    def stored() -> object:
+        return json.loads(Path("results/latest/run.json").read_text())["seeds"]
+
+    for asked, seeds, there in (("7-7", {7}, [7]), ("0,2-3", {0, 2, 3}, [0, 2, 3, 7])):
+        run = Path("results/latest")
+        before = set(computed(run)) if run.exists() else set()
+        assert main(*SMOKE, "--methods", "bc", "--seeds", asked)[0] == 0
+        done = set(computed(run)) - before
+        assert {int(name.rpartition("seed")[2]) for name in done} == seeds
+        assert stored() == there
+    code, out, _ = main(*SMOKE, "--methods", "bc", "--seeds", "0-7")
+    assert (code, stored()) == (0, 8)
+    assert f"{4 * (PER_SEED + 1)} kept from before" in out
+
+
+def test_inline_cells_are_computed_in_this_process(
+    main: Main, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    faults(tmp_path, cartpole__bc__seed0="raise")
+    code, out, err = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
+    assert code == 1
+    assert "a cell speaks" in out
+    assert "Traceback" in err
+    assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in faked" in err
+    run = Path("run")
+    lines = (run / "computed.txt").read_text().split()
+    assert set(lines[1::2]) == {str(os.getpid())}
+    code, out, _ = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
+    assert f"0 cells to run, {PER_SEED + 1} kept" in out
+    for option in (["--workers", "2"], ["--cell-timeout", "5"]):
+        code, out, err = main(*SMOKE, "--engine", "inline", *option)
+        assert (code, out) == (2, "")
+        assert "computes one cell after the other and cannot stop any" in err
+
+
 def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     save = store.RunDirectory.save
 
-    def lose(self: store.RunDirectory, result: CellResult) -> None:
-        save(self, result)
+    def lose(
+        self: store.RunDirectory, result: CellResult, files: Mapping[str, bytes] = MappingProxyType({})
+    ) -> None:
+        save(self, result, files)
         if result.cell.method == "control_true" and result.rows[0].status == "ok":
             (tmp_path / "run/cells/cartpole__control_true__seed0.json").unlink()
 

@@ -62,11 +62,20 @@ def cell_with(seed: int = 0, **changes: Any) -> CellResult:
     endings = {"pi_star": {"pole fell": 2, "time limit": 3}}
     origin = {"processor": "one", "numpy": "2"}
     return CellResult(
-        Cell("cartpole", "shaped", seed), rows, curves, endings, ["low"], {"a.rrd": "0" * 64}, "key", origin
+        Cell("cartpole", "shaped", seed),
+        rows,
+        curves,
+        endings,
+        ["low"],
+        {"a.rrd": "0" * 64},
+        {"a.safetensors": "0" * 64},
+        "key",
+        origin,
+        seconds={"fit": 1.5},
     )
 
 
-REQUEST = Request(("bc",), ("cartpole",), 5, Conditions("quick", "absorbing", "sbx"))
+REQUEST = Request(("bc",), ("cartpole",), tuple(range(5)), Conditions("quick", "absorbing", "sbx"))
 
 
 def reference(seed: int = 0) -> CellResult:

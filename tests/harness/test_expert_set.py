@@ -140,7 +140,7 @@ def result(method: str, seed: int = 0) -> CellResult:
 def test_results_of_two_versions_of_experts_are_never_mixed(
     copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    request = Request(("bc", "shaped"), ("cartpole",), 1, CONDITIONS)
+    request = Request(("bc", "shaped"), ("cartpole",), (0,), CONDITIONS)
     out = tmp_path / "run"
     with open_for_run(out, request) as run:
         for method in ("reference", "bc", "shaped"):

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.judge.results import CONTROLS, Cell, CellResult, Conditions
-from harness.run.grid import Grid
-from tests.harness.fake_runs import scores
+from harness.judge.results import CONTROLS, Cell
+from tests.harness.fake_runs import compute, scores
 
 HERE = Path(__file__).parent
 ENV = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
@@ -43,7 +42,7 @@ def test_a_run_killed_twenty_times_ends_as_an_unbroken_one(tmp_path: Path, tempo
             [*command, str(tmp_path / "killed")], env=env, stdout=subprocess.PIPE, text=True
         )
         assert process.stdout is not None
-        lines = 2 * seeds * (number % 5 > 0) + int(rng.integers(1, 9))  # of experts and, mostly, of cells
+        lines = 2 * (number % 5 > 0) + int(rng.integers(1, 9))  # of an expert and, mostly, of cells
         for _ in range(lines):
             assert process.stdout.readline()
         time.sleep(float(rng.uniform(0, 0.2)))
@@ -67,7 +66,6 @@ def test_a_run_killed_twenty_times_ends_as_an_unbroken_one(tmp_path: Path, tempo
 def test_two_hundred_cells_with_faults_are_all_accounted_for(
     tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(HERE)
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     (tmp_path / "run").mkdir()
     cells = [Cell("cartpole", "bc", seed) for seed in range(200)]
@@ -75,17 +73,10 @@ def test_two_hundred_cells_with_faults_are_all_accounted_for(
     np.random.default_rng(0).shuffle(behaviours)
     faults = {cell.name: behaviour for cell, behaviour in zip(cells, behaviours, strict=True)}
     (tmp_path / "faults.json").write_text(json.dumps(faults))
-    found: list[CellResult] = []
-    grid = Grid(
-        *(Conditions("smoke", "absorbing", "sb3"), tmp_path / "run", WORKERS, found.append),
-        timeout=2,
-        work="fake_cells",
-        preload="harness.run.grid",
-    )
-    grid.run(cells[:2])  # what is opened once, such as the server that forks, is open now
-    found.clear()
+    # What is opened once, such as the server that forks, is open after the first.
+    compute(tmp_path / "run", cells[:2], WORKERS, timeout=2)
     open_files = len(os.listdir("/proc/self/fd"))
-    grid.run(cells)
+    found = compute(tmp_path / "run", cells, WORKERS, timeout=2).results
     assert len(os.listdir("/proc/self/fd")) <= open_files
     assert list(temporary.iterdir()) == []
     assert multiprocessing.active_children() == []

@@ -15,7 +15,7 @@ from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
 from harness.reproduce import PROTOCOLS, _study
-from harness.run.cells import run_cell
+from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
@@ -26,15 +26,13 @@ class InstantGrid:
 
     computed: ClassVar[list[Cell]] = []
 
-    def __init__(
-        self, conditions: Conditions, directory: Path, workers: int, save: Any, timeout: float | None
-    ) -> None:
-        self.protocol, self.save = conditions.protocol, save
+    def __init__(self, conditions: Conditions, sink: Any, engine: Any) -> None:
+        self.protocol, self.sink = conditions.protocol, sink
 
     def run(self, cells: Sequence[Cell]) -> None:
         for cell in cells:
             InstantGrid.computed.append(cell)
-            self.save(self.result(cell))
+            self.sink.save(self.result(cell), {})
 
     def result(self, cell: Cell) -> CellResult:
         def row(policy: Any, value: float) -> Row:
@@ -117,7 +115,7 @@ def test_equal_scores_whose_mean_is_rounded_can_be_drawn(
     entry = leaderboard(
         scored_rows(
             [
-                InstantGrid(Conditions("smoke", "native", "sbx"), tmp_path, 1, None, None).result(cell)
+                InstantGrid(Conditions("smoke", "native", "sbx"), None, None).result(cell)
                 for cell in (Cell("cartpole", REFERENCE, 0), Cell("cartpole", "shaped", 0))
             ]
         )
@@ -140,7 +138,8 @@ def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
 
     monkeypatch.setattr(Shaped, "fit", spy)
     for name in (name_of(1, DECAYS[1]), "shaped"):
-        result = run_cell(Cell("cartpole", name, 1), Conditions("smoke", "native", "sb3"), tmp_path)
+        cell, conditions = Cell("cartpole", name, 1), Conditions("smoke", "native", "sb3")
+        result, _ = run_cell(cell, conditions, prepare([cell], conditions))
         assert [(row.method, row.policy, row.status) for row in result.rows] == [
             (name, "pi_star", "ok"),
             (name, "pi_R", "ok"),

@@ -1,5 +1,7 @@
 """The grid: whatever a cell does, it is accounted for and the others go on."""
 
+import dataclasses
+import json
 import multiprocessing
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,14 +10,17 @@ import pytest
 
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.run.codec import encode
-from harness.run.grid import Grid, Task
+from harness.run.costs import Costs
+from harness.run.engines import Job
+from harness.run.environment import CACHE_VARIABLE
+from tests.harness.fake_runs import compute
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 REASONS = {
-    "raise": "ValueError: two lines; in run_cell (fake_cells.py:",
+    "raise": "ValueError: two lines; in faked (fake_cells.py:",
     "kill": "its process was killed by SIGKILL (out of memory?)",
     "vanish": "its process ended without a result, exit code 0",
-    "exit": "SystemExit: gave up; in run_cell",
+    "exit": "SystemExit: gave up; in faked",
     "hungry": "out of memory: MemoryError: Unable to allocate 1.00 GiB",
     "nan": "FloatingPointError: pi_star: return_mean is nan; in ",
     "other": "ValueError: asked for cartpole__other__seed0, got 2 rows of cartpole__bc__seed99",
@@ -25,7 +30,7 @@ REASONS = {
 
 @pytest.fixture
 def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    monkeypatch.syspath_prepend(Path(__file__).parent)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     (tmp_path / "run").mkdir()
     yield tmp_path / "run"
     assert multiprocessing.active_children() == []
@@ -34,15 +39,9 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
 def run(
     directory: Path, cells: list[Cell], workers: int, timeout: float | None = None
 ) -> dict[Cell, CellResult]:
-    found: dict[Cell, CellResult] = {}
-
-    def save(result: CellResult) -> None:
-        assert result.cell not in found
-        found[result.cell] = result
-
-    grid = Grid(CONDITIONS, directory, workers, save, timeout, work="fake_cells", preload="harness.run.grid")
-    grid.run(cells)
-    return found
+    results = compute(directory, cells, workers, timeout).results
+    assert len({result.cell for result in results}) == len(results)
+    return {result.cell: result for result in results}
 
 
 def test_every_way_to_fail_is_told_and_takes_no_other_cell_with_it(
@@ -86,22 +85,59 @@ def test_cells_of_an_env_without_expert_fail_and_are_not_tried(directory: Path) 
 def test_the_number_of_workers_changes_no_result(directory: Path) -> None:
     cells = [Cell("cartpole", "good", seed) for seed in range(3)]
     one, three = run(directory, cells, workers=1), run(directory, cells, workers=3)
-    assert {c: encode(r) for c, r in one.items()} == {c: encode(three[c]) for c in one}
+    for cell, result in one.items():
+        its = dataclasses.replace(three[cell], seconds=result.seconds)
+        assert encode(result) == encode(its)
 
 
-def test_the_longest_tasks_come_first_and_experts_before_all(
+def test_experts_come_first_and_of_unknown_tasks_those_with_the_most_steps(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cells = [Cell(env, m, 0) for env in ("cartpole", "highway") for m in ("bc", "maxent")]
     run(directory, cells, workers=1)
     started = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("start")]
-    assert started[:2] == ["highway__expert__seed0", "cartpole__expert__seed0"]
-    costs = {task.name: task.cost for task in (Task(cell.env, cell.seed, cell) for cell in cells)}
-    assert started[2:] == sorted(costs, key=lambda name: -costs[name])
+    assert set(started[:2]) == {"highway__expert__seed0", "cartpole__expert__seed0"}
+    jobs = [Job((cell,), False, CONDITIONS, "") for cell in cells]
+    guess = Costs(dataclasses.replace(CONDITIONS, budget="full")).of
+    assert guess(jobs[0]) == guess(jobs[1]) < guess(jobs[2])
+
+
+def test_what_was_measured_decides_what_comes_first(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = [Cell("cartpole", method, 0) for method in ("brief", "good", "slow")]
+    for expected in (["brief", "good", "slow"], ["slow", "brief", "good"]):
+        run(directory, cells, workers=1)
+        lines = capsys.readouterr().out.splitlines()
+        started = [line.split("__")[1] for line in lines if line.startswith("start")]
+        assert started == ["expert", *expected]
+    others = Costs(dataclasses.replace(CONDITIONS, budget="quick"))
+    jobs = [Job((cell,), False, CONDITIONS, "") for cell in cells]
+    assert len({others.of(job) for job in jobs}) == 1, "of another budget nothing is known"
+
+
+def test_a_file_of_seconds_that_cannot_be_used_is_no_matter(directory: Path) -> None:
+    kept = directory.parent / "cache/seconds.json"
+    kept.parent.mkdir()
+    kept.write_text('{"smoke": [1]}')
+    (job,) = [Job((Cell("cartpole", "bc", 0),), False, CONDITIONS, "")]
+    assert Costs(CONDITIONS).of(job) > 0
+    run(directory, list(job.cells), workers=1)
+    assert json.loads(kept.read_text())
+
+
+def test_what_cells_share_is_there_for_one_seed_at_a_time(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("a", "b")]
+    run(directory, cells, workers=1)
+    lines = capsys.readouterr().out.splitlines()
+    started = [line.split()[1] for line in lines if line.startswith("start")]
+    assert [name[-1] for name in started] == ["0"] * 3 + ["1"] * 3
 
 
 def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("harness.run.grid.fresh_processes", None)
+    monkeypatch.setattr("harness.run.isolated.fresh_processes", None)
     assert run(directory, [], workers=2) == {}
 
 

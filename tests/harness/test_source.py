@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_features__
 
-from harness.judge.results import Cell, CellResult, Conditions
+from harness.judge.results import Cell, Conditions
 from harness.run import keys
 from harness.run.environment import (
     CHOSEN,
@@ -23,9 +23,9 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
-from harness.run.grid import Grid
 from harness.run.keys import CELLS, PROGRAM, ROOT, cell_keys, expert_key, program, sources
 from harness.run.processes import NAME, fresh_processes
+from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parent
 RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
@@ -217,12 +217,8 @@ def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest
 def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(HERE)
-    found: list[CellResult] = []
     monkeypatch.setattr("harness.run.grid.cell_keys", lambda cells, *_: dict.fromkeys(cells, "other"))
-    conditions = Conditions("smoke", "absorbing", "sb3")
-    grid = Grid(conditions, tmp_path, 1, found.append, work="fake_cells", preload="harness.run.grid")
-    grid.run([Cell("cartpole", "good", 0)])
+    found = compute(tmp_path, [Cell("cartpole", "good", 0)]).results
     assert "are not those that the run began with" in found[0].rows[0].reason
 
 

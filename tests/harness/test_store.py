@@ -22,7 +22,7 @@ from harness.run.files import sha256, write_atomic
 from harness.run.store import SUMS, open_for_report, open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
-REQUEST = Request(("bc",), ("cartpole",), 1, CONDITIONS)
+REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)
 CELL = Cell("cartpole", "bc", 0)
 FLOATS = st.floats(-LARGEST, LARGEST) | st.just(math.nan)
 
@@ -60,7 +60,7 @@ def test_anything_else_is_no_result(text: str | bytes) -> None:
 
 
 def test_a_truncated_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=3)) as run:
+    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=(0, 1, 2))) as run:
         for seed in range(3):
             run.save(result(seed, Cell("cartpole", "bc", seed)))
         cells = tmp_path / "cells"
@@ -161,13 +161,13 @@ def test_a_cell_whose_recording_is_gone_is_computed_again(whole: Path, name: str
         run.save(dataclasses.replace(result(), recordings={name: "0" * 64}))
         found, unusable = run.load()
         assert found == {}
-        assert list(unusable.values()) == [f"the recording {name} is missing or damaged"]
+        assert list(unusable.values()) == [f"recordings/{name} is missing or damaged"]
     with open_for_report(whole) as run:
         assert list(run.load()[0]) == [CELL]
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
-    more = Request(("shaped",), ("highway",), 3, CONDITIONS)
+    more = Request(("shaped",), ("highway",), tuple(range(3)), CONDITIONS)
     for request in (REQUEST, more, REQUEST):
         with open_for_run(tmp_path / "a/b", request):
             pass

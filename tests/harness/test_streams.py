@@ -172,7 +172,7 @@ def test_variables_of_the_shell_change_nothing(tmp_path: Path, variables: dict[s
 
 
 def test_a_plotting_library_that_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
-    with open_for_run(tmp_path / "run", Request(("bc",), ("cartpole",), 1, CONDITIONS)) as run:
+    with open_for_run(tmp_path / "run", Request(("bc",), ("cartpole",), (0,), CONDITIONS)) as run:
         cell = Cell("cartpole", "bc", 0)
         run.save(CellResult(cell, [Row("cartpole", "bc", 0, "pi_star", "absorbing")]))
     (tmp_path / "matplotlibrc").write_bytes(b"backend: \xff")

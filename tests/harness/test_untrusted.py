@@ -51,7 +51,7 @@ def harness(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_strangers_run_is_read_and_never_executed(tmp_path: Path, payload: bytes) -> None:
     run = tmp_path / "deep/run"
-    with open_for_run(run, Request(("bc",), ("cartpole",), 1, CONDITIONS)) as opened:
+    with open_for_run(run, Request(("bc",), ("cartpole",), (0,), CONDITIONS)) as opened:
         opened.save(result())
     bad = ["cartpole__pickle__seed0.json"]
     (run / "cells" / bad[0]).write_bytes(payload)

@@ -18,21 +18,21 @@ from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import BadInput
 from harness.run import processes
 from harness.run.codec import decode
-from harness.run.grid import Grid
+from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parent
 FAKE = [sys.executable, str(HERE / "fake_cells.py"), "run", "--budget", "smoke", "--envs", "cartpole"]
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 ODD = {
-    "keyboard": "KeyboardInterrupt; in run_cell",
-    "generator": "GeneratorExit: left; in run_cell",
-    "panic": "Panic: index out of bounds; in run_cell",
-    "mute": "Mute: (its message raises RuntimeError); in run_cell",
-    "surrogate": r"ValueError: caf\udce9 \x1b[2J; in run_cell",
+    "keyboard": "KeyboardInterrupt; in faked",
+    "generator": "GeneratorExit: left; in faked",
+    "panic": "Panic: index out of bounds; in faked",
+    "mute": "Mute: (its message raises RuntimeError); in faked",
+    "surrogate": r"ValueError: caf\udce9 \x1b[2J; in faked",
     "group": "its process ended without a result, exit code 15",
     "many_curves": "ValueError: Expected `object` of length <= 30 - at `$.curves`",
     "other_protocol": "ValueError: pi_star: of protocol another, not absorbing",
-    "ghost_recording": "FileNotFoundError: [Errno 2] No such file or directory",
+    "ghost_recording": "ValueError: its files are not those that its result names",
     "one_row": "ValueError: asked for pi_star, pi_R, got pi_star",
     "escape": "ValueError: Expected `str` of one plain line, or a plain name - at `$.warnings[0]`",
     "leaves_and_dies": "its process was killed by SIGKILL",
@@ -42,16 +42,13 @@ Run = Callable[..., dict[str, CellResult]]
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+def run(tmp_path: Path) -> Iterator[Run]:
     """Computes one cell of each of the methods, and one that is good, and returns them by method."""
-    monkeypatch.syspath_prepend(HERE)
     (tmp_path / "run").mkdir()
 
     def call(*methods: str, workers: int = 2, timeout: float | None = None) -> dict[str, CellResult]:
-        found: list[CellResult] = []
-        where = (tmp_path / "run", workers, found.append, timeout)
-        grid = Grid(CONDITIONS, *where, work="fake_cells", preload="harness.run.grid")
-        grid.run([Cell("cartpole", method, 0) for method in (*methods, "good")])
+        cells = [Cell("cartpole", method, 0) for method in (*methods, "good")]
+        found = compute(tmp_path / "run", cells, workers, timeout).results
         assert len(found) == len(methods) + 1
         return {result.cell.method: result for result in found}
 

@@ -140,7 +140,7 @@ def test_feature_expectations_weigh_steps_by_discounts_that_sum_to_1(
 
 
 def test_the_reward_is_linear_and_its_last_weight_is_absorption(world: Any) -> None:
-    reward = LinearReward(world, np.array([2.0, -1.0, 0.5, 7.0]))
+    reward = LinearReward(world.phi, np.array([2.0, -1.0, 0.5, 7.0]))
     act = np.array([[1.0, 0.0], [0.5, 1.0]])
     np.testing.assert_allclose(reward(np.zeros((2, 3)), act, np.zeros((2, 3))), [2.5, 0.5])
     assert reward.absorbing == 7.0

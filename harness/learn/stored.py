@@ -1,0 +1,91 @@
+"""Policies and rewards as arrays and a description of what they are, without pickle; and back.
+
+What can be stored is built of frozen dataclasses, arrays, tuples, numbers, text and None. A registered
+environment is stored as its name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import EnvSpec
+from harness.registry import ENVS, SPECS
+
+PACKAGES = ("envs", "methods", "harness")
+"""Whose dataclasses are loaded."""
+
+
+def to_arrays(thing: object, name: str) -> tuple[dict[str, NDArray[Any]], Any]:
+    """The arrays in it, by names that begin with `name`, and what JSON can hold of the rest. Raises TypeError
+    for what cannot be stored."""
+    arrays: dict[str, NDArray[Any]] = {}
+    return arrays, _described(thing, name, arrays)
+
+
+def from_arrays(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
+    """The inverse of `to_arrays`. Raises ValueError for anything that it did not write."""
+    try:
+        return _built(arrays, described)
+    except (KeyError, TypeError, AttributeError, ImportError) as error:
+        raise ValueError(f"nothing that was stored here: {error}") from error
+
+
+def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
+    if thing is None or isinstance(thing, bool | int | float | str):
+        return thing
+    if isinstance(thing, np.ndarray):
+        arrays[name] = _compact(thing)
+        return {"array": name}
+    if isinstance(thing, tuple):
+        return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
+    if isinstance(thing, EnvSpec):
+        if thing.name not in ENVS or SPECS[thing.name] is not thing:
+            raise TypeError(f"{thing.name} is no registered environment")
+        return {"env": thing.name}
+    kind = type(thing)
+    if not dataclasses.is_dataclass(kind) or not _is_ours(kind.__module__):
+        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(PACKAGES)}")
+    fields = {field.name: getattr(thing, field.name) for field in dataclasses.fields(kind) if field.init}
+    parts = {key: _described(value, f"{name}.{key}", arrays) for key, value in fields.items()}
+    return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": parts}
+
+
+def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
+    match described:
+        case None | bool() | int() | float() | str():
+            return described
+        case {"array": str(name)}:
+            found = arrays[name]
+            return found.astype(np.float64) if found.dtype == np.float32 else found
+        case {"tuple": list(items)}:
+            return tuple(_built(arrays, item) for item in items)
+        case {"env": str(name)}:
+            return SPECS[name]
+        case {"class": str(target), "fields": dict(fields)}:
+            module, _, attribute = target.partition(":")
+            kind = getattr(importlib.import_module(module), attribute) if _is_ours(module) else None
+            if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+                raise ValueError(f"{target!r} is no dataclass of {', '.join(PACKAGES)}")
+            return kind(**{key: _built(arrays, value) for key, value in fields.items()})
+    raise ValueError(f"{str(described)[:40]!r} is nothing that was stored here")
+
+
+def _compact(array: NDArray[Any]) -> NDArray[Any]:
+    """It in 32 bits where that loses nothing, as in what was fitted in 32 bits."""
+    if array.dtype != np.float64:
+        if array.dtype.kind not in "biu":
+            raise TypeError(f"an array of {array.dtype} cannot be stored")
+        return np.ascontiguousarray(array)
+    with np.errstate(over="ignore"):
+        half = array.astype(np.float32)
+    return np.ascontiguousarray(half if np.array_equal(half.astype(np.float64), array) else array)
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] in PACKAGES

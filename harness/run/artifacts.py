@@ -1,0 +1,47 @@
+"""What was learned, kept: pi*, R* and pi_R of a cell in one file, arrays as safetensors, all else as JSON in
+its metadata. Loaded, they give the same outputs, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from harness.judge.results import Cell, Conditions
+from harness.learn.stored import from_arrays, to_arrays
+from harness.registry import BadInput
+from harness.run.cache import Kept, as_bytes, from_bytes
+from harness.run.files import opened
+from methods.base import Policy, Reward
+
+FORMAT = 1
+KIND = "safetensors"
+
+
+def artifact(
+    cell: Cell, conditions: Conditions, learned: Mapping[str, Policy | Reward]
+) -> tuple[bytes, list[str]]:
+    """The file of a cell, and why some of what was learned cannot be in it; '' where nothing can."""
+    arrays, parts, troubles = dict[str, Any](), dict[str, Any](), []
+    for name, thing in learned.items():
+        try:
+            its_arrays, parts[name] = to_arrays(thing, name)
+            arrays |= its_arrays
+        except TypeError as error:
+            troubles.append(f"{cell.name}: {name} is not kept: {error}")
+    facts = {"format": FORMAT, "cell": asdict(cell), "conditions": asdict(conditions), "learned": parts}
+    return (as_bytes(Kept(arrays, facts)) if parts else b""), troubles
+
+
+def read_artifact(path: Path) -> dict[str, Any]:
+    """Policies and rewards by name: 'pi_star', 'reward' and 'pi_R', or 'expert', as far as there are any.
+    Raises BadInput where the file is none, or damaged."""
+    try:
+        with opened(path) as file:
+            found = from_bytes(file.read())
+        if found.facts["format"] != FORMAT:
+            raise ValueError(f"it has another format than {FORMAT}")
+        return {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadInput(f"{path} holds nothing that was learned: {error}") from error

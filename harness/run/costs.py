@@ -1,0 +1,70 @@
+"""What jobs are expected to take, for their order and the time that is left: what earlier runs measured, kept
+in the cache; where they measured nothing, a guess by the environment's RL steps."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+
+import msgspec
+
+from harness.judge.results import Conditions
+from harness.registry import SPECS
+from harness.run.engines import Job
+from harness.run.environment import cache_folder
+from harness.run.files import read, write_atomic
+
+FILE = "seconds.json"
+SHARED = "expert"
+"""What stands for a method's name where a job is what cells share."""
+STEPS_PER_SECOND = 2000.0
+"""Of RL, about: what a first guess goes by."""
+
+
+class Costs:
+    """Seconds that jobs under these conditions take."""
+
+    def __init__(self, conditions: Conditions) -> None:
+        self._budget = conditions.budget
+        self._under = f"{conditions.budget}, {conditions.rl}, experts {conditions.experts}"
+        self._measured: dict[str, float] = _stored().get(self._under, {})
+        self._noted: dict[str, float] = {}
+
+    def of(self, job: Job) -> float:
+        """What a job is expected to take, in seconds."""
+        return self._measured.get(_name(job)) or self._guess(job)
+
+    def note(self, job: Job, seconds: float) -> None:
+        """Remembers what it took."""
+        self._noted[_name(job)] = seconds
+
+    def keep(self) -> None:
+        """Stores what was noted for later runs, where that can be done."""
+        with suppress(OSError):
+            cache_folder().mkdir(parents=True, exist_ok=True)
+            stored = _stored()
+            stored[self._under] = stored.get(self._under, {}) | self._noted
+            write_atomic(cache_folder() / FILE, json.dumps(stored, indent=1, sort_keys=True) + "\n")
+
+    def _guess(self, job: Job) -> float:
+        env = job.cells[0].env
+        known = [seconds for name, seconds in self._measured.items() if name.startswith(f"{env} ")]
+        if known and not job.shared:
+            return sorted(known)[len(known) // 2]
+        try:
+            steps = SPECS[env].rl_steps[self._budget]
+        except Exception:  # whatever is wrong with an environment, its own cells tell
+            return 1.0
+        return steps / STEPS_PER_SECOND * (0.1 if job.shared else 1.0)
+
+
+def _name(job: Job) -> str:
+    cell = job.cells[0]
+    return f"{cell.env} {SHARED if job.shared else cell.method}"
+
+
+def _stored() -> dict[str, dict[str, float]]:
+    """By conditions and job; nothing where the file cannot be used."""
+    with suppress(OSError, ValueError):
+        return msgspec.json.decode(read(cache_folder() / FILE), type=dict[str, dict[str, float]])
+    return {}

@@ -1,0 +1,174 @@
+"""Where cells are computed. An engine takes jobs and gives back bytes; it knows nothing of what they mean,
+and what it computes knows nothing of the run's directory."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self, cast
+
+from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, policies_of, usable
+from harness.run.codec import decode, encode, printable
+from harness.run.environment import of_this_process
+from harness.run.files import sha256_of
+from harness.run.keys import cell_keys
+
+WORK = "harness.run.cells"
+
+
+class Work(Protocol):
+    """The module that does what is scheduled; named, so that only where cells are computed it is imported."""
+
+    def prepare(self, cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]:
+        """What these cells, of one environment and seed, share, by name."""
+
+    def run_cell(
+        self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+    ) -> tuple[CellResult, dict[str, bytes]]:
+        """Its result, and the files that it adds to the run, by their path there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A cell to compute or, where `shared`, what these cells of one environment and seed share.
+    key: what it must be computed under. inputs: what the cell shares with others."""
+
+    cells: tuple[Cell, ...]
+    shared: bool
+    conditions: Conditions
+    key: str
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        cell = self.cells[0]
+        return f"{cell.env}__expert__seed{cell.seed}" if self.shared else cell.name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came back: the encoded result and its files, or what cells share; or why there is none.
+    log: what was printed. lost: whether the error need not be the job's own doing."""
+
+    result: str = ""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    log: bytes = b""
+    error: str = ""
+    lost: bool = False
+
+
+class Engine(Protocol):
+    """A context manager; on leaving, nothing that it started goes on.
+
+    workers: how many jobs it does at a time. variables: what numbers depend on in the environment of its
+    jobs (`harness.run.environment`).
+    """
+
+    @property
+    def workers(self) -> int: ...
+
+    @property
+    def variables(self) -> Mapping[str, str]: ...
+
+    def start(self, job: Job) -> None:
+        """Begins a job."""
+
+    def finished(self) -> list[tuple[Job, Outcome]]:
+        """Those that ended and were not told yet; waits for one, a second at most."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Inline:
+    """In this process, one job after the other: for debuggers and tests. What a cell prints is not kept. Its
+    environment is this process's, and so are its keys: what is computed here is not mixed with other
+    engines' unless that is the same."""
+
+    workers = 1
+
+    def __init__(self, work: str = WORK) -> None:
+        self.variables = of_this_process()
+        self._work = work
+        self._ended: list[tuple[Job, Outcome]] = []
+
+    def start(self, job: Job) -> None:
+        try:
+            outcome = compute(self._work, job)
+        except Exception as error:
+            traceback.print_exc(file=sys.stderr)
+            outcome = Outcome(error=describe(error))
+        self._ended.append((job, outcome))
+
+    def finished(self) -> list[tuple[Job, Outcome]]:
+        ended, self._ended = self._ended, []
+        return ended
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+def compute(work: str, job: Job) -> Outcome:
+    """Does a job, here and now. Raises what it raises, and RuntimeError where it is not done under the job's
+    key."""
+    variables = of_this_process()  # as they are now: what a method sets later is its own affair
+    _check_key(job, variables)
+    module = cast(Work, importlib.import_module(work))
+    if job.shared:
+        return Outcome(files=module.prepare(job.cells, job.conditions))
+    (cell,) = job.cells
+    result, files = module.run_cell(cell, job.conditions, job.inputs)
+    _check(result, files, cell, job.conditions.protocol)
+    encoded = encode(result)
+    decode(encoded)
+    _check_key(job, variables)
+    return Outcome(encoded, files)
+
+
+def _check_key(job: Job, variables: Mapping[str, str]) -> None:
+    first = job.cells[0]
+    cell = Cell(first.env, REFERENCE, first.seed) if job.shared else first
+    if cell_keys([cell], job.conditions, variables)[cell] != job.key:
+        raise RuntimeError(
+            "the program, its packages or its environment are not those that the run began with; "
+            "were packages changed, or was Python started with -E or -I?"
+        )
+
+
+def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol: str) -> None:
+    if result.cell != cell or not result.rows:
+        raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
+    if (policies := tuple(row.policy for row in result.rows)) != policies_of(cell):
+        raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
+    if result.files != {name: sha256_of(data) for name, data in files.items()}:
+        raise ValueError("its files are not those that its result names")
+    for row in result.rows:
+        if row.protocol != protocol:
+            raise ValueError(f"{row.policy}: of protocol {row.protocol}, not {protocol}")
+        for name in ("return_mean", "discounted_mean", "length_mean"):
+            value = getattr(row, name)
+            if row.status == "ok" and not usable(value):
+                raise FloatingPointError(f"{row.policy}: {name} is {value}")
+
+
+def describe(error: BaseException) -> str:
+    """One line: what was raised, and the three innermost places."""
+    frames = reversed(traceback.extract_tb(error.__traceback__)[-3:])
+    where = ", called by ".join(f"{f.name} ({Path(f.filename).name}:{f.lineno})" for f in frames)
+    try:
+        message = str(error)
+    except BaseException as another:
+        message = f"(its message raises {type(another).__name__})"
+    message = " ".join(f"{type(error).__name__}: {message}".split())[:300]
+    cause = "out of memory: " if isinstance(error, MemoryError) else ""
+    return printable(f"{cause}{message.rstrip(': ')}; in {where}")

@@ -1,0 +1,176 @@
+"""What was learned can be kept and gives the same outputs afterwards; what is no such thing is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from harness.judge.controls import Distance
+from harness.judge.results import Cell, Conditions
+from harness.learn.exact import ExactSolver
+from harness.learn.stored import from_arrays, to_arrays
+from harness.learn.world import Features
+from harness.registry import SPECS, BadInput
+from harness.run.artifacts import artifact, read_artifact
+from harness.run.cache import Kept, as_bytes
+from methods.network import Network
+from methods.rewards import Constant, LinearReward, NetworkReward, StateReward
+from methods.shaped import ShapedReward
+
+CELL, CONDITIONS = Cell("cartpole", "shaped", 0), Conditions("smoke", "absorbing", "sbx")
+RNG = np.random.default_rng(0)
+
+
+def network(inputs: int, outputs: int, half: bool = True) -> Network:
+    sizes = [(inputs, 7), (7, outputs)]
+    weights = [RNG.standard_normal(size) for size in sizes]
+    if half:  # as those that were fitted in 32 bits
+        weights = [w.astype(np.float32).astype(np.float64) for w in weights]
+    return Network(np.zeros(inputs), np.ones(inputs), tuple(weights), (np.zeros(7), np.zeros(outputs)), True)
+
+
+def linear() -> LinearReward:
+    spec = SPECS["cartpole"]
+    size = spec.features(np.zeros((1, 4)), np.zeros((1, 1))).shape[1]
+    return LinearReward(Features(spec), RNG.standard_normal(size + 1))
+
+
+REWARDS = {
+    "shaped": ShapedReward(network(4, 1), network(4, 1), absorbing=-0.1),
+    "linear": linear(),
+    "network": NetworkReward(network(6, 1, half=False), 2.0, -1.5),
+    "state": StateReward(network(4, 1), 0.3),
+    "constant": Constant(1.0, absorbing=-0.0),
+    "distance": Distance(network(4, 1), absorbing=1e-300),
+}
+
+
+def batch() -> tuple[Any, Any, Any]:
+    rng = np.random.default_rng(1)
+    return rng.standard_normal((50, 4)), rng.uniform(-1, 1, (50, 1)), rng.standard_normal((50, 4))
+
+
+def kept(path: Path, **learned: Any) -> dict[str, Any]:
+    data, troubles = artifact(CELL, CONDITIONS, learned)
+    assert troubles == []
+    path.write_bytes(data)
+    return read_artifact(path)
+
+
+@pytest.mark.parametrize("name", REWARDS)
+def test_a_reward_that_was_kept_pays_the_same_bit_for_bit(tmp_path: Path, name: str) -> None:
+    reward = REWARDS[name]
+    found = kept(tmp_path / "a.safetensors", reward=reward)["reward"]
+    assert type(found) is type(reward)
+    assert np.array_equal(found(*batch()), reward(*batch()))
+    assert np.array([found.absorbing]).tobytes() == np.array([reward.absorbing]).tobytes()
+
+
+def test_a_policy_that_was_kept_acts_the_same_bit_for_bit(tmp_path: Path) -> None:
+    tabular = SPECS["gridworld"].tabular
+    assert tabular is not None
+    exact = ExactSolver(tabular, 0.9, np.random.default_rng(0)).solve(None, 0).policy
+    found = kept(tmp_path / "a.safetensors", pi_star=network(4, 1), pi_R=exact)
+    assert np.array_equal(found["pi_R"](tabular.obs), exact(tabular.obs))
+    for policy in (network(4, 2), network(3, 2, half=False)):
+        obs = np.random.default_rng(2).standard_normal((20, len(policy.mean)))
+        its = kept(tmp_path / "b.safetensors", pi_star=policy)["pi_star"]
+        assert np.array_equal(its(obs), policy(obs))
+
+
+def test_a_linear_reward_is_kept_with_the_name_of_its_features(tmp_path: Path) -> None:
+    data, _ = artifact(CELL, CONDITIONS, {"reward": linear()})
+    assert len(data) < 2000
+    found = kept(tmp_path / "a.safetensors", reward=linear())["reward"]
+    assert found.phi.spec is SPECS["cartpole"]
+
+
+def test_what_was_fitted_in_32_bits_is_kept_in_32(tmp_path: Path) -> None:
+    small, large = (to_arrays(network(4, 1, half=half), "x")[0] for half in (True, False))
+    assert {a.dtype for a in small.values()} == {np.dtype(np.float32)}
+    assert large["x.weights.0"].dtype == np.float64
+
+
+def test_the_same_things_are_the_same_bytes() -> None:
+    one = [artifact(CELL, CONDITIONS, {"reward": REWARDS["shaped"]})[0] for _ in range(20)]
+    assert len(set(one)) == 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Strange:
+    """Of no package that is loaded."""
+
+    absorbing: float = 0.0
+
+
+@pytest.mark.parametrize(
+    ("thing", "reason"),
+    [
+        (lambda obs: obs, "builtins.function is no dataclass"),
+        (Strange(), "Strange is no dataclass of envs, methods, harness"),
+        (Constant(1.0, np.array(["x"])), "an array of <U1 cannot be stored"),  # type: ignore[arg-type]
+        (Constant([1.0], 0.0), "builtins.list is no dataclass"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(tmp_path: Path, thing: Any, reason: str) -> None:
+    data, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1), "reward": thing})
+    assert reason in trouble
+    assert CELL.name in trouble
+    (tmp_path / "a.safetensors").write_bytes(data)
+    assert set(read_artifact(tmp_path / "a.safetensors")) == {"pi_star"}
+    assert artifact(CELL, CONDITIONS, {"reward": thing})[0] == b""
+
+
+def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpec) -> None:
+    other = dataclasses.replace(SPECS["cartpole"], summary="another")
+    for spec in (steady, other):
+        with pytest.raises(TypeError, match="no registered environment"):
+            to_arrays(LinearReward(Features(spec), np.ones(2)), "x")
+
+
+@pytest.mark.parametrize(
+    "described",
+    [
+        {"class": "os:system", "fields": {"command": "true"}},
+        {"class": "subprocess:Popen", "fields": {}},
+        {"class": "harness.run.cells:run_cell", "fields": {}},
+        {"class": "methods.rewards:np", "fields": {}},
+        {"class": "methods.rewards:Absent", "fields": {}},
+        {"class": "methods.absent:Constant", "fields": {}},
+        {"class": "methods.rewards:Constant", "fields": {"value": 1.0, "absorbing": 0.0, "more": 1}},
+        {"class": "methods.rewards:Constant", "fields": {"value": 1.0}},
+        {"class": 7, "fields": {}},
+        {"env": "nowhere"},
+        {"array": "absent"},
+        {"tuple": "text"},
+        {},
+        [1, 2],
+    ],
+)
+def test_what_was_not_written_by_it_is_refused_and_runs_nothing(tmp_path: Path, described: Any) -> None:
+    with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
+        from_arrays({}, described)
+    file = tmp_path / "a.safetensors"
+    file.write_bytes(as_bytes(Kept({}, {"format": 1, "learned": {"reward": described}})))
+    with pytest.raises(BadInput, match=r"a\.safetensors holds nothing that was learned"):
+        read_artifact(file)
+
+
+def test_a_damaged_artifact_is_told_in_a_line(tmp_path: Path) -> None:
+    file = tmp_path / "a.safetensors"
+    whole, _ = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1)})
+    middle = len(whole) // 2
+    flipped = whole[:-3] + bytes([whole[-3] ^ 1]) + whole[-2:]
+    odd = as_bytes(Kept({}, {"format": 99, "learned": {}}))
+    for data in (whole[:middle], b"", b"\xff" * 100, flipped, odd, json.dumps({}).encode()):
+        file.write_bytes(data)
+        with pytest.raises(BadInput, match="holds nothing that was learned"):
+            read_artifact(file)
+    with pytest.raises(BadInput, match="No such file"):
+        read_artifact(tmp_path / "absent")
