@@ -24,11 +24,10 @@ def test_the_readme_is_short_and_what_it_links_to_is_there() -> None:
 
 def test_the_readmes_table_is_that_of_the_files() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    marked = re.search(r"<!-- the table of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    marked = re.search(r"<!-- (\w+) of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
     assert marked is not None
-    with (ROOT / marked[1] / "leaderboard.csv").open(encoding="utf-8") as file:
-        entries = {(e["method"], e["policy"]): e for e in csv.DictReader(file) if e["role"] != "reference"}
-    shown = [line.strip("| ").split(" | ") for line in marked[2].splitlines()[2:]]
+    entries = {key[1:]: entry for key, entry in leaderboard_of(marked[2]).items() if key[0] == marked[1]}
+    shown = [line.strip("| ").split(" | ") for line in marked[3].splitlines()[2:]]
     assert {line[0].strip("`") for line in shown} == {method for method, _ in entries}
     for method, *scores in shown:
         for policy, score in zip(("pi_star", "pi_R"), [*scores, ""], strict=False):
@@ -36,11 +35,35 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
             expected = (
                 ""
                 if entry is None or not entry["score_mean"]
-                else "{} [{}, {}]".format(
-                    *(f"{float(entry[name]):.2f}" for name in ("score_mean", "score_low", "score_high"))
+                else "{:z.2f} [{:z.2f}, {:z.2f}]".format(
+                    *(float(entry[name]) for name in ("score_mean", "score_low", "score_high"))
                 )
             )
             assert score.strip("| ") == expected, (method, policy)
+
+
+def test_the_means_of_the_results_are_those_of_the_files() -> None:
+    text = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    marked = re.search(r"<!-- means of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    assert marked is not None
+    entries = leaderboard_of(marked[1])
+    heading, _, *lines = [line.strip("| ").split(" | ") for line in marked[2].splitlines()]
+    shown = {}
+    for method, *scores in lines:
+        for env, score in zip(heading, scores, strict=True):
+            shown[env, method.strip("`")] = score
+    expected: dict[tuple[str, str], list[str]] = {}
+    for (env, method, _), entry in sorted(entries.items(), key=lambda item: item[0][2], reverse=True):
+        means = [f"{float(entry['score_mean']):z.2f}"] if entry["score_mean"] else []
+        expected[env, method] = expected.get((env, method), []) + means
+    assert shown == {key: " / ".join(means) for key, means in expected.items()}
+
+
+def leaderboard_of(run: str) -> dict[tuple[str, str, str], dict[str, str]]:
+    """What a run's table holds of methods and controls, by env, method and policy."""
+    file = ROOT / run / "leaderboard.csv"
+    entries = csv.DictReader(file.read_text(encoding="utf-8").splitlines())
+    return {(e["env"], e["method"], e["policy"]): e for e in entries if e["role"] != "reference"}
 
 
 def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
