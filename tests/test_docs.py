@@ -31,14 +31,11 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
     assert {line[0].strip("`") for line in shown} == {method for method, _ in entries}
     for method, *scores in shown:
         for policy, score in zip(("pi_star", "pi_R"), [*scores, ""], strict=False):
-            entry = entries.get((method.strip("`"), policy))
-            expected = (
-                ""
-                if entry is None or not entry["score_mean"]
-                else "{:z.2f} [{:z.2f}, {:z.2f}]".format(
-                    *(float(entry[name]) for name in ("score_mean", "score_low", "score_high"))
-                )
-            )
+            entry = entries.get((method.strip("`"), policy), {"score_mean": ""})
+            expected = ""
+            if entry["score_mean"]:
+                mean, low, high = (float(entry[f"score_{name}"]) for name in ("mean", "low", "high"))
+                expected = f"{mean:z.2f} [{low:z.2f}, {high:z.2f}]"
             assert score.strip("| ") == expected, (method, policy)
 
 

@@ -29,6 +29,7 @@ OVERALL_HEADINGS = (
     "Interquartile mean [95 %]",
     "Runs below 0.95",
 )
+SPENT_HEADINGS = ("Stage of a cell", "Seconds, all cells", "Share")
 DETAIL_HEADINGS = ("Method", "Detail of its fit", "Mean over seeds")
 NO_RESULT = "NOT A RESULT"
 
@@ -77,7 +78,9 @@ def report_files(
     for env, its_tables in tables.items():
         shown = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
         parts.append(f"## {env}{f': {NO_RESULT}, {flags[env]}' if flags[env] else ''}\n\n{shown}")
-    origins = _origins(results)
+    origins, spent = _origins(results), _spent(results)
+    if spent:
+        parts.append(f"## Where the time went\n\n{_markdown(SPENT_HEADINGS, spent)}")
     parts.append("## Computed with\n\n" + "".join(f"- {_escaped(line)}\n" for line in origins))
     files["leaderboard.md"] = "\n".join(parts)
 
@@ -109,6 +112,8 @@ def report_files(
         endings=_endings(results),
         warnings=_warnings(results, rows),
         origins=origins,
+        spent_headings=SPENT_HEADINGS,
+        spent=spent,
         recordings=[
             (name, f"rerun {shlex.quote(f'recordings/{name}')} --bind 127.0.0.1")
             for name in sorted(name for result in results for name in result.recordings)
@@ -257,6 +262,15 @@ def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, li
             (method, policy, sorted(counter.items(), key=lambda item: (-item[1], item[0])))
         )
     return table
+
+
+def _spent(results: Sequence[CellResult]) -> list[list[str]]:
+    """What each stage of the cells took, the longest first."""
+    seconds: Counter[str] = Counter()
+    for result in results:
+        seconds.update(result.seconds)
+    total = sum(seconds.values())
+    return [[stage, f"{took:.1f}", f"{took / total:.0%}"] for stage, took in seconds.most_common() if took]
 
 
 def _origins(results: Sequence[CellResult]) -> list[str]:

@@ -112,6 +112,21 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
     assert "pendulum, seed 0: no normalized scores" not in text
 
 
+def test_the_report_says_where_the_time_went(tmp_path: Path) -> None:
+    results = make_results(("cartpole",), seeds=1)
+    write_report(tmp_path, REQUEST, results)
+    assert "Where the time went" not in (tmp_path / "leaderboard.md").read_text()  # of cells that do not say
+    for result in results:
+        result.seconds.update(fit=1.0, start=0.5)
+    results[0].seconds["retrain"] = 3.5
+    write_report(tmp_path, REQUEST, results)
+    spent = 1.5 * len(results) + 3.5
+    table = (tmp_path / "leaderboard.md").read_text().partition("Where the time went")[2]
+    for stage, took in (("fit", len(results)), ("start", len(results) / 2), ("retrain", 3.5)):
+        assert f"| {stage} | {took:.1f} | {took / spent:.0%} |" in table
+    assert "Where the time went" in Page((tmp_path / "report.html").read_text()).text
+
+
 def test_one_seed_has_the_interval_over_episodes_and_says_so(tmp_path: Path) -> None:
     results = make_results(("cartpole",), seeds=1)
     shaped = entry_of(results, "shaped", "pi_R")
