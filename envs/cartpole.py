@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -15,16 +16,63 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.spec import Array, EnvSpec, Shape, Shipped
+from envs.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
-GRAVITY = 9.8  # m/s^2
-CART_MASS, POLE_MASS = 1.0, 0.1  # kg
-HALF_LENGTH = 0.5  # m, half of the pole's length
-MAX_FORCE = 10.0  # N, at an action of 1
-TIME_STEP = 0.02  # s
-MAX_X = 2.4  # m
-MAX_ANGLE = 12 * 2 * math.pi / 360  # rad
 HORIZON = 500
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Of a cart with a pole."""
+
+    gravity: float = 9.8
+    """[m/s^2]"""
+    cart_mass: float = 1.0
+    """[kg]"""
+    pole_mass: float = 0.1
+    """[kg]"""
+    half_length: float = 0.5
+    """Half of the pole's [m]."""
+    max_force: float = 10.0
+    """At an action of 1 [N]."""
+    time_step: float = 0.02
+    """[s]"""
+    max_x: float = 2.4
+    """How far from the middle the track ends [m]."""
+    max_angle: float = 12 * 2 * math.pi / 360
+    """How far from upright the pole counts as fallen [rad]."""
+
+    def advance(self, state: Any, force: Any) -> tuple[Any, Any, Any, Any]:
+        """The state after one step of one cart-pole or, of arrays, of many."""
+        x, x_dot, angle, angle_dot = state
+        cos, sin = np.cos(angle), np.sin(angle)
+        pole_mass, half_length, dt = self.pole_mass, self.half_length, self.time_step
+        total_mass = self.cart_mass + pole_mass
+        push = (force + pole_mass * half_length * (angle_dot * angle_dot) * sin) / total_mass
+        angle_acc = (self.gravity * sin - cos * push) / (
+            half_length * (4 / 3 - pole_mass * (cos * cos) / total_mass)
+        )
+        x_acc = push - pole_mass * half_length * angle_acc * cos / total_mass
+        x, x_dot = x + dt * x_dot, x_dot + dt * x_acc
+        angle, angle_dot = angle + dt * angle_dot, angle_dot + dt * angle_acc
+        return x, x_dot, angle, angle_dot
+
+    def fails(self, x: Any, angle: Any) -> Any:
+        """Whether the cart is off the track or the pole has fallen."""
+        return (abs(x) > self.max_x) | (abs(angle) > self.max_angle)
+
+    def failure(self, x: float) -> str:
+        """What ended an episode with the cart at x [m]."""
+        return "cart left the track" if abs(x) > self.max_x else "pole fell"
+
+    def observations(self) -> spaces.Space[NDArray[np.float32]]:
+        """What can be observed."""
+        bound = np.array([2 * self.max_x, np.inf, 2 * self.max_angle, np.inf], np.float32)
+        return spaces.Box(-bound, bound, dtype=np.float32)
+
+
+NOMINAL = Physics()
 
 
 class CartPole(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -34,10 +82,10 @@ class CartPole(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     |angle| > 12 degrees. Reward: (10 - (1 - cos angle) - 1e-5 force^2) / 10 while alive, 0 on failing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, physics: Physics = NOMINAL) -> None:
+        self.physics = physics
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        bound = np.array([2 * MAX_X, np.inf, 2 * MAX_ANGLE, np.inf], np.float32)
-        self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
+        self.observation_space = physics.observations()
         self.state: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def reset(
@@ -50,29 +98,11 @@ class CartPole(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        force = MAX_FORCE * min(1.0, max(-1.0, float(action[0])))
-        self.state = tuple(float(value) for value in advance(self.state, force))
-        failed = fails(self.state[0], self.state[2])
+        force = self.physics.max_force * min(1.0, max(-1.0, float(action[0])))
+        self.state = tuple(float(value) for value in self.physics.advance(self.state, force))
+        failed = self.physics.fails(self.state[0], self.state[2])
         reward = 0.0 if failed else float(pay(self.state[2], force))
         return np.array(self.state, np.float32), reward, bool(failed), False, {}
-
-
-def advance(state: Any, force: Any) -> tuple[Any, Any, Any, Any]:
-    """The state after one step of one cart-pole or, of arrays, of many."""
-    x, x_dot, angle, angle_dot = state
-    cos, sin = np.cos(angle), np.sin(angle)
-    total_mass = CART_MASS + POLE_MASS
-    push = (force + POLE_MASS * HALF_LENGTH * (angle_dot * angle_dot) * sin) / total_mass
-    angle_acc = (GRAVITY * sin - cos * push) / (HALF_LENGTH * (4 / 3 - POLE_MASS * (cos * cos) / total_mass))
-    x_acc = push - POLE_MASS * HALF_LENGTH * angle_acc * cos / total_mass
-    x, x_dot = x + TIME_STEP * x_dot, x_dot + TIME_STEP * x_acc
-    angle, angle_dot = angle + TIME_STEP * angle_dot, angle_dot + TIME_STEP * angle_acc
-    return x, x_dot, angle, angle_dot
-
-
-def fails(x: Any, angle: Any) -> Any:
-    """Whether the cart is off the track or the pole has fallen."""
-    return (abs(x) > MAX_X) | (abs(angle) > MAX_ANGLE)
 
 
 def pay(angle: Any, force: Any) -> Any:
@@ -83,8 +113,8 @@ def pay(angle: Any, force: Any) -> Any:
 class CartPoleBatch:
     """Cart-poles in lockstep (`envs.spec.Batch`)."""
 
-    def __init__(self, count: int) -> None:
-        self._env = CartPole()
+    def __init__(self, count: int, physics: Physics = NOMINAL) -> None:
+        self._env = CartPole(physics)
         self._states = np.zeros((count, 4))
 
     def reset(self, place: int, seed: int) -> Array:
@@ -93,52 +123,35 @@ class CartPoleBatch:
         return obs.astype(np.float64)
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        force = MAX_FORCE * np.clip(act[:, 0].astype(np.float32).astype(np.float64), -1, 1)
-        states = np.stack(advance(self._states[places].T, force), axis=1)
+        physics = self._env.physics
+        force = physics.max_force * np.clip(act[:, 0].astype(np.float32).astype(np.float64), -1, 1)
+        states = np.stack(physics.advance(self._states[places].T, force), axis=1)
         self._states[places] = states
-        failed: NDArray[np.bool_] = fails(states[:, 0], states[:, 2])
+        failed: NDArray[np.bool_] = physics.fails(states[:, 0], states[:, 2])
         rewards = np.where(failed, 0.0, pay(states[:, 2], force))
         return states.astype(np.float32).astype(np.float64), rewards, failed
 
     def why_ended(self, place: int) -> str:
-        return failure(float(self._states[place, 0]))
+        return self._env.physics.failure(float(self._states[place, 0]))
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how centred each observation is, 1 - (value / limit)^2 clipped to [-1, 1], and a constant."""
-    centred = 1 - (obs / np.array([MAX_X, 3.0, MAX_ANGLE, 3.5])) ** 2
-    return np.concatenate([np.clip(centred, -1, 1), np.ones((len(obs), 1))], axis=1)
+    """(B, 5): how centred each observation is, and a constant."""
+    return centred(obs, (NOMINAL.max_x, 3.0, NOMINAL.max_angle, 3.5))
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """The track, the cart as a box and the pole as a line."""
-    inner = env.unwrapped
-    assert isinstance(inner, CartPole)
-    return draw_cart_and_pole(inner.state[0], inner.state[2], MAX_X, pole_length=2 * HALF_LENGTH)
-
-
-def draw_cart_and_pole(x: float, angle: float, track: float, pole_length: float) -> dict[str, Shape]:
-    """Side view of a cart at x [m] on a track from -track to track [m], its pole at angle [rad] from
-    upright, clockwise."""
-    box = np.array([[x - 0.2, -0.1], [x + 0.2, -0.1], [x + 0.2, 0.1], [x - 0.2, 0.1], [x - 0.2, -0.1]])
-    tip = [x + pole_length * math.sin(angle), pole_length * math.cos(angle)]
-    return {
-        "track": Shape(np.array([[-track, -0.1], [track, -0.1]]), (140, 140, 140)),
-        "cart": Shape(box, (66, 133, 244)),
-        "pole": Shape(np.array([[x, 0.0], tip]), (234, 134, 51)),
-    }
+    inner: Any = env.unwrapped
+    x, _, angle, _ = (float(value) for value in inner.state)
+    return draw_cart_and_pole(x, angle, inner.physics.max_x, 2 * inner.physics.half_length)
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
     """'cart left the track' or 'pole fell'."""
-    inner = env.unwrapped
-    assert isinstance(inner, CartPole)
-    return failure(inner.state[0])
-
-
-def failure(x: float) -> str:
-    """What ended an episode with the cart at x [m]."""
-    return "cart left the track" if abs(x) > MAX_X else "pole fell"
+    inner: Any = env.unwrapped
+    failure: str = inner.physics.failure(inner.state[0])
+    return failure
 
 
 SPEC = EnvSpec(
@@ -147,10 +160,12 @@ SPEC = EnvSpec(
     env_id="irl_bench/CartPole-v0",
     obs_size=4,
     act_size=1,
+    obs_names=(POSITION, VELOCITY, ANGLE, RATE),
+    act_names=(Quantity("motor", "10 N"),),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=HORIZON,
     gamma=0.99,
-    time_step=TIME_STEP,
+    time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
@@ -161,6 +176,11 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     shipped=Shipped(steps=60_000, bar=499.5),
     batch=CartPoleBatch,
+    variants={
+        "long_pole": {"physics": Physics(half_length=0.75)},
+        "heavy": {"physics": Physics(pole_mass=0.5)},
+        "flipped": {"physics": Physics(max_force=-NOMINAL.max_force)},
+    },
 )
 
 gym.register(

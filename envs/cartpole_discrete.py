@@ -2,54 +2,57 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium as gym
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
 from envs import cartpole
+from envs.cartpole import NOMINAL, Physics
 from envs.learners import DQN
-from envs.spec import EnvSpec, Shape, Shipped
+from envs.spec import EnvSpec, Quantity, Shipped
 
 
-def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """As in the continuous cart-pole."""
-    x, _, angle, _ = _state(env)
-    return cartpole.draw_cart_and_pole(x, angle, cartpole.MAX_X, 2 * cartpole.HALF_LENGTH)
+class DiscreteCartPole(CartPoleEnv):
+    """Gymnasium's, with any physics."""
 
-
-def why_ended(env: gym.Env[Any, Any]) -> str:
-    """'cart left the track' or 'pole fell'."""
-    return cartpole.failure(_state(env)[0])
-
-
-def _state(env: gym.Env[Any, Any]) -> list[float]:
-    """Position [m] and velocity [m/s] of the cart, angle [rad] of the pole and its rate [rad/s]."""
-    inner = env.unwrapped
-    assert isinstance(inner, CartPoleEnv)
-    assert inner.state is not None
-    return [float(value) for value in inner.state]
+    def __init__(self, physics: Physics = NOMINAL) -> None:
+        super().__init__()
+        self.physics = physics
+        self.gravity, self.tau, self.force_mag = physics.gravity, physics.time_step, physics.max_force
+        self.masscart, self.masspole, self.length = physics.cart_mass, physics.pole_mass, physics.half_length
+        self.total_mass, self.polemass_length = self.masspole + self.masscart, self.masspole * self.length
+        self.x_threshold, self.theta_threshold_radians = physics.max_x, physics.max_angle
+        self.observation_space = physics.observations()
 
 
 SPEC = EnvSpec(
     name="cartpole_discrete",
     summary="Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
-    env_id="CartPole-v1",
+    env_id="irl_bench/CartPoleDiscrete-v0",
     obs_size=4,
     act_size=2,
+    obs_names=cartpole.SPEC.obs_names,
+    act_names=(Quantity("push left"), Quantity("push right")),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=cartpole.HORIZON,
     gamma=0.99,
-    time_step=cartpole.TIME_STEP,
+    time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 600, "quick": 10_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
-    draw=draw,
-    why_ended=why_ended,
+    draw=cartpole.draw,
+    why_ended=cartpole.why_ended,
     shipped=Shipped(steps=60_000, bar=500.0),
     discrete=True,
     rl=DQN(),
+    variants=cartpole.SPEC.variants,
+)
+
+gym.register(
+    SPEC.env_id,
+    entry_point="envs.cartpole_discrete:DiscreteCartPole",
+    max_episode_steps=cartpole.HORIZON,
+    disable_env_checker=True,
 )

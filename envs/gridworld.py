@@ -17,7 +17,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs.learners import DQN
-from envs.spec import Array, EnvSpec, Shape, Tabular
+from envs.spec import Array, EnvSpec, Quantity, Shape, Tabular
 
 ACTIONS = ("right", "up", "left", "down", "stay")
 MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, in the order of ACTIONS
@@ -171,6 +171,11 @@ SPEC = EnvSpec(
     env_id="irl_bench/GridWorld-v0",
     obs_size=WORLD.obs.shape[1],
     act_size=len(ACTIONS),
+    obs_names=(
+        *map(Quantity, ("x", "y")),
+        *(Quantity(f"distance to {kind} colour {i}") for kind in ("inner", "outer") for i in range(2)),
+    ),
+    act_names=tuple(map(Quantity, ACTIONS)),
     obs_scale=(1.0,) * WORLD.obs.shape[1],
     horizon=HORIZON,
     gamma=0.95,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from envs.highway_batch import Road, Scenes
 from envs.highway_fast import FastHighwayEnv, speed_up_vehicle
 from envs.learners import DDPG
-from envs.spec import Array, EnvSpec, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 75  # 30 s
 TIME_STEP = 0.4  # s
@@ -37,6 +37,22 @@ TARGET_SPEED = 30.0  # m/s, of the reference driver
 OBS_SIZE = 18
 MARGIN = 20.0  # m, of drawn road before the last and after the first vehicle
 LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
+OBS_NAMES = (
+    Quantity("offset from the middle of the road", f"{WIDE:g} m"),
+    Quantity("offset from the middle of the lane", "m"),
+    Quantity("lateral speed", f"{DRIFT:g} m/s"),
+    Quantity(f"forward speed less {CRUISE:g} m/s", f"{FAST:g} m/s"),
+    *(Quantity(f"free to the {side}", f"{WIDE:g} m") for side in ("left", "right")),
+    *(
+        quantity
+        for lane in ("left", "own", "right")
+        for where in ("ahead", "behind")
+        for quantity in (
+            Quantity(f"gap {where} in the {lane} lane", f"{LONG:g} m"),
+            Quantity(f"relative speed {where} in the {lane} lane", f"{FAST:g} m/s"),
+        )
+    ),
+)
 CONFIG: dict[str, Any] = {
     # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
     "observation": {
@@ -148,12 +164,12 @@ def observe(x: Array, y: Array, heading: Array, speed: Array) -> NDArray[np.floa
 class HighwayBatch:
     """Scenes of the task in lockstep (`envs.spec.Batch`)."""
 
-    def __init__(self, count: int) -> None:
-        self._env = Highway()
+    def __init__(self, count: int, config: dict[str, Any] | None = None) -> None:
+        self._env = Highway(config)
         # The same seeds come again: every checkpoint is checked on the same episodes.
         self._first = functools.lru_cache(maxsize=1000)(self._build)
         self._scenes = self._first(0)[np.zeros(count, np.int64)]
-        self._road = Road.of(self._env.road, CONFIG["action"]["speed_range"])
+        self._road = Road.of(self._env.road, self._env.config["action"]["speed_range"])
 
     def _build(self, seed: int) -> Scenes:
         self._env.reset(seed=seed)
@@ -165,20 +181,20 @@ class HighwayBatch:
         return np.asarray(_seen(first)[0], np.float64)
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        rows = np.array(places)
+        config, rows = self._env.config, np.array(places)
         scenes = self._scenes[rows]
         # In 32 bits, like the actions that highway-env is given.
         push, turn = np.clip(act.astype(np.float32), -1, 1).T
-        scenes.acceleration[:, 0] = lmap(push, [-1, 1], CONFIG["action"]["acceleration_range"])
-        scenes.steering[:, 0] = lmap(turn, [-1, 1], CONFIG["action"]["steering_range"])
-        for _ in range(round(CONFIG["simulation_frequency"] * TIME_STEP)):
-            scenes.step(self._road, 1 / CONFIG["simulation_frequency"])
+        scenes.acceleration[:, 0] = lmap(push, [-1, 1], config["action"]["acceleration_range"])
+        scenes.steering[:, 0] = lmap(turn, [-1, 1], config["action"]["steering_range"])
+        for _ in range(round(config["simulation_frequency"] * TIME_STEP)):
+            scenes.step(self._road, 1 / config["simulation_frequency"])
         self._scenes[rows] = scenes
         crashed = scenes.crashed[:, 0]
         speed = scenes.speed[:, 0] * np.cos(scenes.heading[:, 0])
-        fast: Array = np.clip(lmap(speed, CONFIG["reward_speed_range"], [0, 1]), 0, 1)
+        fast: Array = np.clip(lmap(speed, config["reward_speed_range"], [0, 1]), 0, 1)
         on_road = scenes.on_road(self._road)[:, 0]
-        rewards = (CONFIG["collision_reward"] * crashed + fast) * on_road
+        rewards = (config["collision_reward"] * crashed + fast) * on_road
         return np.asarray(_seen(scenes), np.float64), rewards, crashed | ~on_road
 
     def why_ended(self, place: int) -> str:
@@ -264,6 +280,8 @@ SPEC = EnvSpec(
     env_id="irl_bench/Highway-v0",
     obs_size=OBS_SIZE,
     act_size=2,
+    obs_names=OBS_NAMES,
+    act_names=(Quantity("acceleration", "8 m/s^2"), Quantity("steering", "deg")),
     obs_scale=(1.0,) * OBS_SIZE,
     horizon=HORIZON,
     gamma=0.95,
@@ -289,6 +307,8 @@ SPEC = EnvSpec(
         check_episodes=40,
     ),
     batch=HighwayBatch,
+    # Half as many again on the same stretch of road.
+    variants={"dense": {"config": {"vehicles_density": 1.5, "vehicles_count": 18}}},
 )
 
 gym.register(

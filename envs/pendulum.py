@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -10,16 +11,16 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
+from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.cartpole import draw_cart_and_pole
+from envs.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG
-from envs.spec import Array, EnvSpec, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 1000
 MAX_ANGLE = 0.2  # rad, where the environment terminates
 RAIL = 1.0  # m, half of the rail's length
-POLE_LENGTH = 0.6  # m
 TIME_STEP = 0.04  # s
 FALL = "pole fell"
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL
@@ -27,7 +28,31 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART 
 OBS, FORCE = slice(1, 5), -1
 FREE = (0.9, 1.4)
 """m, rad: where neither joint would be beyond these after a step at its present rate, no force takes it to
-its limit, 1 m and 1.57 rad, within that step."""
+its limit, 1 m and 1.57 rad, within that step, as long as the motor is no stronger and the pole neither
+shorter nor lighter than usual."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What may change of Gymnasium's model."""
+
+    pole_length: float = 0.6
+    """[m]"""
+    pole_density: float = 1000.0
+    """[kg/m^3]"""
+    gear: float = 100.0
+    """Of the motor [N], whose control is within [-3, 3]."""
+
+    def compile(self, xml: str) -> mujoco.MjModel:
+        """The model that the file describes, so changed."""
+        described = mujoco.MjSpec.from_file(xml)
+        pole = described.geom("cpole")
+        pole.fromto[-1], pole.density = self.pole_length, self.pole_density
+        described.actuator("slide").gear[0] = self.gear
+        return described.compile()
+
+
+NOMINAL = Physics()
 
 
 class Pendulum(InvertedPendulumEnv):
@@ -35,6 +60,15 @@ class Pendulum(InvertedPendulumEnv):
 
     Action (1,) in [-1, 1], a third of Gymnasium's. The episode terminates where |angle| > 0.2 rad.
     """
+
+    def __init__(self, physics: Physics = NOMINAL) -> None:
+        self.physics = physics
+        super().__init__()
+        EzPickle.__init__(self, physics)
+
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        model = self.physics.compile(self.fullpath)
+        return model, mujoco.MjData(model)
 
     def _set_action_space(self) -> Any:
         super()._set_action_space()  # type: ignore[no-untyped-call]
@@ -49,8 +83,12 @@ class Pendulum(InvertedPendulumEnv):
 class PendulumBatch:
     """Pendulums in lockstep (`envs.spec.Batch`): one MuJoCo, and for each all that a step reads."""
 
-    def __init__(self, count: int) -> None:
-        self._env = Pendulum()
+    def __init__(self, count: int, physics: Physics = NOMINAL) -> None:
+        self._env = Pendulum(physics)
+        longer = physics.pole_length >= NOMINAL.pole_length
+        heavier = physics.pole_density >= NOMINAL.pole_density
+        weaker = abs(physics.gear) <= NOMINAL.gear
+        self._free = FREE if longer and heavier and weaker else (-np.inf, -np.inf)
         self._states = np.zeros((count, mujoco.mj_stateSize(self._env.model, STATE)))
 
     def reset(self, place: int, seed: int) -> Array:
@@ -63,7 +101,7 @@ class PendulumBatch:
         states = self._states[places]
         states[:, FORCE] = act[:, 0].astype(np.float32) * self._env.full_action
         before = np.abs(states[:, OBS])
-        free = (before[:, :2] + TIME_STEP * before[:, 2:] < FREE).all(axis=1)
+        free = (before[:, :2] + TIME_STEP * before[:, 2:] < self._free).all(axis=1)
         # No geom touches another, and joints' limits are the only constraints: to look for what there is none
         # of takes half the time of a step.
         disable = mujoco.mjtDisableBit
@@ -83,17 +121,16 @@ class PendulumBatch:
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how centred each observation is, 1 - (value / limit)^2 clipped to [-1, 1], and a constant."""
-    centred = 1 - (obs / np.array([RAIL, MAX_ANGLE, 2.0, 2.0])) ** 2
-    return np.concatenate([np.clip(centred, -1, 1), np.ones((len(obs), 1))], axis=1)
+    """(B, 5): how centred each observation is, and a constant."""
+    return centred(obs, (RAIL, MAX_ANGLE, 2.0, 2.0))
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """The rail, the cart as a box and the pole as a line."""
     inner = env.unwrapped
-    assert isinstance(inner, InvertedPendulumEnv)
+    assert isinstance(inner, Pendulum)
     x, angle = inner.data.qpos
-    return draw_cart_and_pole(float(x), float(angle), RAIL, POLE_LENGTH)
+    return draw_cart_and_pole(float(x), float(angle), RAIL, inner.physics.pole_length)
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
@@ -107,6 +144,8 @@ SPEC = EnvSpec(
     env_id="irl_bench/Pendulum-v0",
     obs_size=4,
     act_size=1,
+    obs_names=(POSITION, ANGLE, VELOCITY, RATE),
+    act_names=(Quantity("motor", "300 N"),),
     obs_scale=(0.3, 0.05, 0.5, 0.5),
     horizon=HORIZON,
     gamma=0.99,
@@ -123,6 +162,11 @@ SPEC = EnvSpec(
     # Its episodes are long, and begin alike.
     rl=DDPG(checkpoint_every=2000, check_episodes=5),
     batch=PendulumBatch,
+    variants={
+        "long_pole": {"physics": Physics(pole_length=1.5 * NOMINAL.pole_length)},
+        "heavy": {"physics": Physics(pole_density=2 * NOMINAL.pole_density)},
+        "flipped": {"physics": Physics(gear=-NOMINAL.gear)},
+    },
 )
 
 gym.register(

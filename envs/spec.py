@@ -1,18 +1,18 @@
 """What an environment of this benchmark is: `EnvSpec`; `Tabular`, the whole of one whose model is known;
-and `Shape`, the unit of drawings."""
+`Quantity`, what a number is of; and `Shape`, the unit of drawings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers import RescaleAction, TimeLimit
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -24,6 +24,14 @@ BUDGETS = ("smoke", "quick", "full")
 RANDOM_STEPS = 1000
 """Steps of random actions by which a typical size of observations is told."""
 ROUNDING = 1e-9  # how far from 1 probabilities may sum
+
+
+class Quantity(NamedTuple):
+    """What an entry of an observation or an action is."""
+
+    name: str
+    unit: str = ""
+    """What 1 of it is, e.g. 'm' or '20 m'; '' for a mere number."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +163,10 @@ class EnvSpec:
     """A typical size of each observation while the task goes well; RL divides by it."""
     horizon: int
     """Steps after which an episode is truncated."""
+    obs_names: tuple[Quantity, ...] = ()
+    """What each observation is, by a name of its own; default: 'obs 0', 'obs 1', ..."""
+    act_names: tuple[Quantity, ...] = ()
+    """What each entry of an action is, in the same way; default: 'act 0', 'act 1', ..."""
     summary: str = ""
     """One line for `list`."""
     gamma: float = 0.99
@@ -180,10 +192,15 @@ class EnvSpec:
     """Why the episode just terminated, in a few words, e.g. 'pole fell'."""
     wrap: Callable[[gym.Env], gym.Env] = lambda env: env
     """What Gymnasium's environment is wrapped in."""
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    """What the environment is made with."""
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """The same task under other dynamics, by name: what the environment and its batch are made with."""
     rl: Learner = field(default_factory=DDPG)
     """What reinforcement learning uses."""
-    batch: Callable[[int], Batch] | None = None
-    """So many copies, where they step faster together and bit for bit as they would alone."""
+    batch: Callable[..., Batch] | None = None
+    """So many copies, where they step faster together and bit for bit as they would alone. Those of a variant
+    are given what it names, too."""
     discrete: bool = False
     """Whether an action is a choice among A."""
     shipped: Shipped | None = None
@@ -196,6 +213,16 @@ class EnvSpec:
             raise ValueError(f"{self.name}: gamma must lie in (0, 1), not {self.gamma}")
         if len(self.obs_scale) != self.obs_size or min(self.obs_scale) <= 0:
             raise ValueError(f"{self.name}: obs_scale must hold a positive number for each observation")
+        for kind, given, size in (
+            ("obs", self.obs_names, self.obs_size),
+            ("act", self.act_names, self.act_size),
+        ):
+            names = given or tuple(Quantity(f"{kind} {i}") for i in range(size))
+            if not len({quantity.name for quantity in names}) == len(names) == size:
+                raise ValueError(f"{self.name}: {kind}_names must hold a name of its own for each of {size}")
+            object.__setattr__(self, f"{kind}_names", names)
+        if self.tabular and self.variants:
+            raise ValueError(f"{self.name}: a variant has another model than the one that is known")
         if isinstance(self.rl, DQN) != self.discrete:
             raise ValueError(f"{self.name}: DQN is for choices, and choices need DQN")
         tables = (self.rl_steps, self.eval_episodes, self.demo_episodes)
@@ -205,7 +232,7 @@ class EnvSpec:
 
     def make(self) -> gym.Env:
         """A new instance, checked against the sizes above."""
-        env = self.wrap(gym.make(self.env_id))
+        env = self.wrap(gym.make(self.env_id, **self.kwargs))
         obs, act = env.observation_space, env.action_space
         actions = (
             isinstance(act, spaces.Discrete) and act.n == self.act_size
@@ -214,11 +241,30 @@ class EnvSpec:
         )
         if obs.shape != (self.obs_size,) or not actions:
             raise ValueError(f"{self.name}: spaces {obs}, {act} contradict the spec's sizes or bounds")
-        if env.spec is None or env.spec.max_episode_steps != self.horizon:
+        limits = [wrapper.spec for wrapper in _wrappers(env) if isinstance(wrapper, TimeLimit)]
+        if min((limit.max_episode_steps or 0 for limit in limits if limit), default=0) != self.horizon:
             raise ValueError(
                 f"{self.name}: the environment is not truncated at the spec's {self.horizon} steps"
             )
         return env
+
+    def variant(self, name: str) -> EnvSpec:
+        """One of `variants` as a task of its own, whose experts nothing is known of. Raises ValueError for an
+        unknown name."""
+        if name not in self.variants:
+            known = ", ".join(self.variants) or "none"
+            raise ValueError(f"{self.name}: no variant {name!r}; there are: {known}")
+        changed = self.variants[name]
+        return replace(
+            self,
+            name=f"{self.name}.{name}",
+            kwargs={**self.kwargs, **changed},
+            batch=partial(self.batch, **changed) if self.batch else None,
+            bar=lambda seeds: -math.inf,
+            max_terminated=dict.fromkeys(BUDGETS, 1.0),
+            variants={},
+            shipped=None,
+        )
 
     def features(self, obs: Array, act: Array) -> Array:
         """(B, K): `phi` of (B, O) observations and (B, A) actions."""
@@ -253,7 +299,8 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     Raises ValueError for observations that are not flat, actions that are neither choices nor bounded, and
     where there is no time limit.
     """
-    env = gym.make(env_id)
+    made_with = fields.get("kwargs", {})
+    env = gym.make(env_id, **made_with)
     obs, act = env.observation_space, env.action_space
     if not isinstance(obs, spaces.Box) or obs.shape is None or len(obs.shape) != 1:
         raise ValueError(f"{env_id}: observations must be a flat box, not {obs}")
@@ -281,3 +328,10 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
 def _scaled(env: gym.Env) -> gym.Env:
     """With actions in [-1, 1], in 32 bits."""
     return RescaleAction(env, np.float32(-1), np.float32(1))
+
+
+def _wrappers(env: gym.Env) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
+    """From the outermost on."""
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env

@@ -5,11 +5,25 @@ import numpy as np
 import pytest
 
 from envs import cartpole_discrete
-from envs.cartpole import SPEC, CartPole
+from envs.cartpole import NOMINAL, SPEC, CartPole, Physics
+from envs.cartpole_discrete import DiscreteCartPole
+
+OTHER = Physics(
+    gravity=5.0,
+    cart_mass=2.0,
+    pole_mass=0.4,
+    half_length=0.8,
+    max_force=15.0,
+    time_step=0.03,
+    max_x=0.2,
+    max_angle=0.3,
+)
+PHYSICS = [NOMINAL, OTHER, *(made_with["physics"] for made_with in SPEC.variants.values())]
 
 
-def test_dynamics_equal_gymnasiums_cartpole_at_full_force() -> None:
-    ours, theirs = CartPole(), gym.make("CartPole-v1").unwrapped
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_dynamics_equal_gymnasiums_cartpole_at_full_force(physics: Physics) -> None:
+    ours, theirs = CartPole(physics), DiscreteCartPole(physics)
     rng = np.random.default_rng(0)
     for seed in range(20):
         ours.reset(seed=seed)
@@ -64,6 +78,14 @@ def test_two_actions_are_gymnasiums_and_full_force_left_and_right() -> None:
             if failed:
                 break
         assert failed
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_the_pole_is_drawn_as_long_as_it_is(physics: Physics) -> None:
+    env = CartPole(physics)
+    env.reset(seed=0)
+    foot, tip = SPEC.draw(env)["pole"].points
+    assert np.linalg.norm(tip - foot) == pytest.approx(2 * physics.half_length)
 
 
 def test_phi_is_one_at_the_centre_and_falls_to_zero_at_the_limits() -> None:

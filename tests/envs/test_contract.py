@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 
 from envs import BUDGETS, EnvSpec, from_gymnasium
 from envs.learners import DDPG, DQN
+from envs.spec import Quantity
 from harness.registry import SPECS, all_specs
+from tests.envs.lockstep import assert_together_as_alone
 
 # A task of others, of which nothing is told but its id: it is wrapped, never terminates and draws nothing.
-DERIVED = from_gymnasium("Pendulum-v1", "derived")
+DERIVED = from_gymnasium("Pendulum-v1", "derived", variants={"moon": {"g": 1.62}})
+NOMINAL = [*all_specs(), DERIVED]
+VARIANTS = [(spec, name) for spec in NOMINAL for name in spec.variants]
+ALL = [*NOMINAL, *(spec.variant(name) for spec, name in VARIANTS)]
 
 
-@pytest.fixture(params=[*all_specs(), DERIVED], ids=lambda spec: spec.name)
+@pytest.fixture(params=ALL, ids=lambda spec: spec.name)
 def spec(request: pytest.FixtureRequest) -> EnvSpec:
     return request.param
 
@@ -136,19 +142,74 @@ def test_where_it_terminates_it_says_why(spec: EnvSpec) -> None:
             return
 
 
+def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: EnvSpec) -> None:
+    if spec.batch:
+        assert_together_as_alone(spec, min(spec.horizon, 100))
+
+
+@pytest.mark.parametrize(("spec", "name"), VARIANTS, ids=lambda value: getattr(value, "name", value))
+def test_a_variant_is_the_task_with_other_dynamics(spec: EnvSpec, name: str) -> None:
+    variant = spec.variant(name)
+    for field in ("obs_size", "act_size", "obs_names", "act_names", "obs_scale", "horizon", "rl", "rl_steps"):
+        assert getattr(variant, field) == getattr(spec, field)
+    assert (variant.batch is None) == (spec.batch is None)
+    assert variant.shipped is None
+    assert variant.name not in {s.name for s in NOMINAL}
+    assert play(variant, variant.make(), 0, 20) != play(spec, spec.make(), 0, 20)
+    with pytest.raises(ValueError, match="there are: none"):
+        variant.variant(name)
+
+
+def test_an_unknown_variant_is_refused_by_the_known_ones(spec: EnvSpec) -> None:
+    with pytest.raises(ValueError, match=f"there are: {', '.join(spec.variants) or 'none'}$"):
+        spec.variant("upside_down")
+
+
+def test_a_known_model_has_no_variants() -> None:
+    with pytest.raises(ValueError, match="another model"):
+        dataclasses.replace(SPECS["gridworld"], variants={"slippery": {}})
+
+
+FLIPPED = [spec for spec, name in VARIANTS if name == "flipped"]
+
+
+@pytest.mark.parametrize("spec", FLIPPED, ids=lambda spec: spec.name)
+def test_flipped_answers_the_opposite_action_alike(spec: EnvSpec) -> None:
+    for seed in range(3):
+        nominal, flipped = spec.make(), spec.variant("flipped").make()
+        assert np.array_equal(nominal.reset(seed=seed)[0], flipped.reset(seed=seed)[0])
+        for act in spec.random_actions(100, np.random.default_rng(seed)):
+            obs, *expected = nominal.step(spec.native(act))
+            mirrored, *found = flipped.step(spec.native(-act))
+            assert np.array_equal(mirrored, obs)
+            assert found[:3] == expected[:3]
+            if expected[1]:
+                break
+
+
 def test_budgets_grow(spec: EnvSpec) -> None:
     for table in (spec.rl_steps, spec.eval_episodes, spec.demo_episodes):
         assert [table[b] for b in BUDGETS] == sorted(table[b] for b in BUDGETS)
 
 
-@pytest.mark.parametrize("wrong", [{"gamma": 1.0}, {"horizon": 0}, {"obs_scale": (1.0,)}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gamma": 1.0},
+        {"horizon": 0},
+        {"obs_scale": (1.0,)},
+        {"obs_names": (Quantity("x"),)},
+        {"act_names": (Quantity("same"),) * 2},
+    ],
+)
 def test_a_spec_that_contradicts_itself_is_refused(spec: EnvSpec, wrong: dict) -> None:
     with pytest.raises(ValueError, match=spec.name):
         dataclasses.replace(spec, **wrong)
 
 
 def test_a_spec_that_contradicts_its_environment_is_refused(spec: EnvSpec) -> None:
-    liar = dataclasses.replace(spec, obs_size=spec.obs_size + 1, obs_scale=(*spec.obs_scale, 1.0))
+    one_more = {"obs_scale": (*spec.obs_scale, 1.0), "obs_names": (*spec.obs_names, Quantity("more"))}
+    liar = dataclasses.replace(spec, obs_size=spec.obs_size + 1, **one_more)
     with pytest.raises(ValueError, match="contradict"):
         liar.make()
     other = DDPG() if spec.discrete else DQN()
@@ -165,6 +226,37 @@ def test_actions_of_other_bounds_are_refused() -> None:
         dataclasses.replace(SPECS["pendulum"], env_id="InvertedPendulum-v5").make()
 
 
+def test_wrapped_and_variant_environments_are_checked_too() -> None:
+    def refused(message: str, **fields: object) -> None:
+        with pytest.raises(ValueError, match=message):
+            dataclasses.replace(SPECS["cartpole"], **fields).make()
+
+    refused("bounds", wrap=lambda env: RescaleAction(env, np.float32(-2), np.float32(2)))
+    refused("sizes", wrap=lambda env: TransformObservation(env, lambda obs: obs[:3], spaces.Box(-1, 1, (3,))))
+    for steps in (499, 501):  # of two limits the earlier counts
+        truncated = r"cartpole: .* not truncated at"
+        refused(truncated, wrap=lambda env, steps=steps: TimeLimit(env, steps), horizon=501)
+        refused(truncated, kwargs={"max_episode_steps": steps})
+    assert dataclasses.replace(SPECS["cartpole"], wrap=lambda env: TimeLimit(env, 20), horizon=20).make()
+    short = dataclasses.replace(SPECS["cartpole"], variants={"short": {"max_episode_steps": 20}})
+    assert short.make()
+    with pytest.raises(ValueError, match=r"cartpole\.short: .* not truncated at"):
+        short.variant("short").make()
+    wide = from_gymnasium("InvertedPendulum-v5", "wide", wrap=lambda env: env)
+    with pytest.raises(ValueError, match="bounds"):
+        wide.make()
+
+
+def test_every_number_has_a_name(spec: EnvSpec) -> None:
+    for names, size in ((spec.obs_names, spec.obs_size), (spec.act_names, spec.act_size)):
+        assert len({quantity.name for quantity in names}) == size
+    if spec.name.startswith("derived"):
+        assert [quantity.name for quantity in spec.obs_names] == ["obs 0", "obs 1", "obs 2"]
+        assert spec.act_names == (Quantity("act 0"),)
+    else:
+        assert not any(quantity.name.startswith(("obs ", "act ")) for quantity in spec.obs_names)
+
+
 def test_what_gymnasium_tells_of_a_task_is_taken_from_it() -> None:
     assert (DERIVED.obs_size, DERIVED.act_size, DERIVED.horizon, DERIVED.discrete) == (3, 1, 200, False)
     assert DERIVED.obs_scale[:2] == pytest.approx((0.7, 0.7), abs=0.15)
@@ -174,6 +266,8 @@ def test_what_gymnasium_tells_of_a_task_is_taken_from_it() -> None:
         env.reset(seed=0)
     assert ours.step(np.array([0.5], np.float32))[1] == theirs.step(np.array([1.0], np.float32))[1]
     assert from_gymnasium("CartPole-v1", "choices").discrete
+    with_x = from_gymnasium("Hopper-v5", "x", kwargs={"exclude_current_positions_from_observation": False})
+    assert (with_x.obs_size, with_x.make().observation_space.shape) == (12, (12,))
 
 
 @pytest.mark.parametrize(("env_id", "message"), [("Blackjack-v1", "flat box"), ("FrozenLake-v1", "flat box")])

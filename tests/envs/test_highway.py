@@ -284,6 +284,15 @@ def test_offset_from_its_lane() -> None:
     assert scene._observe()[1] == pytest.approx(-1.5)
 
 
+def test_dense_traffic_is_the_same_but_half_as_far_apart_again() -> None:
+    nominal, dense = SPEC.make(), SPEC.variant("dense").make()
+    gaps = []
+    for env in (nominal, dense):
+        env.reset(seed=0)
+        gaps.append(np.diff([vehicle.position[0] for vehicle in env.unwrapped.road.vehicles]))  # type: ignore[attr-defined]
+    np.testing.assert_allclose(gaps[0], 1.5 * gaps[1][: len(gaps[0])])
+
+
 def test_drawing() -> None:
     env = SPEC.make()
     env.reset(seed=0)
