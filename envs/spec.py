@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import RescaleAction, TimeLimit
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RescaleAction, TimeLimit
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -293,12 +293,16 @@ class EnvSpec:
 
 def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     """The spec of a Gymnasium environment, with what can be told from it: sizes, horizon, whether actions are
-    choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1]. fields:
-    of `EnvSpec`, what is known better.
+    choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1], and
+    MuJoCo's tasks get a batch. fields: of `EnvSpec`, what is known better.
 
     Raises ValueError for observations that are not flat, actions that are neither choices nor bounded, and
     where there is no time limit.
     """
+    from gymnasium.envs.mujoco import MujocoEnv
+
+    from envs.mujoco_batch import MujocoBatch
+
     made_with = fields.get("kwargs", {})
     env = gym.make(env_id, **made_with)
     obs, act = env.observation_space, env.action_space
@@ -309,8 +313,13 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     if isinstance(act, spaces.Discrete):
         found: dict[str, Any] = {"act_size": int(act.n), "discrete": True, "rl": DQN()}
     elif isinstance(act, spaces.Box) and len(act.shape) == 1 and act.is_bounded():
-        found = {"act_size": act.shape[0], "wrap": _scaled}
-        env = _scaled(env)
+        found = {"act_size": act.shape[0], "wrap": scaled}
+        usual = {TimeLimit, OrderEnforcing, PassiveEnvChecker}  # of `gym.make`
+        bare = "wrap" not in fields and {type(wrapper) for wrapper in _wrappers(env)} <= usual
+        if bare and isinstance(env.unwrapped, MujocoEnv):
+            ending = fields.get("why_ended", EnvSpec.why_ended)
+            found["batch"] = partial(MujocoBatch, env_id, ending, **made_with)
+        env = scaled(env)
     else:
         raise ValueError(f"{env_id}: actions must be choices or a bounded box, not {act}")
     env.action_space.seed(0)
@@ -325,7 +334,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     return EnvSpec(name, env_id, **(found | fields))
 
 
-def _scaled(env: gym.Env) -> gym.Env:
+def scaled(env: gym.Env) -> RescaleAction[Any, Any, Any]:
     """With actions in [-1, 1], in 32 bits."""
     return RescaleAction(env, np.float32(-1), np.float32(1))
 

@@ -27,6 +27,7 @@ KEYED = [
 
 def test_a_cells_key_covers_all_source_that_computes_it() -> None:
     code = "import sys, harness.run.cells, harness.show.recordings, methods.maxmargin, envs.highway\n"
+    code += "import envs.mujoco_batch\n"
     code += "print(*(m.__file__ for m in list(sys.modules.values()) if getattr(m, '__file__', None)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     files = map(Path, done.stdout.split())

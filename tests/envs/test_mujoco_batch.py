@@ -1,0 +1,66 @@
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.wrappers import TransformReward
+
+from envs import from_gymnasium
+from envs.mujoco_batch import MujocoBatch, twin
+from tests.envs.lockstep import assert_together_as_alone
+
+
+@pytest.fixture(autouse=True)
+def _mujocos_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Goes to the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "ends"),
+    [
+        ("HalfCheetah-v5", False),
+        ("Hopper-v5", True),
+        ("Reacher-v5", False),
+        ("InvertedDoublePendulum-v5", True),
+        ("Ant-v5", True),
+        ("InvertedPendulum-v5", True),
+    ],
+)
+def test_mujocos_tasks_in_lockstep_are_bit_for_bit_gymnasiums(env_id: str, ends: bool) -> None:
+    """Ant observes forces, and Reacher is paid by distances, of the last frame but one."""
+    spec = from_gymnasium(env_id, "x", why_ended=lambda env: f"at {env.unwrapped.data.time}")
+    assert isinstance(spec.batch(1), MujocoBatch)
+    assert bool(assert_together_as_alone(spec, 300)) == ends
+
+
+def test_what_it_is_made_with_reaches_the_batch_of_a_variant_too() -> None:
+    spec = from_gymnasium(
+        "Hopper-v5", "x", kwargs={"healthy_reward": 3.0}, variants={"slow": {"frame_skip": 2}}
+    )
+    assert_together_as_alone(spec, 50)
+    assert_together_as_alone(spec.variant("slow"), 50)
+
+
+def test_of_what_is_wrapped_otherwise_no_batch_is_known() -> None:
+    def doubled(env: gym.Env) -> gym.Env:
+        return TransformReward(env, lambda reward: 2 * reward)
+
+    assert from_gymnasium("Reacher-v5", "x", wrap=doubled).batch is None
+    gym.register("Doubled-v0", lambda: doubled(gym.make("Reacher-v5").unwrapped), max_episode_steps=50)
+    assert from_gymnasium("Doubled-v0", "x").batch is None
+
+
+def test_a_twin_shares_the_model_and_nothing_that_changes() -> None:
+    env = gym.make("Reacher-v5").unwrapped
+    assert isinstance(env, MujocoEnv)
+    env.reset(seed=0)
+    env.memory = np.zeros(3)
+    its = twin(env)
+    assert its.model is env.model
+    its.reset(seed=1)
+    its.memory += 1
+    assert not np.array_equal(its.data.qpos, env.data.qpos)
+    assert not np.array_equal(its.goal, env.goal)
+    assert (env.memory == 0).all()
