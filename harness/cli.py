@@ -120,7 +120,7 @@ def _run(args: argparse.Namespace) -> int:
     conditions = Conditions(args.budget, args.protocol, args.rl, fixed, args.experts, args.record)
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
-    engine = _engine(args)
+    engine = _engine(args, envs)
     with open_for_run(args.out, request, engine.variables) as run:
         results = _compute(run, request, args, engine)
         whole = _write_report(run, list(results.values()), anew=False)
@@ -142,7 +142,7 @@ def _reproduce(args: argparse.Namespace) -> int:
 
     _prepare()
     _handle_signals()
-    engine, found = _engine(args), {}
+    engine, found = _engine(args, ENVS), {}
     with open_study(args.out):
         requests, fixed = {}, _is_deterministic(args)
         for protocol in PROTOCOLS:
@@ -219,12 +219,14 @@ def _experts(args: argparse.Namespace) -> int:
     return 0
 
 
-def _engine(args: argparse.Namespace) -> Engine:
-    """What the cells are computed on. Raises BadInput for what it cannot do."""
+def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
+    """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
     from harness.run import engines, isolated
 
     if args.engine == "isolated":
-        return isolated.Isolated(args.workers or _cores(), args.cell_timeout, _is_deterministic(args))
+        modules = [ENVS[env].target.partition(":")[0] for env in envs]
+        fixed = _is_deterministic(args)
+        return isolated.Isolated(args.workers or _cores(), args.cell_timeout, fixed, modules)
     if args.workers or args.cell_timeout:
         raise BadInput("--engine inline computes one cell after the other and cannot stop any")
     return engines.Inline()

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
+PRELOAD_VARIABLE = "IRL_BENCH_PRELOAD"
+"""Names modules, with commas between, that the processes of cells share."""
 DEFAULT_CACHE = Path("results") / "cache"
 
 PASSED = {

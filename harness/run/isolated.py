@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from pebble import ProcessExpired
 from pebble.concurrent import process as in_a_process
 
 from harness.run.engines import WORK, Job, Outcome, compute, describe
-from harness.run.environment import numeric
+from harness.run.environment import PRELOAD_VARIABLE, numeric
 from harness.run.files import appending, opened
 from harness.run.orphans import end_descendants, end_orphans
 from harness.run.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
@@ -35,8 +35,9 @@ LONGEST_LOG = 1 << 20
 class Isolated:
     """As many processes at a time as there are workers.
 
-    timeout: seconds after which a job is stopped; None for never. work: the module that knows how.
-    preload: what to import once for all processes.
+    timeout: seconds after which a job is stopped; None for never. modules: what many jobs import, such
+    as their environments. work: the module that knows how. preload: what imports that once for all
+    processes.
     """
 
     def __init__(
@@ -44,16 +45,19 @@ class Isolated:
         workers: int,
         timeout: float | None = None,
         deterministic: bool = True,
+        modules: Sequence[str] = (),
         work: str = WORK,
         preload: str = "harness.run.preload",
     ) -> None:
         self.workers, self.timeout = workers, timeout
         self.variables = numeric(deterministic)
-        self._deterministic, self._work, self._preload = deterministic, work, preload
+        self._deterministic, self._modules, self._work, self._preload = deterministic, modules, work, preload
         self._running: dict[Future[Outcome], tuple[Job, Path]] = {}
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
+            os.environ[PRELOAD_VARIABLE] = ",".join(self._modules)
+            stack.callback(os.environ.pop, PRELOAD_VARIABLE, None)
             self._logs = stack.enter_context(scratch_folder())
             context = stack.enter_context(fresh_processes(self._preload, self._deterministic))
             # pebble's stubs call this argument mp_context, its code context.

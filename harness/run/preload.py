@@ -2,9 +2,13 @@
 
 import contextlib
 import importlib
+import os
+
+from harness.run.environment import PRELOAD_VARIABLE
 
 # torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
-for _name in ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo"):
+_usual = ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo")
+for _name in (*_usual, *filter(None, os.environ.get(PRELOAD_VARIABLE, "").split(","))):
     # Whatever this raises, a cell's own import raises again, and there it is told.
     with contextlib.suppress(BaseException):
         importlib.import_module(_name)
