@@ -1,0 +1,48 @@
+"""A stochastic policy as plain arrays: what soft actor-critic explores with, and may begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from methods.base import Array
+from methods.network import Network
+
+LOG_STD = (-20.0, 2.0)
+"""Bounds of the logarithm of the standard deviation, as in Haarnoja et al. 2018 and in their followers."""
+LARGEST = 1 - 2.0**-24
+"""The largest action below 1 in 32 bits. Those that are 1 there lie anywhere beyond, and count as it."""
+
+
+@dataclass(frozen=True)
+class SquashedGaussian:
+    """tanh(u), u being normal and its entries independent. The network gives, before any tanh, the mean of u
+    and the logarithm of its standard deviation, one after the other: (B, O) to (B, 2A)."""
+
+    network: Network
+
+    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+        """(B, A): an action for each observation (B, O)."""
+        mean, log_std = self._parameters(obs)
+        return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape))
+
+    def log_prob(self, obs: Array, act: Array) -> Array:
+        """(B,): logarithm of the density of actions (B, A), on [-1, 1]^A, at observations (B, O)."""
+        mean, log_std = self._parameters(obs)
+        act = np.clip(act, -LARGEST, LARGEST)
+        z = (np.arctanh(act) - mean) / np.exp(log_std)
+        normal = -0.5 * (z**2 + np.log(2 * np.pi)) - log_std
+        # d tanh(u) / du = 1 - tanh(u)^2
+        return np.asarray((normal - np.log1p(act) - np.log1p(-act)).sum(axis=1))
+
+    @property
+    def mean(self) -> Network:
+        """The policy that does tanh of the mean of u."""
+        net, size = self.network, len(self.network.biases[-1]) // 2
+        weights = (*net.weights[:-1], net.weights[-1][:, :size])
+        return replace(net, weights=weights, biases=(*net.biases[:-1], net.biases[-1][:size]), tanh=True)
+
+    def _parameters(self, obs: Array) -> tuple[Array, Array]:
+        mean, log_std = np.split(self.network(obs), 2, axis=1)
+        return mean, np.clip(log_std, *LOG_STD)
