@@ -40,21 +40,27 @@ class Reward(Protocol):
 @dataclass(frozen=True)
 class Transitions:
     """N steps. obs, next_obs (N, O); act (N, A); absorbing, next_absorbing (N,): whether each was taken in
-    the absorbing state, and whether it led there. In the absorbing state observations mean nothing."""
+    the absorbing state, and whether it led there. In the absorbing state observations mean nothing.
+    demonstrated (N,): whether each is of demonstrations; by default none is."""
 
     obs: Array
     act: Array
     next_obs: Array
     absorbing: NDArray[np.bool_]
     next_absorbing: NDArray[np.bool_]
+    demonstrated: NDArray[np.bool_] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.demonstrated is None:
+            object.__setattr__(self, "demonstrated", np.zeros(len(self), bool))
 
     def __len__(self) -> int:
         return len(self.act)
 
 
 Payment = Callable[[Transitions], Array]
-"""What an agent is paid for each step, (N,), those in the absorbing state and into it included: for methods
-that need to say more than a `Reward` can."""
+"""What an agent is paid for each step, (N,), those in the absorbing state and into it included, own and
+demonstrated ones: for methods that need to say more than a `Reward` can."""
 
 
 @dataclass(frozen=True)

@@ -9,22 +9,25 @@ on the reward as it is.
 
 Rewards are scaled to a fixed mean size and, where there is an absorbing state, centred by one constant, its
 own reward included. Neither changes which policy is better.
+
+Where there are demonstrations, half of what is learned from is theirs, as if they had happened here.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import NStepReplayBuffer
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import copies_of
-from methods.base import Array, Payment, Reward, Transitions
+from methods.base import Array, Episodes, Payment, Reward, Transitions
 from methods.rewards import Constant
 
 ABSORBING_STEPS = 5
@@ -85,14 +88,41 @@ class TrainingEnv(VecEnv):
         reward = self.reward
         return self._offset and isinstance(reward, Constant) and reward.value == reward.absorbing
 
-    def normalise(self, steps: Transitions, true: Array) -> Array:
-        """Fits the normalisation to these steps (N,); their rewards under it."""
-        raw = self.raw_rewards(steps, true)
-        alive = raw[~steps.absorbing]
-        size = float(np.abs(alive).mean())
+    def normalise(self, *seen: tuple[Transitions, Array]) -> list[Array]:
+        """Fits the normalisation to these groups of steps, one as much as another; their rewards under it."""
+        raw = [self.raw_rewards(steps, true) for steps, true in seen]
+        alive = [paid[~steps.absorbing] for paid, (steps, _) in zip(raw, seen, strict=True)]
+        size = float(np.mean([np.abs(paid).mean() for paid in alive]))
         self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
-        self._centre = float(alive.mean()) if self._state else 0.0
-        return (raw - self._centre) / self._size
+        self._centre = float(np.mean([paid.mean() for paid in alive])) if self._state else 0.0
+        return [(paid - self._centre) / self._size for paid in raw]
+
+    def demonstrated(self, episodes: Episodes) -> tuple[Transitions, NDArray[np.bool_]]:
+        """Every step of the episodes as they would go here, those in the absorbing state with random actions;
+        and whether each is the last of its episode."""
+        parts = []
+        for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
+            stay = ABSORBING_STEPS if terminated and self._state else 0
+            there = np.repeat(obs[-1:], stay, axis=0)
+            time = np.arange(len(act) + stay)
+            parts.append(
+                (
+                    np.concatenate([obs[:-1], there]),
+                    np.concatenate([act, self.spec.random_actions(stay, self._rng)]),
+                    np.concatenate([obs[1:], there]),
+                    time >= len(act),
+                    (time >= len(act) - 1) & terminated,
+                    time >= 0,
+                    time == time[-1],
+                )
+            )
+        *columns, last = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return Transitions(*columns), last
+
+    def seen(self, obs: Array, absorbed: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """(N, O + 1): what the agent sees of observations (N, O), or of the absorbing state."""
+        scaled = np.where(absorbed[:, None], 0.0, obs / self._obs_scale)
+        return np.column_stack([scaled, absorbed]).astype(np.float32)
 
     def reset(self) -> NDArray[np.float32]:
         for place in range(self.num_envs):
@@ -137,9 +167,7 @@ class TrainingEnv(VecEnv):
         self._age[place], self._absorbed_for[place] = 0, NOT_ABSORBED
 
     def _seen(self) -> NDArray[np.float32]:
-        absorbed = self._absorbed_for[:, None] != NOT_ABSORBED
-        obs = np.where(absorbed, 0.0, self._obs / self._obs_scale)
-        return np.concatenate([obs, absorbed], axis=1).astype(np.float32)
+        return self.seen(self._obs, self._absorbed_for != NOT_ABSORBED)
 
     # What stable-baselines3 asks of environments besides.
     render_mode = None
@@ -159,16 +187,39 @@ class TrainingEnv(VecEnv):
         return [False] * self.num_envs
 
 
-class Replay(NStepReplayBuffer):
-    """The latest steps, as the agent sees them, for its library, and as they were, for rewards to come."""
+class Demonstrated(NStepReplayBuffer):
+    """All steps of demonstrations, as `Replay` would hold them had they been taken in its source."""
 
-    def __init__(self, *args: Any, source: TrainingEnv, **settings: Any) -> None:
+    def __init__(self, episodes: Episodes, source: TrainingEnv, n_steps: int, gamma: float) -> None:
+        steps, last = source.demonstrated(episodes)
+        spaces = source.observation_space, source.action_space
+        super().__init__(len(steps), *spaces, "cpu", n_steps=n_steps, gamma=gamma)
+        ended = last & steps.next_absorbing & ~steps.absorbing
+        self.steps = steps
+        self.observations[:, 0] = source.seen(steps.obs, steps.absorbing)
+        self.next_observations[:, 0] = source.seen(steps.next_obs, steps.next_absorbing & ~ended)
+        self.actions[:, 0] = steps.act.argmax(axis=1)[:, None] if source.spec.discrete else steps.act
+        self.dones[:, 0] = last
+        self.timeouts[:, 0] = last & ~ended
+        self.full = True
+
+
+class Replay(NStepReplayBuffer):
+    """The latest steps, as the agent sees them, for its library, and as they were, for rewards to come; and
+    demonstrations, if any."""
+
+    def __init__(
+        self, *args: Any, source: TrainingEnv, demonstrations: Episodes | None = None, **settings: Any
+    ) -> None:
         super().__init__(*args, **settings)
         self._source = source
         spec, shape = source.spec, (self.buffer_size, self.n_envs)
         self._obs, self._next_obs = (np.empty((*shape, spec.obs_size)) for _ in range(2))
         self._act, self._true = np.empty((*shape, spec.act_size)), np.empty(shape)
         self._absorbing, self._next_absorbing = (np.empty(shape, bool) for _ in range(2))
+        self._demonstrated: Demonstrated | None = None
+        if demonstrations is not None:
+            self._demonstrated = Demonstrated(demonstrations, source, self.n_steps, self.gamma)
 
     def add(self, *seen: Any) -> None:
         """Adds the source's latest step, `seen` being how the library sees it."""
@@ -181,10 +232,28 @@ class Replay(NStepReplayBuffer):
     def relabel(self) -> None:
         """Gives every step the reward that its source pays now, normalised anew."""
         count = self.size()
-        rewards = self._source.normalise(self.steps(), self._true[:count].ravel())
+        seen = [(self.steps(), self._true[:count].ravel())]
+        if self._demonstrated is None:
+            (rewards,) = self._source.normalise(*seen)
+        else:
+            shown = self._demonstrated.steps
+            rewards, paid = self._source.normalise(*seen, (shown, np.zeros(len(shown))))
+            self._demonstrated.rewards[:, 0] = paid
         self.rewards[:count] = rewards.reshape(count, self.n_envs)
 
+    def sample(self, batch_size: int, env: Any = None) -> ReplayBufferSamples:
+        """So many steps; where there are demonstrations, every second one is of those. (The library cuts what
+        it samples into batches.)"""
+        if self._demonstrated is None:
+            return super().sample(batch_size, env)
+        own = super().sample(batch_size - batch_size // 2, env)
+        shown = self._demonstrated.sample(batch_size // 2, env)
+        mixed: list[Any] = [column.new_empty(batch_size, *column.shape[1:]) for column in cast(Any, own)]
+        for column, *halves in zip(mixed, own, shown, strict=True):
+            column[::2], column[1::2] = halves
+        return ReplayBufferSamples(*mixed)
+
     def steps(self) -> Transitions:
-        """All that is kept."""
+        """All own ones that are kept."""
         columns: list[Any] = [self._obs, self._act, self._next_obs, self._absorbing, self._next_absorbing]
         return Transitions(*(c[: self.size()].reshape(-1, *c.shape[2:]) for c in columns))

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from methods.base import Episodes, default_absorbing
+from methods.base import Episodes, Transitions, default_absorbing
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -46,6 +46,13 @@ def test_episodes_cannot_be_written_to() -> None:
 def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
     with pytest.raises(ValueError, match="episode"):
         Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
+
+
+def test_steps_are_not_demonstrated_unless_they_say_so() -> None:
+    no = np.zeros(4, bool)
+    steps = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3)), no, no
+    assert Transitions(*steps).demonstrated.tolist() == [False] * 4
+    assert Transitions(*steps, ~no).demonstrated.tolist() == [True] * 4
 
 
 def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
