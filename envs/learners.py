@@ -10,14 +10,19 @@ class OffPolicy:
     """Of every learner with a replay buffer: the same for the expert, inner loops and pi_R in one task."""
 
     net: tuple[int, ...] = (64, 64)
+    """Units of each hidden layer, of actor and critics alike."""
     learning_rate: float = 1e-3
+    """Of Adam, above 0; of actor and critics alike."""
     final_learning_rate: float = 1e-3
     """Reached linearly at the end of each solve."""
     tau: float = 0.02
+    """Share, in (0, 1], by which target networks move towards their own with each gradient step."""
     batch: int = 128
+    """Steps that a gradient is the mean of."""
     n_steps: int = 3
+    """Rewards summed before a critic is asked, at least 1."""
     noise: float = 0.3
-    """How much it explores."""
+    """How much it explores, and how much equal checkpoints are disturbed."""
     copies: int = 10
     """Environments that an agent acts in side by side."""
     gradient_steps: int = 10
@@ -39,8 +44,34 @@ class DDPG(OffPolicy):
 
 
 @dataclass(frozen=True)
+class TD3(OffPolicy):
+    """Fujimoto et al. 2018. noise: as of `DDPG`."""
+
+    critics: int = 2
+    """At least 1; the smallest value counts."""
+    policy_delay: int = 2
+    """Gradient steps of the critics, at least 1, for each of the actor."""
+    target_noise: float = 0.2
+    """Standard deviation of the noise on actions that target critics are asked about, in [-1, 1]."""
+    target_noise_clip: float = 0.5
+    """The largest such noise, above 0."""
+
+
+@dataclass(frozen=True)
+class SAC(OffPolicy):
+    """Haarnoja et al. 2018. It explores by its own policy; noise: standard deviation, of actions in [-1, 1],
+    by which equal checkpoints are disturbed."""
+
+    critics: int = 2
+    """At least 1; the smallest value counts."""
+    entropy: float | None = None
+    """What a nat of an action's entropy is worth, above 0, where rewards have a mean size of 0.1. None: it is
+    learned, so that the entropy is -A nats on average."""
+
+
+@dataclass(frozen=True)
 class DQN(OffPolicy):
     """Mnih et al. 2013, where actions are choices. noise: share of random actions."""
 
 
-Learner = DDPG | DQN
+Learner = DDPG | TD3 | SAC | DQN

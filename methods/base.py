@@ -23,6 +23,20 @@ class Policy(Protocol):
     def __call__(self, obs: Array, /) -> Array: ...
 
 
+class StochasticPolicy(Protocol):
+    """A policy that draws its actions, within [-1, 1]^A, by a density."""
+
+    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+        """(B, A): an action for each observation (B, O)."""
+
+    def log_prob(self, obs: Array, act: Array) -> Array:
+        """(B,): logarithm of the density of actions (B, A) at observations (B, O)."""
+
+    @property
+    def mean(self) -> Policy:
+        """What it does without chance."""
+
+
 @runtime_checkable
 class Reward(Protocol):
     """A learned reward: (B, O) observations, (B, A) actions, (B, O) next observations to (B,) rewards.
@@ -120,6 +134,11 @@ class Agent(Protocol):
     def policy(self) -> Policy:
         """What it would do now."""
 
+    @property
+    def behaviour(self) -> StochasticPolicy:
+        """What it explores with. Raises ValueError unless it learns by soft actor-critic, and where nothing
+        was learned yet."""
+
     def replay(self) -> Transitions:
         """The latest steps that it has seen, of all that it learned. Where the model is known there are
         none, and this raises ValueError; and where nothing was learned yet."""
@@ -144,8 +163,20 @@ class World(Protocol):
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         """Fresh episodes of the policy."""
 
-    def agent(self, rng: np.random.Generator) -> Agent:
-        """One that has not learned yet."""
+    def agent(
+        self,
+        rng: np.random.Generator,
+        *,
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
+    ) -> Agent:
+        """One that has not learned yet.
+
+        init: what it begins with, a `Network` of its actor's shape or, for soft actor-critic, a
+        `SquashedGaussian` of it.
+        demonstrations: half of what it learns from at each gradient step, paid as its own steps are.
+        Raises ValueError for another `init`, and for either of them where the model is known.
+        """
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         """What an agent of its own learns in `steps` environment steps under the reward, at its best."""

@@ -57,9 +57,9 @@ def test_rooms_import_only_those_before_them(file: str) -> None:
 
 def test_each_heavy_library_has_one_home() -> None:
     # The benchmark of our own speed compares with it.
-    at_home = ["harness/learn/rl.py", "harness/learn/training_env.py"]
+    at_home = [f"harness/learn/{name}.py" for name in ("models", "rl", "training_env")]
     assert importers("stable_baselines3") == ["harness/bench.py", *at_home]
-    assert importers("sbx") == ["harness/learn/rl.py"]
+    assert importers("sbx") == ["harness/learn/models.py"]
     assert importers("rerun") == ["harness/show/recordings.py"]
     (home,) = importers("cvxpy")
     assert home.startswith("methods/")

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from envs.spec import Model, Tabular
 from harness.learn.rl import Solution
-from methods.base import Array, Payment, Policy, Reward, Transitions
+from methods.base import Array, Payment, Policy, Reward, StochasticPolicy, Transitions
 from methods.tabular import value_iteration
 
 TIE = 1e-7
@@ -70,6 +70,11 @@ class ExactSolver:
     def policy(self) -> Policy:
         """Optimal under the reward of the last `learn`."""
         return self.best(self._reward).policy
+
+    @property
+    def behaviour(self) -> StochasticPolicy:
+        """Raises ValueError: there is none."""
+        raise ValueError("where the model is known, nothing is explored")
 
     def replay(self) -> Transitions:
         """Raises ValueError: there is none."""

@@ -1,6 +1,5 @@
-"""Reinforcement learning for every purpose here: the expert, inner loops, and pi_R. DDPG (Lillicrap et al.
-2015) with n-step returns, of SBX, which is Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; where
-actions are discrete its DQN (Mnih et al. 2013; thesis, figure 3.2).
+"""Reinforcement learning for every purpose here: the expert, inner loops, and pi_R, by the learner that the
+task names (`harness.learn.models`).
 
 One rule says which checkpoint counts, for all: the best mean undiscounted return under the very reward
 that the agent learns from, over fresh episodes up to the horizon; of equals the one that does best there with
@@ -12,35 +11,25 @@ a constant, and 0 by the offset, the solve ends after the warm-up, for the untra
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import optax
-import sbx
-from stable_baselines3 import DDPG, DQN
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 from envs import EnvSpec
-from envs.learners import DDPG as DDPGSettings
-from envs.learners import Learner
+from envs.learners import SAC, Learner
+from harness.learn import models
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.training_env import Replay, TrainingEnv
 from harness.registry import PROTOCOLS, Library
-from methods.base import Array, Payment, Policy, Reward, Transitions
-from methods.network import ADAM, Network
+from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPolicy, Transitions
+from methods.gaussian import SquashedGaussian
+from methods.network import Network
 
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
 STEPS_PER_CHECK_EPISODE = 75
 """A short solve's checkpoints are checked on fewer episodes: one for so many of its steps."""
-FIRST_ACTIONS = 0.01
-"""Size of an untrained actor's last weights, of what SBX draws."""
-_FUNCTIONS: dict[tuple[Learner, int], list[tuple[Any, Any]]] = {}
-"""Networks' and optimizers' functions, of the first agent with these settings and size of actions. What JAX
-compiles for a function it keeps; each agent's own would be compiled, and kept, again."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +48,10 @@ class Solution:
 
 
 class Agent:
-    """DDPG or DQN in one environment, with that one's settings unless others are given. It goes on learning
+    """A learner in one environment, with that one's settings unless others are given. It goes on learning
     with the same networks and the same experience, whatever it was paid by before.
 
+    init, demonstrations: as of `methods.base.World.agent`.
     env_steps, check_steps: what it took so far, as in `Solution`.
     """
 
@@ -72,6 +62,9 @@ class Agent:
         rng: np.random.Generator,
         library: Library,
         settings: Learner | None = None,
+        *,
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
     ) -> None:
         if protocol not in PROTOCOLS:
             raise ValueError(f"no protocol named {protocol!r}")
@@ -81,7 +74,9 @@ class Agent:
         self.settings = settings or spec.rl
         self._env = TrainingEnv(spec, protocol, rng, self.settings.copies)
         self._checks = Simulator(spec)
-        self._model: sbx.DDPG | DDPG | DQN | None = None
+        self._demonstrations = demonstrations
+        self._init = None if init is None else models.actor_layers(init, spec, self.settings)
+        self._model: models.Model | None = None
         self._progress = 0.0
         self._checkpoints: list[tuple[int, Network]] = []
         self._check_seeds: list[int] = []
@@ -91,21 +86,22 @@ class Agent:
         """Learns for `steps` environment steps under the reward; None is the environment's own, for the
         expert and the control that learns from the truth.
 
-        Raises ValueError unless `steps` is a multiple of the settings' copies, twice that at least;
-        FloatingPointError on rewards that are not finite.
+        Raises ValueError unless `steps` is a multiple of the settings' copies, twice that at least, and for
+        None where there are demonstrations; FloatingPointError on rewards that are not finite.
         """
         copies = self.settings.copies
         if steps < 2 * copies or steps % copies:
             raise ValueError(
                 f"a solve takes a multiple of {copies} steps, at least {2 * copies}, not {steps}"
             )
+        if reward is None and self._demonstrations is not None:
+            raise ValueError("what the environment paid for demonstrations is not known")
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
         warm_up = 0
         if self._model is None:
             warm_up = min(WARM_UP, steps // 2) // copies * copies
             self._model = self._build(warm_up, seed)
-            self._model.set_logger(Logger(None, []))  # its own would leave a folder behind
             self._model.learn(warm_up)
         else:
             self._model.set_random_seed(seed)
@@ -158,61 +154,27 @@ class Agent:
 
     @property
     def _replay(self) -> Replay:
-        if self._model is None:
-            raise ValueError("an agent that has not learned yet has seen nothing")
-        assert isinstance(self._model.replay_buffer, Replay)
-        return self._model.replay_buffer
+        assert isinstance(self._built.replay_buffer, Replay)
+        return self._built.replay_buffer
 
-    def _build(self, warm_up: int, seed: int) -> sbx.DDPG | DDPG | DQN:
-        s, size = self.settings, self.spec.act_size
-        common: dict[str, Any] = {
-            "policy": "MlpPolicy",
-            "env": self._env,
-            "learning_rate": s.learning_rate,
-            "buffer_size": s.buffer,
-            "learning_starts": warm_up,
-            "batch_size": s.batch,
-            "tau": s.tau,
-            "gamma": self.spec.gamma,
-            "replay_buffer_class": Replay,
-            "replay_buffer_kwargs": {"n_steps": s.n_steps, "gamma": self.spec.gamma, "source": self._env},
-            "train_freq": 1,
-            "gradient_steps": s.gradient_steps,
-            "seed": seed,
-            "device": "cpu",
-        }
-        network: dict[str, Any] = {"net_arch": list(s.net)}
-        if self.spec.discrete:
-            # It moves its target network with every bout of learning, not with every gradient step.
-            return DQN(
-                **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
-                target_update_interval=s.copies,
-                exploration_initial_eps=s.noise,
-                exploration_final_eps=s.noise,
-                policy_kwargs=network | {"optimizer_kwargs": ADAM},
-            )
-        assert isinstance(s, DDPGSettings)
-        network["n_critics"] = s.critics
-        common["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
-        if self._library == "sb3":
-            # Of SB3's own progress a warm start would begin in the middle.
-            common["learning_rate"] = lambda _: self._learning_rate
-            return DDPG(**common, policy_kwargs=network | {"optimizer_kwargs": ADAM})
-        network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
-        model = sbx.DDPG(**common, qf_learning_rate=s.learning_rate, policy_kwargs=network)
-        states = (model.policy.actor_state, model.policy.qf_state)
-        functions = _FUNCTIONS.setdefault((s, size), [(state.apply_fn, state.tx) for state in states])
-        actor, critics = (
-            state.replace(apply_fn=apply, tx=optimizer)
-            for state, (apply, optimizer) in zip(states, functions, strict=True)
+    @property
+    def _built(self) -> models.Model:
+        if self._model is None:
+            raise ValueError("an agent that has not learned yet has seen nothing and has no policy")
+        return self._model
+
+    def _build(self, warm_up: int, seed: int) -> models.Model:
+        model = models.build(
+            self.settings,
+            self._library,
+            self._env,
+            self._demonstrations,
+            warm_up,
+            seed,
+            lambda: self._learning_rate,
         )
-        # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.
-        last = f"Dense_{len(s.net)}"
-        params = {**actor.params["params"]}
-        params[last] = {**params[last], "kernel": FIRST_ACTIONS * params[last]["kernel"]}
-        start = {"params": params}
-        model.policy.actor_state = actor.replace(params=start, target_params=start)
-        model.policy.qf_state = critics
+        if self._init is not None:
+            models.begin(model, self._init)
         return model
 
     @property
@@ -227,23 +189,23 @@ class Agent:
     def advance(self, progress: float) -> None:
         """Says what share of the present solve is done; the learning rate follows."""
         self._progress = progress
-        if isinstance(self._model, sbx.DDPG):
-            for state in (self._model.policy.actor_state, self._model.policy.qf_state):
-                state.opt_state.hyperparams["learning_rate"] = np.float32(self._learning_rate)
+        models.follow_learning_rate(self._built, self._learning_rate)
 
     @property
     def policy(self) -> Network:
-        """What it would do now, on the environment's own observations (the absorbing indicator is 0)."""
-        size = self.spec.obs_size
-        zeros, scale = np.zeros(size), np.array(self.spec.obs_scale)
-        if isinstance(self._model, sbx.DDPG):
-            net = Network.from_flax(self._model.policy.actor_state.params["params"], zeros, scale, tanh=True)
-        elif isinstance(self._model, DDPG):
-            net = Network.from_torch(self._model.actor.mu, zeros, scale, tanh=True)
-        else:
-            assert self._model is not None
-            net = Network.from_torch(self._model.q_net.q_net, zeros, scale)
-        return replace(net, weights=(net.weights[0][:size], *net.weights[1:]))
+        """What it would do now; the mean action where it learns by soft actor-critic. Raises ValueError where
+        nothing was learned yet."""
+        if isinstance(self.settings, SAC):
+            return self.behaviour.mean
+        return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)
+
+    @property
+    def behaviour(self) -> SquashedGaussian:
+        """What it explores with now. Raises ValueError unless it learns by soft actor-critic, and where
+        nothing was learned yet."""
+        if not isinstance(self.settings, SAC):
+            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy; SAC has")
+        return SquashedGaussian(models.actor(self._built, self.spec))
 
     def check(self, policy: Policy) -> tuple[float, float]:
         """Mean undiscounted return under the reward that the agent learns from, and the true one."""

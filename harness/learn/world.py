@@ -13,7 +13,7 @@ from harness.learn.rl import Agent
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import Library
-from methods.base import Array, Episodes, Payment, Policy, Reward, Transitions
+from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPolicy, Transitions
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,21 @@ class TaskWorld:
         self.env_steps += int(rollouts.lengths.sum())
         return rollouts
 
-    def agent(self, rng: np.random.Generator) -> WorldAgent:
-        return WorldAgent(self, solver_for(self._spec, self._protocol, rng, self._library))
+    def agent(
+        self,
+        rng: np.random.Generator,
+        *,
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
+    ) -> WorldAgent:
+        if init is None and demonstrations is None:
+            return WorldAgent(self, solver_for(self._spec, self._protocol, rng, self._library))
+        if self.model is not None:
+            raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
+        agent = Agent(
+            self._spec, self._protocol, rng, self._library, init=init, demonstrations=demonstrations
+        )
+        return WorldAgent(self, agent)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         agent = self.agent(rng)
@@ -80,6 +93,10 @@ class WorldAgent:
     @property
     def policy(self) -> Policy:
         return self._solver.policy
+
+    @property
+    def behaviour(self) -> StochasticPolicy:
+        return self._solver.behaviour
 
     def replay(self) -> Transitions:
         seen = self._solver.replay()

@@ -16,7 +16,7 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from envs.learners import DDPG, DQN
+from envs.learners import DDPG, DQN, SAC, TD3, Learner
 from harness.learn import rl
 from harness.learn.rl import Agent, Solution
 from harness.learn.seeds import TRAINING, evaluation_seeds
@@ -47,6 +47,7 @@ def solve(
 
 
 both_libraries = pytest.mark.parametrize("library", LIBRARIES)
+learners = pytest.mark.parametrize("learner", [DDPG, TD3, SAC])
 
 
 def same(one: Network, other: Network) -> bool:
@@ -148,7 +149,9 @@ def test_it_learns_to_choose(steady: EnvSpec) -> None:
 
 
 @both_libraries
-def test_the_generator_decides_everything(steady: EnvSpec, library: Library) -> None:
+@learners
+def test_the_generator_decides_everything(steady: EnvSpec, library: Library, learner: type[Learner]) -> None:
+    steady = dataclasses.replace(steady, rl=learner())
     # The library draws from the global generators, whose state must not matter.
     np.random.seed(1)  # noqa: NPY002
     one = solve(steady, Seek(), steps=400, library=library)
@@ -280,27 +283,30 @@ def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) ->
 
 
 @both_libraries
+@learners
 def test_the_learning_rate_falls_within_each_solve(
-    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library, learner: type[Learner]
 ) -> None:
-    spec = dataclasses.replace(steady, rl=DDPG(learning_rate=1e-3, final_learning_rate=1e-4))
+    spec = dataclasses.replace(steady, rl=learner(learning_rate=1e-3, final_learning_rate=1e-4))
     rates: list[float] = []
-    solver: Any = sbx.DDPG if library == "sbx" else stable_baselines3.DDPG
+    solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, learner.__name__)
     train = solver.train
 
     def spy(self: Any, gradient_steps: int, batch_size: int = 100) -> None:
         train(self, gradient_steps, batch_size)
         if library == "sbx":
-            rates.append(float(self.policy.actor_state.opt_state.hyperparams["learning_rate"]))
+            states = self.policy.actor_state, self.policy.qf_state
+            both = {float(state.opt_state.hyperparams["learning_rate"]) for state in states}
         else:
-            rates.append(self.actor.optimizer.param_groups[0]["lr"])
+            both = {net.optimizer.param_groups[0]["lr"] for net in (self.actor, self.critic)}
+        rates.append(*both)
 
     monkeypatch.setattr(solver, "train", spy)
-    learner = Agent(spec, "absorbing", np.random.default_rng(0), library)
-    learner.solve(Seek(), 400)
+    agent = Agent(spec, "absorbing", np.random.default_rng(0), library)
+    agent.solve(Seek(), 400)
     first = list(rates)
     rates.clear()
-    learner.solve(Seek(), 400)
+    agent.solve(Seek(), 400)
     for solve_rates in (first, rates):
         assert solve_rates == sorted(solve_rates, reverse=True)
         assert solve_rates[-1] == pytest.approx(1e-4)
@@ -333,11 +339,16 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
     np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
 
 
-def test_what_one_agent_compiled_serves_the_next(steady: EnvSpec, caplog: pytest.LogCaptureFixture) -> None:
+@learners
+def test_what_one_agent_compiled_serves_the_next(
+    steady: EnvSpec, caplog: pytest.LogCaptureFixture, learner: type[Learner]
+) -> None:
+    spec = dataclasses.replace(steady, rl=learner())
+
     def compiled() -> int:
         caplog.clear()
         with jax.log_compiles():
-            solve(steady, Seek(), steps=200, library="sbx")
+            solve(spec, Seek(), steps=200, library="sbx")
         return caplog.text.count("Compiling jit(_train)")
 
     jax.clear_caches()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from types import FunctionType
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
+from envs.learners import SAC
 from envs.spec import Model, Tabular
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
@@ -21,8 +23,10 @@ from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
-from methods.base import Array, Episodes, Learned, Reward, default_absorbing
+from methods.base import Array, Episodes, Learned, Reward, Transitions, default_absorbing
+from methods.gaussian import SquashedGaussian
 from methods.network import Network
+from methods.rewards import Constant
 from tests.harness.rewards import Nothing
 
 ZERO = Nothing()
@@ -95,6 +99,38 @@ def test_what_an_agent_has_seen_is_a_copy_without_rewards(fragile: EnvSpec) -> N
     assert np.abs(agent.replay().obs).max() < 1
 
 
+def test_an_agent_begins_with_what_its_method_gives_it(steady: EnvSpec) -> None:
+    spec = dataclasses.replace(steady, rl=SAC(net=()))
+    world = TaskWorld(spec, "absorbing", "sb3")
+    network = Network(np.zeros(1), np.ones(1), (np.array([[0.5, -0.2]]),), (np.array([0.1, -1.0]),))
+    init = SquashedGaussian(network)
+    demos = world.rollout(on_target, 3, rng())
+    agent = world.agent(rng(), init=init, demonstrations=demos)
+    seen: list[Transitions] = []
+    agent.learn(40, lambda steps: seen.append(steps) or np.zeros(len(steps)))
+    # The demonstrations were paid, and are no steps of the agent's own.
+    assert (world.env_steps, world.rl_solves) == (30 + 40, 1)
+    (shown,) = (steps for steps in seen if steps.demonstrated.any())
+    np.testing.assert_array_equal(shown.obs, demos.pairs()[0])
+    assert shown.demonstrated.all()
+    still = world.agent(rng(), init=init)
+    still.learn(40, Constant(0.0, 0.0))
+    obs, act = demos.pairs()
+    np.testing.assert_allclose(still.policy(obs), init.mean(obs), atol=1e-6)
+    np.testing.assert_allclose(still.behaviour.log_prob(obs, act), init.log_prob(obs, act), atol=1e-4)
+
+
+def test_where_the_model_is_known_an_agent_begins_with_nothing() -> None:
+    world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
+    policy = world.solve(ZERO, rng(), 1)
+    given: dict[str, Any]
+    for given in ({"init": policy}, {"demonstrations": world.rollout(policy, 1, rng())}):
+        with pytest.raises(ValueError, match="model is known"):
+            world.agent(rng(), **given)
+    with pytest.raises(ValueError, match="nothing is explored"):
+        world.agent(rng()).behaviour  # noqa: B018
+
+
 def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
     world, generator = TaskWorld(steady, "absorbing", "sb3"), rng()
     one, other = (world.rollout(on_target, 2, generator) for _ in range(2))
@@ -142,7 +178,9 @@ def reachable(start: list[Any]) -> list[Any]:
         elif isinstance(thing, dict | list | tuple | set):
             inside = [*(thing.values() if isinstance(thing, dict) else thing)]
         elif not isinstance(thing, type | type(math) | FunctionType | str | int | float):
-            inside = [getattr(thing, name, None) for name in dir(thing) if name[0] != "_"]
+            for name in (name for name in dir(thing) if name[0] != "_"):
+                with contextlib.suppress(AttributeError, ValueError):
+                    inside.append(getattr(thing, name))
         for one in inside:
             if id(one) not in found:
                 found[id(one)] = one

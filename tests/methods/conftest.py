@@ -37,7 +37,7 @@ class FakeWorld:
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def agent(self, rng: np.random.Generator) -> FakeAgent:
+    def agent(self, rng: np.random.Generator, *, init: Any = None, demonstrations: Any = None) -> FakeAgent:
         return FakeAgent(self, rng)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
@@ -107,7 +107,7 @@ class FiniteWorld:
             act.append(np.stack(choices))
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
 
-    def agent(self, rng: np.random.Generator) -> FakeAgent:
+    def agent(self, rng: np.random.Generator, *, init: Any = None, demonstrations: Any = None) -> FakeAgent:
         return FakeAgent(self, rng)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:

@@ -148,7 +148,7 @@ class Bandit:
         obs = tuple(np.zeros((self.lifetime + 1, 1)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def agent(self, rng: np.random.Generator) -> Any:
+    def agent(self, rng: np.random.Generator, *, init: Any = None, demonstrations: Any = None) -> Any:
         return self
 
     def learn(self, steps: int, reward: Reward) -> None:
