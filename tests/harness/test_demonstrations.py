@@ -14,6 +14,7 @@ from harness.learn.rl import Agent
 from harness.learn.training_env import ABSORBING_STEPS, REWARD_SIZE, Demonstrated, Replay, TrainingEnv
 from harness.registry import LIBRARIES, PROTOCOLS, SPECS, Library
 from methods.base import Array, Episodes, Transitions
+from methods.network import Network
 from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -92,8 +93,10 @@ def own_episodes(agent: Agent) -> tuple[Episodes, int]:
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_demonstrated_steps_are_what_they_were_to_who_took_them(fragile: EnvSpec, protocol: str) -> None:
     reward = Seek(absorbing=-0.5)
-    spec = dataclasses.replace(fragile, rl=DDPG(copies=1, gradient_steps=1))
-    agent = Agent(spec, protocol, rng(), "sb3")
+    spec = dataclasses.replace(fragile, rl=DDPG(net=(), copies=1, gradient_steps=1))
+    # Random steps miss, and tanh(obs) hits.
+    hits = Network(np.zeros(1), np.ones(1), (np.ones((1, 1)),), (np.zeros(1),), tanh=True)
+    agent = Agent(spec, protocol, rng(), "sb3", init=hits)
     agent.learn(300, reward)
     own = agent._replay
     episodes, count = own_episodes(agent)
