@@ -40,7 +40,7 @@ CONDITIONS = Conditions("quick", "absorbing", "sbx")
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure, in each repeat. unit: 'times' as fast, 's' for seconds, '%' or 'MB' of memory.
+    """One figure, in each repeat. unit: 'times' as fast, 's' or 'ms', '%' or 'MB' of memory.
     bar: what is wanted, at least of ratios and at most of the others; None where nothing is."""
 
     name: str

@@ -14,6 +14,7 @@ import matplotlib as mpl
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
@@ -214,9 +215,11 @@ def _panels(
 
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
     """A thin line a seed, a thick one for their mean where all have a point."""
-    for points in seeds:
-        marker = "." if len(points) == 1 else ""
-        axes.plot(*zip(*points, strict=True), color=colour, linewidth=0.8, alpha=0.5, marker=marker)
+    lines = LineCollection(list(seeds), colors=colour, linewidths=0.8, alpha=0.5)
+    axes.add_collection(lines)
+    single = [points[0] for points in seeds if len(points) == 1]
+    axes.plot(*(zip(*single, strict=True) if single else ([], [])), ".", color=colour, alpha=0.5)
+    axes.autoscale_view()
     frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
     means = frame.groupby("x")["y"].agg(["mean", "count"])
     means = means[means["count"] == len(seeds)]

@@ -41,19 +41,16 @@ def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPat
     assert 3 <= bench._drive(FastHighwayEnv) <= 3 * spec.horizon
 
 
-def test_a_share_is_of_the_time_between_one_cell_and_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    def done(cell: Cell, seconds: float) -> CellResult:
-        name = {"env": cell.env, "method": cell.method, "seed": cell.seed, "protocol": "absorbing"}
-        return CellResult(cell, [Row(**name, policy=p, fit_seconds=seconds) for p in ("pi_star", "pi_R")])
-
-    def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[tuple[float, CellResult]]:
+def test_a_share_is_of_what_a_cell_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[CellResult]:
         assert workers == 1
-        return [(100 + 10 * i, done(cell, 5.0 - i)) for i, cell in enumerate(cells)]
+        row = Row("cartpole", "shaped", 0, "pi_star", "absorbing")
+        seconds = [{"start": 1.0, "fit": 5.0 - i, "retrain": 2.0 + i, "score": 1.0 + i} for i in range(3)]
+        return [CellResult(cell, [row], seconds=its) for cell, its in zip(cells, seconds, strict=True)]
 
     monkeypatch.setattr(bench, "REPEATS", 2)
     monkeypatch.setattr(bench, "compute", compute)
-    monkeypatch.setattr(bench, "prepare", lambda *asked: None)
-    assert bench._beside_the_work() == pytest.approx([20, 40])
+    assert bench._beside_the_work() == pytest.approx([30, 100 * 4 / 11])
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import json
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from harness.judge.results import FORMAT, LARGEST, Cell, CellResult, Conditions,
 from harness.registry import BadInput
 from harness.run import marked
 from harness.run.codec import checksum, decode, encode
-from harness.run.files import sha256, write_atomic
+from harness.run.files import sha256_of, write_atomic
 from harness.run.store import SUMS, open_for_report, open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
@@ -100,9 +101,10 @@ def whole(tmp_path: Path) -> Path:
         derived = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", "figures/a.png")
         for name in derived:
             write_atomic(tmp_path / name, f"what {name} holds")
-        write_atomic(tmp_path / "recordings/a.rrd", b"a recording")
-        digest = sha256(tmp_path / "recordings/a.rrd")
-        run.save(dataclasses.replace(result(), recordings={"a.rrd": digest}))
+        files = {"recordings/a.rrd": b"a recording", "artifacts/a.safetensors": b"what was learned"}
+        names = {"recordings": "a.rrd", "artifacts": "a.safetensors"}
+        digests: Any = {at: {name: sha256_of(files[f"{at}/{name}"])} for at, name in names.items()}
+        run.save(dataclasses.replace(result(), **digests), files)
         run.seal(list(run.load()[0].values()), [tmp_path / name for name in derived])
         assert run.damaged() == {}
     return tmp_path
@@ -111,7 +113,7 @@ def whole(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("damage", ["flip", "truncate", "empty", "delete"])
 def test_whatever_is_damaged_is_named(whole: Path, damage: str) -> None:
     files = [file for file in whole.rglob("*") if file.is_file() and file.name not in (".lock", "run.json")]
-    assert len(files) == 9
+    assert len(files) == 10
     rng = np.random.default_rng(0)
     for file in files:
         before = file.read_bytes()
@@ -164,6 +166,51 @@ def test_a_cell_whose_recording_is_gone_is_computed_again(whole: Path, name: str
         assert list(unusable.values()) == [f"recordings/{name} is missing or damaged"]
     with open_for_report(whole) as run:
         assert list(run.load()[0]) == [CELL]
+
+
+def test_a_cell_whose_artifact_is_damaged_is_computed_again(whole: Path) -> None:
+    (whole / "artifacts/a.safetensors").write_bytes(b"another")
+    with open_for_run(whole, REQUEST) as run:
+        found, unusable = run.load()
+        assert found == {}
+        assert list(unusable.values()) == ["artifacts/a.safetensors is missing or damaged"]
+
+
+def test_a_cell_of_before_a_field_was_there_has_its_default(whole: Path) -> None:
+    file = whole / "cells" / f"{CELL.name}.json"
+    stored = json.loads(file.read_text())["result"]
+    for name in ("artifacts", "seconds"):
+        del stored[name]
+    found = decode(json.dumps({"sha256": checksum(stored), "result": stored}))
+    assert (found.artifacts, found.seconds) == ({}, {})
+    stored["another"] = 1
+    with pytest.raises(ValueError, match="holds more than a cell does"):
+        decode(json.dumps({"sha256": checksum(stored), "result": stored}))
+
+
+@pytest.mark.parametrize(
+    ("seeds", "stored"), [((0, 1, 2), 3), ((0,), 1), ((7,), [7]), ((0, 2, 3), [0, 2, 3])]
+)
+def test_seeds_are_stored_as_a_count_or_by_number(
+    tmp_path: Path, seeds: tuple[int, ...], stored: object
+) -> None:
+    request = dataclasses.replace(REQUEST, seeds=seeds)
+    with open_for_run(tmp_path, request) as run:
+        assert {cell.seed for cell in run.request.cells} == set(seeds)
+    assert json.loads((tmp_path / "run.json").read_text())["seeds"] == stored
+    with open_for_report(tmp_path) as run:
+        assert run.request == request
+
+
+@pytest.mark.parametrize("seeds", [[], [1, 0], [0, 0], [-1], [1000], 0, 1001, True, "3", [0.5]])
+def test_seeds_that_are_none_are_refused(tmp_path: Path, seeds: object) -> None:
+    with open_for_run(tmp_path, REQUEST):
+        pass
+    data = json.loads((tmp_path / "run.json").read_text()) | {"seeds": seeds}
+    del data["sha256"]
+    (tmp_path / "run.json").write_text(json.dumps({"sha256": checksum(data), **data}))
+    with pytest.raises(BadInput, match="is damaged"), open_for_report(tmp_path):
+        pass
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
