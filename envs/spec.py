@@ -33,6 +33,9 @@ class Quantity(NamedTuple):
     unit: str = ""
     """What 1 of it is, e.g. 'm' or '20 m'; '' for a mere number."""
 
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
 
 @dataclass(frozen=True)
 class Shape:

@@ -68,9 +68,9 @@ def record(
         for name in frames[0]:
             _send_shape(stream, f"scene/{name}", [frame[name] for frame in frames], dt)
         for i, values in enumerate(trajectory.obs.T):
-            _send_scalars(stream, f"observation/{i}", f"obs {i}", values, dt)
+            _send_scalars(stream, f"observation/{i}", str(spec.obs_names[i]), values, dt)
         for i, values in enumerate(trajectory.act.T):
-            _send_scalars(stream, f"action/{i}", f"act {i}", values, dt)
+            _send_scalars(stream, f"action/{i}", str(spec.act_names[i]), values, dt)
         _send_scalars(stream, "reward/true", "true reward", trajectory.rewards, dt)
         if learned_reward is not None:
             _send_scalars(stream, "reward/learned", "R* - absorbing", learned_reward, dt)

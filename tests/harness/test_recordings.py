@@ -63,6 +63,13 @@ def test_every_number_of_the_episode_can_be_read_back(tmp_path: Path, episode: A
         seconds = column["sim_time"].cast(pa.int64()).to_numpy() / 1e9
         assert seconds == pytest.approx(SPEC.time_step * np.arange(len(truth)))
         assert values(column["SeriesLines:aggregation_policy"]) == [rr.components.AggregationPolicy.Off.value]
+    told = {
+        entity: column["SeriesLines:names"].to_pylist()[0]
+        for entity, column in columns.items()
+        if entity in expected
+    }
+    assert told["/observation/2"] == ["pole angle [rad]"]
+    assert told["/action/0"] == ["motor [10 N]"]
 
 
 def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Any) -> None:
