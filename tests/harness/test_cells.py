@@ -25,10 +25,11 @@ from harness.judge.results import (
     policies_of,
 )
 from harness.learn import world
-from harness.learn.seeds import demonstration_seeds, evaluation_seeds
+from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS
 from harness.run import cells
+from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.codec import decode, encode
 from harness.run.environment import CACHE_VARIABLE
@@ -217,6 +218,20 @@ def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
     assert recordings(tmp_path / "one") == []
     two = run(Cell("cartpole", "bc", 2), tmp_path / "two")
     assert one.rows[0].return_mean != two.rows[0].return_mean
+
+
+def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
+    cell = Cell("cartpole", "shaped", 1)
+    result = run(cell, tmp_path)
+    learned = read_artifact(tmp_path / f"artifacts/{cell.name}.safetensors")
+    assert set(learned) == {"pi_star", "pi_R", "reward"}
+    for row in result.rows:
+        scored = evaluate(SPECS["cartpole"], learned[row.policy], evaluation_seeds(1, row.episodes))
+        assert scored.columns() == {name: getattr(row, name) for name in scored.columns()}
+    solver = solver_for(SPECS["cartpole"], "absorbing", rng_for(1, "cartpole", "shaped", "pi_R"), "sb3")
+    again = solver.solve(learned["reward"], SPECS["cartpole"].rl_steps["smoke"])
+    obs = np.random.default_rng(0).standard_normal((20, 4))
+    assert np.array_equal(again.policy(obs), learned["pi_R"](obs))
 
 
 def test_nothing_is_recorded_where_that_was_asked(tmp_path: Path) -> None:
