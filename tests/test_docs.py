@@ -1,7 +1,10 @@
 """What the documents say is there."""
 
 import csv
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
@@ -82,6 +85,17 @@ def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
             for protocol, score in zip(heading[1:], scores, strict=True)
         }
         assert shown == found
+
+
+def test_the_script_of_what_methods_cost_prints_a_line_of_its_table() -> None:
+    costs = ROOT / "results/reference/costs"
+    command = [sys.executable, str(costs / "ours.py"), "gridworld", "bc", "0"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    heading = (costs / "ours.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    line = dict(zip(heading, done.stdout.strip().split(","), strict=True))
+    assert (line["env"], line["method"], line["check_steps"], line["rl_solves"]) == ("gridworld", "bc", "0", "0")
+    assert line["reached"] == str(float(line["score"]) >= 0.95)
 
 
 def test_every_command_and_option_of_the_documents_exists() -> None:

@@ -52,5 +52,5 @@ if __name__ == "__main__":
         print(f"{tried}: {score:.3f} after {seconds:.1f} s", file=sys.stderr)
         if score >= ENOUGH:
             break
-    used = f"{world.env_steps},{world.rl_steps},{world.rl_solves}"
+    used = f"{world.env_steps},{world.check_steps},{world.rl_solves}"
     print(f"{env},{method},{seed},{score >= ENOUGH},{seconds:.1f},{used},{score:.3f}")
