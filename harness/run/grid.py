@@ -123,13 +123,17 @@ class _Schedule:
 
     def _keep(self, job: Job, outcome: Outcome, seconds: float) -> None:
         (cell,) = job.cells
-        if outcome.error:
-            self.grid.sink.save(failed_rows(cell, job.conditions.protocol, outcome.error), {})
-        else:
+        error = outcome.error
+        if not error:
             result = decode(outcome.result)
+            if result.cell != cell or result.files.keys() != outcome.files.keys():
+                error = "what came back is not the cell's"
+        if error:
+            self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
+        else:
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
-        self.progress.finished(cell.name, "failed" if outcome.error else "ok", outcome.error)
+        self.progress.finished(cell.name, "failed" if error else "ok", error)
         self.left[_group(job)] -= 1
         if not self.left[_group(job)]:
             self.inputs.pop(_group(job), None)

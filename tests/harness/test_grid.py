@@ -1,0 +1,98 @@
+"""The grid keeps what is a job's own, whatever its engine gives back."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of
+from harness.run.codec import encode
+from harness.run.engines import Inline, Job, Outcome
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.files import sha256_of
+from harness.run.grid import Grid
+from tests.harness.fake_runs import Found
+
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
+CELLS = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("bc", "shaped")]
+FILE = "artifacts/a.safetensors"
+
+
+def result(cell: Cell) -> CellResult:
+    rows = [Row(cell.env, cell.method, cell.seed, policy, "absorbing") for policy in policies_of(cell)]
+    return CellResult(cell, rows, artifacts={"a.safetensors": sha256_of(b"x")}, seconds={"fit": 0.0})
+
+
+class Scripted(Inline):
+    """Gives back what the script says for a cell, and notes what it was given."""
+
+    def __init__(self, script: Callable[[Job], Outcome]) -> None:
+        super().__init__()
+        self.script = script
+        self.given: list[Job] = []
+
+    def start(self, job: Job) -> None:
+        self.given.append(job)
+        shared = Outcome(files={"shared": f"{job.cells[0].seed}".encode()}, log=b"made\n")
+        self._ended.append((job, shared if job.shared else self.script(job)))
+
+
+def run(tmp_path: Path, script: Callable[[Job], Outcome]) -> tuple[Scripted, Found]:
+    engine, found = Scripted(script), Found(tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+        Grid(CONDITIONS, found, engine).run(CELLS)
+    return engine, found
+
+
+def good(job: Job) -> Outcome:
+    return Outcome(encode(result(job.cells[0])), {FILE: b"x"}, b"said\n")
+
+
+def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -> None:
+    engine, found = run(tmp_path, good)
+    for job in engine.given:
+        inputs: Mapping[str, bytes] = {} if job.shared else {"shared": f"{job.cells[0].seed}".encode()}
+        assert job.inputs == inputs
+    assert [job.cells for job in engine.given if job.shared] == [tuple(CELLS[:2]), tuple(CELLS[2:])]
+    assert sorted(r.cell for r in found.results) == sorted(CELLS)
+    assert found.files == {FILE: b"x"}
+    assert (tmp_path / "run.log").read_text() == "made\nsaid\nsaid\n" * 2
+    for kept in found.results:
+        assert set(kept.seconds) == {"start", "fit"}
+        assert kept.seconds["start"] >= 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda job: dataclasses.replace(good(job), files={}),
+        lambda job: dataclasses.replace(good(job), files={FILE: b"x", "../run.json": b"{}"}),
+        lambda job: dataclasses.replace(good(job), files={"artifacts/../../b.safetensors": b"x"}),
+        lambda job: dataclasses.replace(good(job), result=encode(result(Cell("cartpole", "bc", 7)))),
+    ],
+)
+def test_what_is_not_the_cells_is_a_failed_row(tmp_path: Path, wrong: Callable[[Job], Outcome]) -> None:
+    _, found = run(tmp_path, lambda job: wrong(job) if job.cells[0].method == "bc" else good(job))
+    status = {r.cell: {row.status for row in r.rows} for r in found.results}
+    assert status == {cell: {"failed"} if cell.method == "bc" else {"ok"} for cell in CELLS}
+    assert set(found.files) == {FILE}
+    failed = next(r for r in found.results if r.cell.method == "bc")
+    assert failed.rows[0].reason == "what came back is not the cell's"
+
+
+def test_a_job_that_is_lost_is_tried_once_more_alone(tmp_path: Path) -> None:
+    tries: dict[Cell, int] = {}
+
+    def script(job: Job) -> Outcome:
+        (cell,) = job.cells
+        tries[cell] = tries.get(cell, 0) + 1
+        lost = Outcome(error="its server died", lost=True)
+        return lost if cell == CELLS[0] or (cell == CELLS[1] and tries[cell] == 1) else good(job)
+
+    _, found = run(tmp_path, script)
+    assert tries == {CELLS[0]: 2, CELLS[1]: 2, CELLS[2]: 1, CELLS[3]: 1}
+    failed = [r.cell for r in found.results if r.rows[0].status == "failed"]
+    assert failed == [CELLS[0]]
+    assert len(found.results) == len(CELLS)
