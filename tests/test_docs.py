@@ -94,12 +94,7 @@ def test_the_script_of_what_methods_cost_prints_a_line_of_its_table() -> None:
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
     heading = (costs / "ours.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     line = dict(zip(heading, done.stdout.strip().split(","), strict=True))
-    assert (line["env"], line["method"], line["check_steps"], line["rl_solves"]) == (
-        "gridworld",
-        "bc",
-        "0",
-        "0",
-    )
+    assert {"env": "gridworld", "method": "bc", "check_steps": "0", "rl_solves": "0"}.items() <= line.items()
     assert line["reached"] == str(float(line["score"]) >= 0.95)
 
 
