@@ -121,6 +121,8 @@ def _run(args: argparse.Namespace) -> int:
     request = Request(methods, envs, seeds, conditions)
     _handle_signals()
     engine = _engine(args, envs)
+    if args.engine == "inline":
+        _check_all_inline(args.out, engine)
     with open_for_run(args.out, request, engine.variables) as run:
         results = _compute(run, request, args, engine)
         whole = _write_report(run, list(results.values()), anew=False)
@@ -230,6 +232,21 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     if args.workers or args.cell_timeout:
         raise BadInput("--engine inline computes one cell after the other and cannot stop any")
     return engines.Inline()
+
+
+def _check_all_inline(directory: Path, engine: Engine) -> None:
+    """Raises BadInput where the directory holds cells of another engine, which inline ones would replace."""
+    from harness.run.keys import cell_keys
+    from harness.run.request import stored_request
+    from harness.run.store import open_to_verify
+
+    if stored_request(directory) is None:
+        return
+    with open_to_verify(directory) as run:
+        results, _ = run.load()
+        keys = cell_keys(results, run.request.conditions, engine.variables)
+    if any(result.key != keys[cell] for cell, result in results.items()):
+        raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
 
 
 def _compute(

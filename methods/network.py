@@ -32,6 +32,12 @@ class Network:
     biases: tuple[Array, ...]
     tanh: bool = False
 
+    def __post_init__(self) -> None:
+        # Products of other layouts are rounded otherwise, and what is stored has this one.
+        for name in ("weights", "biases"):
+            arrays = tuple(np.ascontiguousarray(array) for array in getattr(self, name))
+            object.__setattr__(self, name, arrays)
+
     def __call__(self, x: Array, /) -> Array:
         if len(x) > ROWS:
             return np.concatenate([self(x[start : start + ROWS]) for start in range(0, len(x), ROWS)])

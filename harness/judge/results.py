@@ -187,6 +187,12 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
     return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
 
 
+def files_of(cell: Cell) -> set[str]:
+    """The files that a cell may have besides its own, by the path in the run's directory."""
+    recordings = {f"recordings/{cell.name}__{policy}.rrd" for policy in policies_of(cell)}
+    return {*recordings, f"artifacts/{cell.name}.safetensors"}
+
+
 def usable(value: float) -> bool:
     """Whether it is a number, and no larger than `LARGEST`."""
     return abs(value) <= LARGEST

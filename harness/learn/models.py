@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -174,7 +175,8 @@ def actor_layers(init: Policy | StochasticPolicy, spec: EnvSpec, settings: Learn
     stochastic = net is not init
     sizes = (*map(len, net.weights), len(net.biases[-1]))
     own = (spec.obs_size, *settings.net, spec.act_size * (2 if stochastic else 1))
-    if sizes != own:
+    shapes = [(*w.shape, *b.shape) for w, b in zip(net.weights, net.biases, strict=True)]
+    if shapes != [(before, after, after) for before, after in pairwise(own)]:
         raise ValueError(f"the policy has layers of {sizes}, the actor of {own}")
     if net.tanh == stochastic:
         raise ValueError("a policy must end in a tanh, and what a stochastic one is made of must not")

@@ -101,8 +101,9 @@ class Agent:
         warm_up = 0
         if self._model is None:
             warm_up = min(WARM_UP, steps // 2) // copies * copies
-            self._model = self._build(warm_up, seed)
-            self._model.learn(warm_up)
+            model = self._build(warm_up, seed)
+            model.learn(warm_up)
+            self._model = model
         else:
             self._model.set_random_seed(seed)
         self._replay.relabel()

@@ -32,17 +32,17 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
     """The inverse of `to_arrays`. Raises ValueError for anything that it did not write."""
     try:
         return _built(arrays, described)
-    except (KeyError, TypeError, AttributeError, ImportError) as error:
+    except (KeyError, TypeError, AttributeError, ImportError, RecursionError) as error:
         raise ValueError(f"nothing that was stored here: {error}") from error
 
 
 def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
-    if isinstance(thing, np.ndarray):
+    if type(thing) is np.ndarray:
         arrays[name] = _compact(thing)
         return {"array": name}
-    if isinstance(thing, tuple):
+    if type(thing) is tuple:
         return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
     if isinstance(thing, EnvSpec):
         if thing.name not in ENVS or SPECS[thing.name] is not thing:
@@ -79,12 +79,12 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
 def _compact(array: NDArray[Any]) -> NDArray[Any]:
     """It in 32 bits where that loses nothing, as in what was fitted in 32 bits."""
     if array.dtype != np.float64:
-        if array.dtype.kind not in "biu":
+        if array.dtype.kind not in "biu" or not array.dtype.isnative:
             raise TypeError(f"an array of {array.dtype} cannot be stored")
-        return np.ascontiguousarray(array)
+        return np.asarray(array, order="C")
     with np.errstate(over="ignore"):
         half = array.astype(np.float32)
-    return np.ascontiguousarray(half if np.array_equal(half.astype(np.float64), array) else array)
+    return np.asarray(half if np.array_equal(half.astype(np.float64), array) else array, order="C")
 
 
 def _is_ours(module: str) -> bool:

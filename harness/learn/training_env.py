@@ -33,6 +33,8 @@ from methods.rewards import Constant
 ABSORBING_STEPS = 5
 """Steps in the absorbing state before the episode is truncated."""
 NOT_ABSORBED = -1
+LARGEST = 1e100
+"""The largest reward that counts as finite: sums of these are."""
 REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 
@@ -78,7 +80,7 @@ class TrainingEnv(VecEnv):
                 paid[alive] = living - reward.absorbing if self._offset else living
         else:
             paid = reward(steps)
-        if paid.shape != true.shape or not np.isfinite(paid).all():
+        if paid.shape != true.shape or not (np.abs(paid) <= LARGEST).all():
             raise FloatingPointError("the reward must give one finite number for each step")
         return paid
 

@@ -12,11 +12,14 @@ from harness.judge.results import Cell, Conditions
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import BadInput
 from harness.run.cache import Kept, as_bytes, from_bytes
+from harness.run.codec import printable
 from harness.run.files import opened
 from methods.base import Policy, Reward
 
 FORMAT = 1
 KIND = "safetensors"
+LARGEST = 1 << 28
+"""Bytes of a file that is read, at most."""
 
 
 def artifact(
@@ -28,7 +31,7 @@ def artifact(
         try:
             its_arrays, parts[name] = to_arrays(thing, name)
             arrays |= its_arrays
-        except TypeError as error:
+        except (TypeError, ValueError, RecursionError) as error:
             troubles.append(f"{cell.name}: {name} is not kept: {error}")
     facts = {"format": FORMAT, "cell": asdict(cell), "conditions": asdict(conditions), "learned": parts}
     return (as_bytes(Kept(arrays, facts)) if parts else b""), troubles
@@ -39,9 +42,15 @@ def read_artifact(path: Path) -> dict[str, Any]:
     Raises BadInput where the file is none, or damaged."""
     try:
         with opened(path) as file:
-            found = from_bytes(file.read())
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise ValueError(f"it is larger than {LARGEST >> 20} MiB")
+        found = from_bytes(data)
         if found.facts["format"] != FORMAT:
             raise ValueError(f"it has another format than {FORMAT}")
-        return {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadInput(f"{path} holds nothing that was learned: {error}") from error
+        learned = {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}
+        if not all(map(callable, learned.values())):
+            raise ValueError("what is neither a policy nor a reward")
+        return learned
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError) as error:
+        raise BadInput(f"{path} holds nothing that was learned: {printable(str(error))}") from error

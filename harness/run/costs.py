@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from typing import Annotated
 
 import msgspec
 
@@ -19,6 +20,9 @@ SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""
 STEPS_PER_SECOND = 2000.0
 """Of RL, about: what a first guess goes by."""
+
+
+Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
 
 class Costs:
@@ -36,7 +40,7 @@ class Costs:
 
     def note(self, job: Job, seconds: float) -> None:
         """Remembers what it took."""
-        self._noted[_name(job)] = seconds
+        self._noted[_name(job)] = max(seconds, 1e-3)
 
     def keep(self) -> None:
         """Stores what was noted for later runs, where that can be done."""
@@ -66,5 +70,5 @@ def _name(job: Job) -> str:
 def _stored() -> dict[str, dict[str, float]]:
     """By conditions and job; nothing where the file cannot be used."""
     with suppress(OSError, ValueError):
-        return msgspec.json.decode(read(cache_folder() / FILE), type=dict[str, dict[str, float]])
+        return msgspec.json.decode(read(cache_folder() / FILE), type=dict[str, dict[str, Seconds]])
     return {}

@@ -4,6 +4,7 @@ and what it computes knows nothing of the run's directory."""
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import traceback
 from collections.abc import Mapping
@@ -12,13 +13,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, cast
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, policies_of, usable
+from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, files_of, policies_of, usable
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
 from harness.run.files import sha256_of
 from harness.run.keys import cell_keys
 
 WORK = "harness.run.cells"
+LARGEST_FILES = 1 << 28
+"""Bytes of all files of a cell, at most."""
 
 
 class Work(Protocol):
@@ -101,11 +104,16 @@ class Inline:
         self._ended: list[tuple[Job, Outcome]] = []
 
     def start(self, job: Job) -> None:
+        variables, folder = os.environ.copy(), Path.cwd()
         try:
             outcome = compute(self._work, job)
-        except Exception as error:
+        except (Exception, SystemExit, GeneratorExit) as error:
             traceback.print_exc(file=sys.stderr)
             outcome = Outcome(error=describe(error))
+        finally:  # what a cell does to its process is not for the next one
+            os.environ.clear()
+            os.environ.update(variables)
+            os.chdir(folder)
         self._ended.append((job, outcome))
 
     def finished(self) -> list[tuple[Job, Outcome]]:
@@ -152,6 +160,10 @@ def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol:
         raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
     if result.files != {name: sha256_of(data) for name, data in files.items()}:
         raise ValueError("its files are not those that its result names")
+    if others := sorted(result.files.keys() - files_of(cell)):
+        raise ValueError(f"{others[0]} is no file of {cell.name}")
+    if sum(map(len, files.values())) > LARGEST_FILES:
+        raise ValueError(f"its files are larger than {LARGEST_FILES >> 20} MiB")
     for row in result.rows:
         if row.protocol != protocol:
             raise ValueError(f"{row.policy}: of protocol {row.protocol}, not {protocol}")

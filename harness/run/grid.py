@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, failed_rows
+from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, failed_rows, files_of
 from harness.run.codec import decode
 from harness.run.costs import Costs
 from harness.run.engines import Engine, Job, Outcome
@@ -126,7 +126,8 @@ class _Schedule:
         error = outcome.error
         if not error:
             result = decode(outcome.result)
-            if result.cell != cell or result.files.keys() != outcome.files.keys():
+            own = result.files.keys() <= files_of(cell)
+            if result.cell != cell or not own or result.files.keys() != outcome.files.keys():
                 error = "what came back is not the cell's"
         if error:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})

@@ -6,8 +6,10 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -28,6 +30,8 @@ from harness.run.scratch import scratch_folder
 
 LOOK_EVERY = 1.0
 """Seconds between looks for processes that jobs left behind."""
+LOG, TEMPORARY = "log", "tmp"
+"""In the folder of a job."""
 LONGEST_LOG = 1 << 20
 """Bytes of what a job printed that are kept: the last ones."""
 
@@ -58,7 +62,7 @@ class Isolated:
         with contextlib.ExitStack() as stack:
             os.environ[PRELOAD_VARIABLE] = ",".join(self._modules)
             stack.callback(os.environ.pop, PRELOAD_VARIABLE, None)
-            self._logs = stack.enter_context(scratch_folder())
+            self._folders = stack.enter_context(scratch_folder())
             context = stack.enter_context(fresh_processes(self._preload, self._deterministic))
             # pebble's stubs call this argument mp_context, its code context.
             options = {"name": NAME, "context": context, "timeout": self.timeout}
@@ -73,14 +77,16 @@ class Isolated:
         self._stack.__exit__(kind, error, trace)
 
     def start(self, job: Job) -> None:
-        log = self._logs / job.name
-        self._running[_launched(self._launch, self._work, job, log)] = job, log
+        folder = self._folders / job.name
+        (folder / TEMPORARY).mkdir(parents=True, exist_ok=True)
+        self._running[_launched(self._launch, self._work, job, folder)] = job, folder
 
     def finished(self) -> list[tuple[Job, Outcome]]:
         ended = []
         for future in wait(self._running, LOOK_EVERY, return_when=FIRST_COMPLETED).done:
-            job, log = self._running.pop(future)
-            ended.append((job, replace(self._outcome(future), log=_printed(log))))
+            job, folder = self._running.pop(future)
+            ended.append((job, replace(self._outcome(future), log=_printed(folder / LOG))))
+            shutil.rmtree(folder, ignore_errors=True)
         end_orphans()
         wake_server()
         return ended
@@ -119,12 +125,14 @@ def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Fut
         return future
 
 
-def _do(work: str, job: Job, log: Path) -> Outcome:
-    """Does one job, in its own process; whatever it prints goes to the log."""
+def _do(work: str, job: Job, folder: Path) -> Outcome:
+    """Does one job, in its own process; whatever it prints goes to the log in its folder, and its temporary
+    files there, too."""
     try:
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder / TEMPORARY)
         begin_cell()
         bound_memory()
-        with appending(log) as file:
+        with appending(folder / LOG) as file:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
         faulthandler.enable()
@@ -143,13 +151,12 @@ def _do(work: str, job: Job, log: Path) -> Outcome:
 
 
 def _printed(log: Path) -> bytes:
-    """What is in the log, which is deleted; of a long one the end."""
+    """What is in the log; of a long one the end."""
     with contextlib.suppress(OSError):
         with opened(log) as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - LONGEST_LOG))
             printed = file.read()
-        log.unlink()
         left_out = size - len(printed)
         return b"(%d bytes left out)\n" % left_out * (left_out > 0) + printed
     return b""

@@ -15,7 +15,7 @@ from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Request
+from harness.judge.results import REFERENCE, Cell, CellResult, Request, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import numeric
@@ -86,6 +86,8 @@ class RunDirectory:
         """Stores a cell's result and its files. Raises OSError where one cannot be written, TypeError for no
         JSON."""
         self.check()
+        for name in files_of(result.cell) - result.files.keys():  # of what was computed before
+            (self.path / name).unlink(missing_ok=True)
         for name, data in files.items():
             write_atomic(self.path / name, data)
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")

@@ -40,6 +40,10 @@ class Mute(Exception):
         raise RuntimeError("no words")
 
 
+RECORDED = {
+    "records": "cartpole__records__seed0__pi_R.rrd",
+    "records_anothers": "cartpole__good__seed0__pi_R.rrd",
+}
 ODD_EXCEPTIONS = {
     "keyboard": KeyboardInterrupt(),
     "generator": GeneratorExit("left"),
@@ -75,7 +79,7 @@ def run_cell(
     cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
 ) -> tuple[CellResult, dict[str, bytes]]:
     assert inputs == {"shared": cell.env.encode()}
-    files = {"recordings/ours.rrd": b"a recording"} if cell.method == "records" else {}
+    files = {f"recordings/{RECORDED.get(cell.method)}": b"a recording"} if cell.method in RECORDED else {}
     return faked(cell, conditions, Path(os.environ[FOLDER])), files
 
 
@@ -134,9 +138,16 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         return CellResult(cell, _rows(cell, dataclasses.replace(conditions, protocol="another"), 1.0))
     if behaviour == "ghost_recording":
         return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ghost.rrd": "0" * 64})
-    if behaviour == "records":
-        digest = hashlib.sha256(b"a recording").hexdigest()
-        return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ours.rrd": digest})
+    if behaviour in RECORDED:
+        recordings = {RECORDED[behaviour]: hashlib.sha256(b"a recording").hexdigest()}
+        return CellResult(cell, _rows(cell, conditions, 1.0), recordings=recordings)
+    if behaviour == "fills_temporary_files":
+        (Path(tempfile.gettempdir()) / "large").write_bytes(bytes(1 << 20))
+    if behaviour == "looks_for_temporary_files":
+        assert list(Path(tempfile.gettempdir()).iterdir()) == []
+    if behaviour == "changes_its_process":
+        os.chdir("/")
+        os.environ["OMP_NUM_THREADS"] = "7"
     if behaviour == "one_row":
         return CellResult(cell, _rows(cell, conditions, 1.0)[:1])
     if behaviour == "many_curves":

@@ -273,6 +273,24 @@ def test_inline_cells_are_computed_in_this_process(
         assert "computes one cell after the other and cannot stop any" in err
 
 
+@pytest.mark.parametrize("behaviour", ["exit", "generator", "changes_its_process"])
+def test_inline_cells_take_no_others_with_them(main: Main, tmp_path: Path, behaviour: str) -> None:
+    faults(tmp_path, cartpole__control_true__seed0=behaviour)
+    code, out, _ = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
+    assert code == (behaviour != "changes_its_process")
+    assert f"a table of {PER_SEED + 1} cells" in out
+    assert Path.cwd() == tmp_path
+
+
+def test_inline_cells_replace_none_of_another_engine(main: Main, tmp_path: Path) -> None:
+    assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    code, out, err = main(*SMOKE, "--methods", "bc", "--seeds", "2", "--engine", "inline", "--out", "run")
+    assert (code, out) == (2, "")
+    assert "run holds cells that were computed otherwise; give another --out" in err
+    assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
+
+
 def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -16,12 +16,21 @@ from tests.harness.fake_runs import Found
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("bc", "shaped")]
-FILE = "artifacts/a.safetensors"
 
 
-def result(cell: Cell) -> CellResult:
+def name_of(cell: Cell) -> str:
+    return f"{cell.name}.safetensors"
+
+
+def result(cell: Cell, file: str = "") -> CellResult:
     rows = [Row(cell.env, cell.method, cell.seed, policy, "absorbing") for policy in policies_of(cell)]
-    return CellResult(cell, rows, artifacts={"a.safetensors": sha256_of(b"x")}, seconds={"fit": 0.0})
+    artifacts = {file or name_of(cell): sha256_of(b"x")}
+    return CellResult(cell, rows, artifacts=artifacts, seconds={"fit": 0.0})
+
+
+def anothers(job: Job) -> Outcome:
+    file = name_of(CELLS[1])
+    return Outcome(encode(result(job.cells[0], file)), {f"artifacts/{file}": b"x"})
 
 
 class Scripted(Inline):
@@ -47,7 +56,8 @@ def run(tmp_path: Path, script: Callable[[Job], Outcome]) -> tuple[Scripted, Fou
 
 
 def good(job: Job) -> Outcome:
-    return Outcome(encode(result(job.cells[0])), {FILE: b"x"}, b"said\n")
+    (cell,) = job.cells
+    return Outcome(encode(result(cell)), {f"artifacts/{name_of(cell)}": b"x"}, b"said\n")
 
 
 def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -> None:
@@ -57,7 +67,7 @@ def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -
         assert job.inputs == inputs
     assert [job.cells for job in engine.given if job.shared] == [tuple(CELLS[:2]), tuple(CELLS[2:])]
     assert sorted(r.cell for r in found.results) == sorted(CELLS)
-    assert found.files == {FILE: b"x"}
+    assert found.files == {f"artifacts/{name_of(cell)}": b"x" for cell in CELLS}
     assert (tmp_path / "run.log").read_text() == "made\nsaid\nsaid\n" * 2
     for kept in found.results:
         assert set(kept.seconds) == {"start", "fit"}
@@ -68,7 +78,8 @@ def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -
     "wrong",
     [
         lambda job: dataclasses.replace(good(job), files={}),
-        lambda job: dataclasses.replace(good(job), files={FILE: b"x", "../run.json": b"{}"}),
+        lambda job: dataclasses.replace(good(job), files={**good(job).files, "../run.json": b"{}"}),
+        anothers,
         lambda job: dataclasses.replace(good(job), files={"artifacts/../../b.safetensors": b"x"}),
         lambda job: dataclasses.replace(good(job), result=encode(result(Cell("cartpole", "bc", 7)))),
     ],
@@ -77,7 +88,7 @@ def test_what_is_not_the_cells_is_a_failed_row(tmp_path: Path, wrong: Callable[[
     _, found = run(tmp_path, lambda job: wrong(job) if job.cells[0].method == "bc" else good(job))
     status = {r.cell: {row.status for row in r.rows} for r in found.results}
     assert status == {cell: {"failed"} if cell.method == "bc" else {"ok"} for cell in CELLS}
-    assert set(found.files) == {FILE}
+    assert set(found.files) == {f"artifacts/{name_of(cell)}" for cell in CELLS if cell.method == "shaped"}
     failed = next(r for r in found.results if r.cell.method == "bc")
     assert failed.rows[0].reason == "what came back is not the cell's"
 

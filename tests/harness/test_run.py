@@ -126,6 +126,18 @@ def test_a_file_of_seconds_that_cannot_be_used_is_no_matter(directory: Path) -> 
     assert json.loads(kept.read_text())
 
 
+@pytest.mark.parametrize("seconds", [1e308, -1.0, 0.0, 1e-320, 1e7])
+def test_seconds_that_nothing_takes_are_not_believed(directory: Path, seconds: float) -> None:
+    kept = directory.parent / "cache/seconds.json"
+    kept.parent.mkdir()
+    (job,) = [Job((Cell("cartpole", "bc", 0),), False, CONDITIONS, "")]
+    guess = Costs(CONDITIONS).of(job)
+    kept.write_text(json.dumps({"smoke, sb3, experts shipped": {"cartpole bc": seconds}}))
+    assert Costs(CONDITIONS).of(job) == guess
+    run(directory, list(job.cells), workers=1)
+    assert Costs(CONDITIONS).of(job) != guess
+
+
 def test_what_cells_share_is_there_for_one_seed_at_a_time(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

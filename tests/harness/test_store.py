@@ -176,6 +176,18 @@ def test_a_cell_whose_artifact_is_damaged_is_computed_again(whole: Path) -> None
         assert list(unusable.values()) == ["artifacts/a.safetensors is missing or damaged"]
 
 
+def test_what_a_cell_had_before_goes_with_its_new_result(tmp_path: Path) -> None:
+    name = f"{CELL.name}.safetensors"
+    with open_for_run(tmp_path, REQUEST) as run:
+        kept = {"artifacts": {name: sha256_of(b"x")}}
+        run.save(dataclasses.replace(result(), **kept), {f"artifacts/{name}": b"x"})
+        assert (tmp_path / "artifacts" / name).exists()
+        run.save(result())
+        assert not (tmp_path / "artifacts" / name).exists()
+        run.seal(list(run.load()[0].values()), [])
+        assert tmp_path / "artifacts" / name not in run.damaged()
+
+
 def test_a_cell_of_before_a_field_was_there_has_its_default(whole: Path) -> None:
     file = whole / "cells" / f"{CELL.name}.json"
     stored = json.loads(file.read_text())["result"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import EnvSpec
+from envs import EnvSpec, Quantity
 from harness.judge.controls import Distance
 from harness.judge.results import Cell, Conditions
 from harness.learn.exact import ExactSolver
@@ -19,6 +19,7 @@ from harness.learn.world import Features
 from harness.registry import SPECS, BadInput
 from harness.run.artifacts import artifact, read_artifact
 from harness.run.cache import Kept, as_bytes
+from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant, LinearReward, NetworkReward, StateReward
 from methods.shaped import ShapedReward
@@ -116,6 +117,9 @@ class Strange:
         (Strange(), "Strange is no dataclass of envs, methods, harness"),
         (Constant(1.0, np.array(["x"])), "an array of <U1 cannot be stored"),  # type: ignore[arg-type]
         (Constant([1.0], 0.0), "builtins.list is no dataclass"),  # type: ignore[arg-type]
+        (Constant(np.ma.array([1.0]), 0.0), "MaskedArray is no dataclass"),
+        (Constant(np.array([1], ">i8"), 0.0), "an array of >i8 cannot be stored"),  # type: ignore[arg-type]
+        (Constant(Quantity("x"), 0.0), "Quantity is no dataclass"),  # type: ignore[arg-type]
     ],
 )
 def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(tmp_path: Path, thing: Any, reason: str) -> None:
@@ -125,6 +129,24 @@ def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(tmp_path: Path, thing:
     (tmp_path / "a.safetensors").write_bytes(data)
     assert set(read_artifact(tmp_path / "a.safetensors")) == {"pi_star"}
     assert artifact(CELL, CONDITIONS, {"reward": thing})[0] == b""
+
+
+def test_arrays_come_back_with_their_shape_and_layout(tmp_path: Path) -> None:
+    number = np.array(1.5)
+    found = kept(tmp_path / "a.safetensors", reward=Constant(number, 0.0))["reward"]  # type: ignore[arg-type]
+    assert found.value.shape == ()
+    gaussian = SquashedGaussian(dataclasses.replace(network(4, 6, half=False), tanh=False))
+    its = kept(tmp_path / "b.safetensors", pi_star=gaussian.mean)["pi_star"]
+    for obs in np.random.default_rng(0).standard_normal((300, 1, 4)):
+        assert np.array_equal(its(obs), gaussian.mean(obs))
+        assert gaussian.mean.weights[-1].flags.c_contiguous
+
+
+def test_a_reward_that_holds_itself_is_told(tmp_path: Path) -> None:
+    reward = Distance(network(4, 1))
+    object.__setattr__(reward, "policy", reward)
+    _, (trouble,) = artifact(CELL, CONDITIONS, {"reward": reward})
+    assert "reward is not kept" in trouble
 
 
 def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpec) -> None:
@@ -149,13 +171,17 @@ def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpe
         {"env": "nowhere"},
         {"array": "absent"},
         {"tuple": "text"},
+        "hello",
+        5,
+        None,
         {},
         [1, 2],
     ],
 )
 def test_what_was_not_written_by_it_is_refused_and_runs_nothing(tmp_path: Path, described: Any) -> None:
-    with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
-        from_arrays({}, described)
+    if isinstance(described, dict | list):
+        with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
+            from_arrays({}, described)
     file = tmp_path / "a.safetensors"
     file.write_bytes(as_bytes(Kept({}, {"format": 1, "learned": {"reward": described}})))
     with pytest.raises(BadInput, match=r"a\.safetensors holds nothing that was learned"):

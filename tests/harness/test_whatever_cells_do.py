@@ -33,6 +33,7 @@ ODD = {
     "many_curves": "ValueError: Expected `object` of length <= 30 - at `$.curves`",
     "other_protocol": "ValueError: pi_star: of protocol another, not absorbing",
     "ghost_recording": "ValueError: its files are not those that its result names",
+    "records_anothers": "ValueError: recordings/cartpole__good__seed0__pi_R.rrd is no file of",
     "one_row": "ValueError: asked for pi_star, pi_R, got pi_star",
     "escape": "ValueError: Expected `str` of one plain line, or a plain name - at `$.warnings[0]`",
     "leaves_and_dies": "its process was killed by SIGKILL",
@@ -75,6 +76,12 @@ def test_odd_ends_are_failed_rows(run: Run) -> None:
     for method, expected in ODD.items():
         assert reason(results[method]).startswith(expected), method
     assert reason(results["good"]) == ""
+
+
+def test_what_a_cell_leaves_in_its_temporary_folder_is_gone_for_the_next(run: Run) -> None:
+    methods = ("fills_temporary_files", "looks_for_temporary_files", "deletes_temporary_files", "records")
+    results = run(*methods, workers=1)
+    assert {reason(result) for result in results.values()} == {""}
 
 
 def test_a_handler_that_a_cell_leaves_behind_ends_nothing_else(run: Run) -> None:
