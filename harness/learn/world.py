@@ -20,10 +20,10 @@ from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPol
 class Features:
     """A task's features for linear rewards, (B, K) of observations (B, O) and actions (B, A)."""
 
-    spec: EnvSpec
+    _spec: EnvSpec
 
     def __call__(self, obs: Array, act: Array, /) -> Array:
-        return self.spec.features(obs, act)
+        return self._spec.features(obs, act)
 
 
 class TaskWorld:

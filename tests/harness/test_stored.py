@@ -89,7 +89,7 @@ def test_a_linear_reward_is_kept_with_the_name_of_its_features(tmp_path: Path) -
     data, _ = artifact(CELL, CONDITIONS, {"reward": linear()})
     assert len(data) < 2000
     found = kept(tmp_path / "a.safetensors", reward=linear())["reward"]
-    assert found.phi.spec is SPECS["cartpole"]
+    assert found.phi._spec is SPECS["cartpole"]
 
 
 def test_what_was_fitted_in_32_bits_is_kept_in_32(tmp_path: Path) -> None:
