@@ -20,8 +20,8 @@ from stable_baselines3 import DDPG
 from stable_baselines3.common.noise import NormalActionNoise
 
 from envs import EnvSpec
-from envs.highway import CONFIG, HORIZON
-from envs.highway_fast import FastHighwayEnv
+from envs.driving.fast import FastHighwayEnv
+from envs.driving.highway import CONFIG, HORIZON
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import WARM_UP, Agent
 from harness.learn.simulator import Simulator

@@ -58,15 +58,18 @@ VARIANTS = {
 """Methods that run when they are named, but are not part of 'all'."""
 ENVS = {
     "cartpole": Entry(
-        "envs.cartpole:SPEC", "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)"
+        "envs.balancing.cartpole:SPEC",
+        "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
     ),
-    "pendulum": Entry("envs.pendulum:SPEC", "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps"),
+    "pendulum": Entry(
+        "envs.balancing.pendulum:SPEC", "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps"
+    ),
     "highway": Entry(
-        "envs.highway:SPEC",
+        "envs.driving.highway:SPEC",
         "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
     ),
     "cartpole_discrete": Entry(
-        "envs.cartpole_discrete:SPEC",
+        "envs.balancing.cartpole_discrete:SPEC",
         "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
     ),
     "gridworld": Entry(

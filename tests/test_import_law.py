@@ -1,6 +1,7 @@
 """Who may import whom, and each heavy library in one place."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,12 @@ def test_rooms_import_only_those_before_them(file: str) -> None:
     assert own is not None
     later = {name for name in modules(FILES[file]) if (its := room(name)) is not None and its > own}
     assert later == set()
+
+
+def test_every_package_is_installed() -> None:
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {Path(file).parent.as_posix().replace("/", ".") for file in FILES}
+    assert folders <= {*setup["packages"]}
 
 
 def test_each_heavy_library_has_one_home() -> None:

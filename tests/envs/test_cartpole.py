@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from envs import cartpole_discrete
-from envs.cartpole import NOMINAL, SPEC, CartPole, Physics
-from envs.cartpole_discrete import DiscreteCartPole
+from envs.balancing.cartpole import NOMINAL, SPEC, CartPole, Physics
+from envs.balancing.cartpole_discrete import DiscreteCartPole
 
 OTHER = Physics(
     gravity=5.0,

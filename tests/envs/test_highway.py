@@ -11,10 +11,10 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.road.lane import SineLane, StraightLane
 from highway_env.road.road import Road as UpstreamRoad
 
-from envs import highway
-from envs.highway import CONFIG, HORIZON, SPEC, idm_return
-from envs.highway_batch import Road, Scenes
-from envs.highway_fast import FastHighwayEnv
+from envs.driving import highway
+from envs.driving.batch import Road, Scenes
+from envs.driving.fast import FastHighwayEnv
+from envs.driving.highway import CONFIG, HORIZON, SPEC, idm_return
 
 VIEW = {
     "type": "Kinematics",

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from envs.pendulum import NOMINAL, RAIL, SPEC, Pendulum, PendulumBatch, Physics
+from envs.balancing.pendulum import NOMINAL, RAIL, SPEC, Pendulum, PendulumBatch, Physics
 
 PHYSICS = [NOMINAL, *(made_with["physics"] for made_with in SPEC.variants.values())]
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from envs.highway_fast import FastHighwayEnv
+from envs.driving.fast import FastHighwayEnv
 from harness import bench, cli, growth
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS

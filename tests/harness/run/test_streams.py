@@ -17,7 +17,7 @@ from harness.run import streams
 from harness.run.store import open_for_run
 from tests.harness.fake_runs import PER_SEED
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 ROOT = HERE.parents[1]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
 RUN = "run --budget smoke --envs cartpole --methods bc --out run"

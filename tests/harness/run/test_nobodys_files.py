@@ -18,7 +18,7 @@ from tests.harness.small_runs import RECORDING, REQUEST, run, snapshot, strange
 
 __all__ = ["run"]
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> None:

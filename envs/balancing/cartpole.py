@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
+from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 500
@@ -184,5 +184,8 @@ SPEC = EnvSpec(
 )
 
 gym.register(
-    SPEC.env_id, entry_point="envs.cartpole:CartPole", max_episode_steps=HORIZON, disable_env_checker=True
+    SPEC.env_id,
+    entry_point="envs.balancing.cartpole:CartPole",
+    max_episode_steps=HORIZON,
+    disable_env_checker=True,
 )

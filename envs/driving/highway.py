@@ -20,8 +20,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from envs.highway_batch import Road, Scenes
-from envs.highway_fast import FastHighwayEnv, speed_up_vehicle
+from envs.driving.batch import Road, Scenes
+from envs.driving.fast import FastHighwayEnv, speed_up_vehicle
 from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -312,5 +312,8 @@ SPEC = EnvSpec(
 )
 
 gym.register(
-    SPEC.env_id, entry_point="envs.highway:Highway", max_episode_steps=HORIZON, disable_env_checker=True
+    SPEC.env_id,
+    entry_point="envs.driving.highway:Highway",
+    max_episode_steps=HORIZON,
+    disable_env_checker=True,
 )

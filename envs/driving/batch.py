@@ -22,7 +22,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from envs.highway_fast import FastIDM, FastRoad, FastVehicle
+from envs.driving.fast import FastIDM, FastRoad, FastVehicle
 from envs.spec import Array
 
 Ints = NDArray[np.int64]

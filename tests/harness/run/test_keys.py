@@ -26,7 +26,7 @@ KEYED = [
 
 
 def test_a_cells_key_covers_all_source_that_computes_it() -> None:
-    code = "import sys, harness.run.cells, harness.show.recordings, methods.maxmargin, envs.highway\n"
+    code = "import sys, harness.run.cells, harness.show.recordings, methods.maxmargin, envs.driving.highway\n"
     code += "import envs.mujoco_batch\n"
     code += "print(*(m.__file__ for m in list(sys.modules.values()) if getattr(m, '__file__', None)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -34,9 +34,9 @@ def test_a_cells_key_covers_all_source_that_computes_it() -> None:
     imported = {f.relative_to(ROOT).as_posix() for f in files if f.is_relative_to(ROOT)}
     imported = {name for name in imported if name.split("/")[0] in PROGRAM}
     assert "harness/learn/rl.py" in imported
-    covered = keys.sources(keys.CELLS, "methods.maxmargin", "envs.highway")
+    covered = keys.sources(keys.CELLS, "methods.maxmargin", "envs.driving.highway")
     assert imported - keys.NO_NUMBER == covered
-    assert covered.isdisjoint({"methods/maxent.py", "envs/cartpole.py"})
+    assert covered.isdisjoint({"methods/maxent.py", "envs/balancing/cartpole.py"})
 
 
 def test_a_key_is_of_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +53,7 @@ EDITS = {
     "methods/bc.py": {("cartpole", "bc"), ("highway", "bc"), ("cartpole", "control_clone")},
     "methods/shaped.py": {("cartpole", "control_shuffled")},
     "methods/network.py": {*KEYED},
-    "envs/highway_batch.py": {("highway", "bc"), ("highway", "reference")},
+    "envs/driving/batch.py": {("highway", "bc"), ("highway", "reference")},
     "harness/learn/rl.py": {*KEYED},
     "harness/judge/leaderboard.py": set(),
     "harness/run/store.py": set(),

@@ -27,7 +27,7 @@ from harness.run.keys import CELLS, PROGRAM, ROOT, cell_keys, expert_key, progra
 from harness.run.processes import NAME, fresh_processes
 from tests.harness.fake_runs import compute
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
 CELL, CONDITIONS = Cell("cartpole", "bc", 0), Conditions("smoke", "absorbing", "sbx")
 NUMBERS_DEPEND = {
@@ -102,7 +102,7 @@ def test_a_new_and_an_edited_method_compute_their_own_cells_and_no_others(copy: 
     registry = copy / "harness/registry.py"
     line = '"mine": Entry("methods.mine:BehaviourCloning", "mine"),'
     registry.write_text(registry.read_text().replace("METHODS = {", f"METHODS = {{ {line}", 1))
-    for file in ("methods/maxent.py", "envs/cartpole.py", "harness/cli.py"):
+    for file in ("methods/maxent.py", "envs/balancing/cartpole.py", "harness/cli.py"):
         (copy / file).write_text((copy / file).read_text() + "\n# edited\n")
     more = ["run", "--methods", "mine,bc", *RUN[3:]]
     told, _ = (process := start(copy, *more)).communicate(timeout=120)

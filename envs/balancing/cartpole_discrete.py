@@ -5,8 +5,8 @@ from __future__ import annotations
 import gymnasium as gym
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
-from envs import cartpole
-from envs.cartpole import NOMINAL, Physics
+from envs.balancing import cartpole
+from envs.balancing.cartpole import NOMINAL, Physics
 from envs.learners import DQN
 from envs.spec import EnvSpec, Quantity, Shipped
 
@@ -52,7 +52,7 @@ SPEC = EnvSpec(
 
 gym.register(
     SPEC.env_id,
-    entry_point="envs.cartpole_discrete:DiscreteCartPole",
+    entry_point="envs.balancing.cartpole_discrete:DiscreteCartPole",
     max_episode_steps=cartpole.HORIZON,
     disable_env_checker=True,
 )

@@ -20,7 +20,7 @@ from harness.run import processes
 from harness.run.codec import decode
 from tests.harness.fake_runs import compute
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 FAKE = [sys.executable, str(HERE / "fake_cells.py"), "run", "--budget", "smoke", "--envs", "cartpole"]
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 ODD = {

@@ -16,7 +16,7 @@ import pytest
 from harness.judge.results import CONTROLS, Cell
 from tests.harness.fake_runs import compute, scores
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 ENV = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
 WORKERS = 2
 

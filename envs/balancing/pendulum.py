@@ -14,7 +14,7 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
+from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -171,7 +171,7 @@ SPEC = EnvSpec(
 
 gym.register(
     SPEC.env_id,
-    entry_point="envs.pendulum:Pendulum",
+    entry_point="envs.balancing.pendulum:Pendulum",
     max_episode_steps=HORIZON,
     disable_env_checker=True,
 )

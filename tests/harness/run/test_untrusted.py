@@ -16,7 +16,7 @@ from harness.run.codec import encode
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.store import SUMS, open_for_run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 OUTSIDE = ("../outside", "../../outside", "/tmp/irl-bench-outside", "..", "a/../../../outside")
 

@@ -1,0 +1,1 @@
+"""Keep a pole upright, on a cart."""
