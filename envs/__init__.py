@@ -1,5 +1,5 @@
-"""The tasks, one file each, in a folder where several are of a family; importing a file registers its task with
-Gymnasium."""
+"""The tasks, one file each, in a folder where several are of a family. Importing a file registers its task
+with Gymnasium."""
 
 from envs.spec import BUDGETS, EnvSpec, Quantity, Shape, from_gymnasium
 

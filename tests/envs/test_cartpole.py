@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from envs import cartpole_discrete
+from envs.balancing import cartpole_discrete
 from envs.balancing.cartpole import NOMINAL, SPEC, CartPole, Physics
 from envs.balancing.cartpole_discrete import DiscreteCartPole
 
