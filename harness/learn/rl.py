@@ -10,6 +10,7 @@ a constant, and 0 by the offset, the solve ends after the warm-up, for the untra
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,8 +127,8 @@ class Agent:
         steps_before = self.check_steps
         curve, true_curve, equals = [], [], list[Network]()
         best_return = -np.inf
-        for done_steps, policy in self._checkpoints:
-            score, truth = self.check(policy)
+        checked = self.check([policy for _, policy in self._checkpoints])
+        for (done_steps, policy), (score, truth) in zip(self._checkpoints, checked, strict=True):
             curve.append((float(done_steps), score))
             true_curve.append((float(done_steps), truth))
             if score > best_return:
@@ -139,8 +140,8 @@ class Agent:
         return Solution(best, curve, true_curve, 0, self.check_steps - steps_before, checkpoints)
 
     def _steadiest(self, equals: list[Network]) -> Network:
-        noisy = (disturbed(policy, self.spec, self.settings.noise) for policy in equals)
-        steadiness = [self.check(policy)[0] for policy in noisy]
+        noisy = [disturbed(policy, self.spec, self.settings.noise) for policy in equals]
+        steadiness = [score for score, _ in self.check(noisy)]
         return equals[max(range(len(equals)), key=lambda i: (steadiness[i], i))]
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
@@ -208,13 +209,15 @@ class Agent:
             raise ValueError(f"{type(self.settings).__name__} has no stochastic policy; SAC has")
         return SquashedGaussian(models.actor(self._built, self.spec))
 
-    def check(self, policy: Policy) -> tuple[float, float]:
-        """Mean undiscounted return under the reward that the agent learns from, and the true one."""
-        episodes = self._checks.run(policy, self._check_seeds)
-        total = sum(float(self._env.raw_rewards(e.transitions(), e.rewards).sum()) for e in episodes)
-        truth = sum(float(e.rewards.sum()) for e in episodes)
-        self.check_steps += sum(len(e.act) for e in episodes)
-        return total / len(episodes), truth / len(episodes)
+    def check(self, policies: Sequence[Policy]) -> list[tuple[float, float]]:
+        """Of each, mean undiscounted return under the reward that the agent learns from, and the true one."""
+        found = []
+        for episodes in self._checks.run_each(policies, self._check_seeds):
+            total = sum(float(self._env.raw_rewards(e.transitions(), e.rewards).sum()) for e in episodes)
+            truth = sum(float(e.rewards.sum()) for e in episodes)
+            self.check_steps += sum(len(e.act) for e in episodes)
+            found.append((total / len(episodes), truth / len(episodes)))
+        return found
 
 
 def disturbed(policy: Policy, spec: EnvSpec, noise: float) -> Policy:

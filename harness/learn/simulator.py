@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -54,6 +55,25 @@ class Simulator:
     ) -> list[Trajectory]:
         """One trajectory for each seed, in their order. first: for each episode actions (T, A) that it begins
         with, whatever the policy says. most: steps after those at which it is cut, before the horizon."""
+        return self._run(lambda obs, episodes: policy(obs), seeds, first, most)
+
+    def run_each(self, policies: Sequence[Policy], seeds: Sequence[int]) -> list[list[Trajectory]]:
+        """What `run` gives for each policy, as many of them side by side as there are lanes for."""
+        together, found = max(1, self.lanes // len(seeds)), list[list[Trajectory]]()
+        for start in range(0, len(policies), together):
+            some = policies[start : start + together]
+            episodes = self._run(partial(_each, some, len(seeds)), [*seeds] * len(some))
+            found += [episodes[i : i + len(seeds)] for i in range(0, len(episodes), len(seeds))]
+        return found
+
+    def _run(
+        self,
+        answer: Callable[[Array, list[int]], Array],
+        seeds: Sequence[int],
+        first: Sequence[Array] | None = None,
+        most: int | None = None,
+    ) -> list[Trajectory]:
+        """answer: what is done where observations (B, O) of these B episodes are seen."""
         spec, lanes = self.spec, min(self.lanes, len(seeds))
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
         act = np.empty((lanes, spec.horizon, spec.act_size))
@@ -75,10 +95,10 @@ class Simulator:
         while playing:
             places = np.array(sorted(playing))
             now = length[places]
-            chosen = spec.executed(policy(obs[places, now]))
+            episodes = [playing[place] for place in places.tolist()]
+            chosen = spec.executed(answer(obs[places, now], episodes))
             if len(chosen) != len(places):
                 raise ValueError(f"a policy gave {len(chosen)} actions for {len(places)} observations")
-            episodes = [playing[place] for place in places.tolist()]
             if first is not None:
                 for i in np.flatnonzero(now < begun[episodes]):
                     chosen[i] = first[episodes[i]][now[i]]
@@ -98,6 +118,13 @@ class Simulator:
                 )
                 enter(place)
         return [done[index] for index in range(len(seeds))]
+
+
+def _each(policies: Sequence[Policy], count: int, obs: Array, episodes: list[int]) -> Array:
+    """What each policy does in its own episodes, `count` of each."""
+    owners = np.array(episodes) // count
+    parts = [policy(obs[mine]) for i, policy in enumerate(policies) if (mine := owners == i).any()]
+    return np.concatenate(parts)
 
 
 def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:

@@ -236,9 +236,9 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
     spec = dataclasses.replace(steady, rl=DDPG(checkpoint_every=100))
     scores = iter(returns + disturbed)
 
-    def check(self: Agent, policy: Policy) -> tuple[float, float]:
-        self.check_steps += 1
-        return (score := next(scores)), -score
+    def check(self: Agent, policies: Sequence[Policy]) -> list[tuple[float, float]]:
+        self.check_steps += len(policies)
+        return [((score := next(scores)), -score) for _ in policies]
 
     monkeypatch.setattr(Agent, "check", check)
     solution = solve(spec, Seek(), steps=800)
@@ -253,11 +253,11 @@ def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     checked: list[int] = []
     trained: list[int] = []
-    check, begin = Simulator.run, TrainingEnv._reset
+    check, begin = Simulator.run_each, TrainingEnv._reset
 
-    def run(self: Simulator, policy: Policy, seeds: Sequence[int]) -> list[Trajectory]:
-        checked.extend(seeds)
-        return check(self, policy, seeds)
+    def run_each(self: Simulator, policies: Sequence[Policy], seeds: Sequence[int]) -> list[list[Trajectory]]:
+        checked.extend([*seeds] * len(policies))
+        return check(self, policies, seeds)
 
     def reset(self: TrainingEnv, place: int) -> None:
         batch = self._batch.reset
@@ -265,7 +265,7 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
         begin(self, place)
         self._batch.reset = batch
 
-    monkeypatch.setattr(Simulator, "run", run)
+    monkeypatch.setattr(Simulator, "run_each", run_each)
     monkeypatch.setattr(TrainingEnv, "_reset", reset)
     solve(fragile, Seek())
     assert len(checked) > 20

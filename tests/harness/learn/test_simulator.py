@@ -117,6 +117,17 @@ def test_endings_are_told_in_words(fragile: EnvSpec, steady: EnvSpec) -> None:
     assert {(e.ending, e.terminated, len(e.act)) for e in short} == {("missed", True, 1)}
 
 
+@pytest.mark.parametrize("lanes", [1, 7, 16, 100])
+def test_policies_side_by_side_see_what_they_would_see_alone(fragile: EnvSpec, lanes: int) -> None:
+    policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
+    simulator = Simulator(fragile, lanes)
+    expected = [simulator.run(policy, SEEDS) for policy in policies]
+    found = simulator.run_each(policies, SEEDS)
+    for one, other in zip(found, expected, strict=True):
+        assert_equal(one, other)
+    assert len({len(episode.act) for episodes in found for episode in episodes}) > 3
+
+
 def test_the_policy_is_asked_once_a_step_for_all_lanes(steady: EnvSpec) -> None:
     batches: list[int] = []
 
