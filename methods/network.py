@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
 from methods.base import Array
 
@@ -93,11 +94,39 @@ class Network:
         )
 
 
+class _Product(torch.autograd.Function):
+    """x (N, I) @ weight (K, I)^T + bias (K,), by NumPy: its BLAS, held to instructions that all processors
+    have, is twice as fast as torch's."""
+
+    @staticmethod
+    def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+        ctx.save_for_backward(x, weight)
+        y = x.detach().numpy() @ weight.detach().numpy().T
+        y += bias.detach().numpy()
+        return torch.from_numpy(y)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        x, weight = (saved.detach().numpy() for saved in ctx.saved_tensors)
+        g = grad.numpy()
+        to_x = torch.from_numpy(g @ weight) if ctx.needs_input_grad[0] else None
+        return to_x, torch.from_numpy(g.T @ x), torch.from_numpy(g.sum(axis=0))
+
+
+class Linear(torch.nn.Linear):
+    """torch's, on the processor; it can be differentiated once."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        product: torch.Tensor = _Product.apply(x, self.weight, self.bias)  # type: ignore[no-untyped-call]
+        return product
+
+
 def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
     """Linear layers with ReLU between them, initialised by torch's rule for them, from the generator."""
     layers: list[torch.nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        linear = torch.nn.Linear(inputs, outputs)
+        linear = Linear(inputs, outputs)
         for parameter in linear.parameters():
             torch.nn.init.uniform_(parameter, -(inputs**-0.5), inputs**-0.5, generator=generator)
         layers += [linear, torch.nn.ReLU()]

@@ -66,6 +66,32 @@ def test_a_missing_array_is_noticed(missing: str) -> None:
         Network.from_arrays(named)
 
 
+def test_a_layers_outputs_and_gradients_are_torchs() -> None:
+    generator = torch.Generator().manual_seed(0)
+    ours = mlp(3, 8, 5, 2, generator=generator).double()
+    theirs = torch.nn.Sequential(
+        *(
+            torch.nn.Linear(m.in_features, m.out_features).double() if hasattr(m, "weight") else m
+            for m in ours
+        )
+    )
+    theirs.load_state_dict(ours.state_dict())
+    found = []
+    for network in (ours, theirs):
+        x = torch.linspace(-1, 1, 30).double().reshape(10, 3).requires_grad_()
+        network(x).square().mean().backward()
+        found.append([network(x), x.grad, *(p.grad for p in network.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-14)
+
+
+def test_a_layer_that_would_be_differentiated_twice_says_so() -> None:
+    x = torch.ones(4, 3, requires_grad=True)
+    (slope,) = torch.autograd.grad(layers()(x).sum(), x, create_graph=True)
+    with pytest.raises(RuntimeError, match="differentiate twice"):
+        slope.square().sum().backward()
+
+
 def test_mlp_comes_from_its_generator_alone() -> None:
     torch.manual_seed(1)
     one = layers()
