@@ -56,6 +56,8 @@ PROGRAM_NAME = "irl-bench"
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 CONTROL_METHODS = {"control_shuffled": "shaped", "control_clone": "bc"}
 """Methods that controls are fitted by."""
+LEARNED = "learned"
+"""The name of what a cell is handed over: what the cell before it learned."""
 REFERENCE = "reference"
 """The method of the rows of the expert and of the random policy."""
 
@@ -187,10 +189,20 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
     return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
 
 
+def before(cell: Cell) -> Cell | None:
+    """The cell whose artifact saves this one a fit, if there is one."""
+    return dataclasses.replace(cell, method="bc") if cell.method == "control_clone" else None
+
+
+def artifact_of(cell: Cell) -> str:
+    """The file of what a cell learned, by the path in the run's directory."""
+    return f"artifacts/{cell.name}.safetensors"
+
+
 def files_of(cell: Cell) -> set[str]:
     """The files that a cell may have besides its own, by the path in the run's directory."""
     recordings = {f"recordings/{cell.name}__{policy}.rrd" for policy in policies_of(cell)}
-    return {*recordings, f"artifacts/{cell.name}.safetensors"}
+    return {*recordings, artifact_of(cell)}
 
 
 def usable(value: float) -> bool:

@@ -45,12 +45,20 @@ def read_artifact(path: Path) -> dict[str, Any]:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise ValueError(f"it is larger than {LARGEST >> 20} MiB")
-        found = from_bytes(data)
+        return learned_in(data)
+    except (OSError, ValueError, MemoryError) as error:
+        raise BadInput(f"{path} holds nothing that was learned: {printable(str(error))}") from error
+
+
+def learned_in(data: bytes) -> dict[str, Any]:
+    """The same, of what such a file holds. Raises ValueError where it is none, or damaged."""
+    found = from_bytes(data)
+    try:
         if found.facts["format"] != FORMAT:
             raise ValueError(f"it has another format than {FORMAT}")
         learned = {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}
-        if not all(map(callable, learned.values())):
-            raise ValueError("what is neither a policy nor a reward")
-        return learned
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError) as error:
-        raise BadInput(f"{path} holds nothing that was learned: {printable(str(error))}") from error
+    except (KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(str(error)) from error
+    if not all(map(callable, learned.values())):
+        raise ValueError("what is neither a policy nor a reward")
+    return learned

@@ -13,12 +13,13 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.judge.advantage import Replays, replay
-from harness.judge.results import Conditions
+from harness.judge.results import LEARNED, Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.stored import from_arrays, to_arrays
 from harness.learn.world import solver_for, without_rewards
 from harness.registry import SPECS
+from harness.run.artifacts import learned_in
 from harness.run.cache import Kept, as_bytes, from_bytes, kept
 from harness.run.expert_set import shipped
 from harness.run.keys import experts_version
@@ -81,7 +82,8 @@ def prepare(env: str, seed: int, counts: Iterable[int], conditions: Conditions) 
 
 @dataclass(frozen=True)
 class Shared:
-    """What `prepare` made, by name. Raises KeyError for what is not there."""
+    """What `prepare` made, by name, and what the cell before learned. Raises KeyError for what is not
+    there."""
 
     inputs: Mapping[str, bytes]
 
@@ -93,6 +95,12 @@ class Shared:
     def demonstrations(self, episodes: int) -> Episodes:
         """So many of them, the same for every method."""
         return _episodes(from_bytes(self.inputs[_demonstrations_name(episodes)]))
+
+    @cached_property
+    def learned(self) -> dict[str, Any]:
+        """Policies and rewards by name; empty where nothing was handed over."""
+        data = self.inputs.get(LEARNED)
+        return learned_in(data) if data else {}
 
     @property
     def replays(self) -> Replays:

@@ -11,7 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, failed_rows, files_of
+from harness.judge.results import (
+    LEARNED,
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    before,
+    failed_rows,
+    files_of,
+)
 from harness.run.codec import decode
 from harness.run.costs import Costs
 from harness.run.engines import Engine, Job, Outcome
@@ -30,6 +39,9 @@ class Sink(Protocol):
 
     def log(self, printed: bytes) -> None:
         """Keeps what a job printed."""
+
+    def learned(self, cell: Cell) -> bytes:
+        """The artifact of a cell that was stored, empty where there is none."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +66,12 @@ class Grid:
         jobs = [Job(tuple(its), True, self.conditions, keys[references[g]]) for g, its in groups.items()]
         jobs += [Job((cell,), False, self.conditions, keys[cell]) for cell in cells]
         expected = {job.name: costs.of(job) for job in jobs}
+        ahead = dict(expected)  # with what waits for it
+        for job in jobs:
+            if not job.shared and (source := before(job.cells[0])) and source.name in ahead:
+                ahead[source.name] += expected[job.name]
         # Seed by seed, so that what cells share need not be there for all of them at once.
-        jobs.sort(key=lambda job: (job.cells[0].seed, not job.shared, -expected[job.name]))
+        jobs.sort(key=lambda job: (job.cells[0].seed, not job.shared, -ahead[job.name]))
         with self.engine, progress_for(expected, self.engine.workers) as progress:
             try:
                 _Schedule(self, jobs, progress, costs).run()
@@ -72,9 +88,12 @@ class _Schedule:
         self.ready = [(self.rank[job.name], job) for job in jobs if job.shared]  # a heap
         self.held: dict[Group, list[Job]] = {}
         """Cells whose shared inputs are not there yet."""
+        self.later: dict[Cell, list[Job]] = {}
+        """Cells that go on from another one, by that one, until it has ended."""
         for job in jobs:
             if not job.shared:
                 self.held.setdefault(_group(job), []).append(job)
+                self.later[job.cells[0]] = []
         self.left = {group: len(held) for group, held in self.held.items()}
         """Cells that have not ended, of each group."""
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
@@ -98,7 +117,20 @@ class _Schedule:
     def _start(self, job: Job) -> None:
         self.progress.started(job.name)
         self.started[job.name] = time.monotonic()
-        self.grid.engine.start(job if job.shared else replace(job, inputs=self.inputs[_group(job)]))
+        if not job.shared:
+            inputs, source = dict(self.inputs[_group(job)]), before(job.cells[0])
+            if source and (learned := self.grid.sink.learned(source)):
+                inputs[LEARNED] = learned
+            job = replace(job, inputs=inputs)
+        self.grid.engine.start(job)
+
+    def _release(self, job: Job) -> None:
+        """Lets a cell be started, now or when the one that it goes on from has ended."""
+        source = before(job.cells[0])
+        if source in self.later:
+            self.later[source].append(job)
+        else:
+            heapq.heappush(self.ready, (self.rank[job.name], job))
 
     def _ended(self, job: Job, outcome: Outcome, seconds: float) -> None:
         if outcome.log:
@@ -119,7 +151,7 @@ class _Schedule:
         else:
             self.inputs[_group(job)] = outcome.files
             for cell in held:
-                heapq.heappush(self.ready, (self.rank[cell.name], cell))
+                self._release(cell)
 
     def _keep(self, job: Job, outcome: Outcome, seconds: float) -> None:
         (cell,) = job.cells
@@ -135,6 +167,8 @@ class _Schedule:
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
         self.progress.finished(cell.name, "failed" if error else "ok", error)
+        for other in self.later.pop(cell):
+            self._release(other)
         self.left[_group(job)] -= 1
         if not self.left[_group(job)]:
             self.inputs.pop(_group(job), None)

@@ -15,7 +15,7 @@ from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Request, files_of
+from harness.judge.results import REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import numeric
@@ -98,6 +98,12 @@ class RunDirectory:
         noted = [(sha256(self.path / name), name)]
         noted += [(digest, name) for name, digest in result.files.items()]
         append(self.path / SUMS, _lines(noted).encode())
+
+    def learned(self, cell: Cell) -> bytes:
+        """The artifact of a cell, empty where there is none."""
+        with suppress(OSError):
+            return read(self.path / artifact_of(cell))
+        return b""
 
     def log(self, printed: bytes) -> None:
         """Adds to what jobs printed. Raises OSError where it cannot be written."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import CONTROLS, Cell, CellResult, Conditions
+from harness.judge.results import CONTROLS, Cell, CellResult, Conditions, artifact_of
 from harness.run.grid import Grid
 from harness.run.isolated import Isolated
 
@@ -31,6 +31,9 @@ class Found:
     def save(self, result: CellResult, files: Mapping[str, bytes]) -> None:
         self.results.append(result)
         self.files |= files
+
+    def learned(self, cell: Cell) -> bytes:
+        return self.files.get(artifact_of(cell), b"")
 
     def log(self, printed: bytes) -> None:
         with (self.directory / "run.log").open("ab") as file:

@@ -14,6 +14,7 @@ from envs import EnvSpec
 from harness.judge.evaluation import evaluate
 from harness.judge.results import (
     CONTROLS,
+    LEARNED,
     MOST_CURVES,
     MOST_POINTS,
     Cell,
@@ -288,6 +289,18 @@ def test_a_control_has_pi_r_alone(tmp_path: Path, control: str, steps: int) -> N
     assert row.check_steps > 0
     # Of a constant that the offset makes 0 there is the warm-up alone.
     assert ({y for _, y in result.curves["pi_R"]} == {0.0}) == (control == "control_plus1")
+
+
+def test_the_clones_control_is_the_same_with_what_bc_learned_and_without(tmp_path: Path) -> None:
+    run(BC, tmp_path)
+    cell = Cell("cartpole", "control_clone", 0)
+    inputs = prepare([cell], SMOKE)
+    artifact = (tmp_path / f"artifacts/{BC.name}.safetensors").read_bytes()
+    scores = []
+    for given in (inputs, {**inputs, LEARNED: artifact}):
+        result, _ = run_cell(cell, SMOKE, given)
+        scores.append([dataclasses.replace(row, fit_seconds=0.0) for row in result.rows])
+    assert scores[0] == scores[1]
 
 
 def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None:

@@ -1,12 +1,12 @@
 """The grid keeps what is a job's own, whatever its engine gives back."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
-from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of
+from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of
 from harness.run.codec import encode
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
@@ -47,11 +47,13 @@ class Scripted(Inline):
         self._ended.append((job, shared if job.shared else self.script(job)))
 
 
-def run(tmp_path: Path, script: Callable[[Job], Outcome]) -> tuple[Scripted, Found]:
+def run(
+    tmp_path: Path, script: Callable[[Job], Outcome], cells: Sequence[Cell] = CELLS
+) -> tuple[Scripted, Found]:
     engine, found = Scripted(script), Found(tmp_path)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-        Grid(CONDITIONS, found, engine).run(CELLS)
+        Grid(CONDITIONS, found, engine).run(cells)
     return engine, found
 
 
@@ -72,6 +74,26 @@ def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -
     for kept in found.results:
         assert set(kept.seconds) == {"start", "fit"}
         assert kept.seconds["start"] >= 0
+
+
+def test_what_goes_on_from_another_cell_waits_for_it_and_is_given_what_it_learned(tmp_path: Path) -> None:
+    cells = [Cell("cartpole", method, 0) for method in ("control_clone", "shaped", "bc")]
+    engine, _ = run(tmp_path, good, cells)
+    order = [job.cells[0].method for job in engine.given if not job.shared]
+    assert order.index("bc") < order.index("control_clone")
+    given = {job.cells[0].method: job.inputs.get(LEARNED) for job in engine.given if not job.shared}
+    assert given == {"bc": None, "shaped": None, "control_clone": b"x"}
+    for name in ("alone", "failed"):
+        (tmp_path / name).mkdir()
+    alone, _ = run(tmp_path / "alone", good, cells[:1])  # where nothing is known of the other one
+    assert LEARNED not in alone.given[-1].inputs
+    failed, kept = run(
+        tmp_path / "failed",
+        lambda job: Outcome(error="no luck") if job.cells[0].method == "bc" else good(job),
+        cells,
+    )
+    assert LEARNED not in failed.given[-1].inputs
+    assert len(kept.results) == len(cells)
 
 
 @pytest.mark.parametrize(
