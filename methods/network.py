@@ -111,7 +111,9 @@ class _Product(torch.autograd.Function):
         x, weight = (saved.detach().numpy() for saved in ctx.saved_tensors)
         g = grad.numpy()
         to_x = torch.from_numpy(g @ weight) if ctx.needs_input_grad[0] else None
-        return to_x, torch.from_numpy(g.T @ x), torch.from_numpy(g.sum(axis=0))
+        # Of many rows, a product is faster than a sum.
+        to_bias = np.ones(len(g), g.dtype) @ g
+        return to_x, torch.from_numpy(g.T @ x), torch.from_numpy(to_bias)
 
 
 class Linear(torch.nn.Linear):

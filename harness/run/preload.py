@@ -8,6 +8,9 @@ from harness.run.environment import PRELOAD_VARIABLE
 
 # torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
 _usual = ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo")
+with contextlib.suppress(BaseException):
+    # What a cell's key is of, read once, too.
+    importlib.import_module("harness.run.keys").sources("harness.run.cells")
 for _name in (*_usual, *filter(None, os.environ.get(PRELOAD_VARIABLE, "").split(","))):
     # Whatever this raises, a cell's own import raises again, and there it is told.
     with contextlib.suppress(BaseException):
