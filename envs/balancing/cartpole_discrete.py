@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
 from envs.balancing import cartpole
 from envs.balancing.cartpole import NOMINAL, Physics
+from envs.dynamics import why_ended
 from envs.learners import DQN
 from envs.spec import EnvSpec, Quantity, Shipped
 
@@ -21,7 +24,8 @@ class DiscreteCartPole(CartPoleEnv):
         self.masscart, self.masspole, self.length = physics.cart_mass, physics.pole_mass, physics.half_length
         self.total_mass, self.polemass_length = self.masspole + self.masscart, self.masspole * self.length
         self.x_threshold, self.theta_threshold_radians = physics.max_x, physics.max_angle
-        self.observation_space = physics.observations()
+        bounds = np.array(physics.bounds, np.float32)
+        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
 SPEC = EnvSpec(
@@ -43,7 +47,7 @@ SPEC = EnvSpec(
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
     draw=cartpole.draw,
-    why_ended=cartpole.why_ended,
+    why_ended=why_ended,
     shipped=Shipped(steps=60_000, bar=500.0),
     discrete=True,
     rl=DQN(),

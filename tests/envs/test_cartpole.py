@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from envs.balancing import cartpole_discrete
-from envs.balancing.cartpole import NOMINAL, SPEC, CartPole, Physics
+from envs.balancing.cartpole import NOMINAL, SPEC, Physics
 from envs.balancing.cartpole_discrete import DiscreteCartPole
+from envs.dynamics import DynamicsEnv
 
 OTHER = Physics(
     gravity=5.0,
@@ -23,7 +24,7 @@ PHYSICS = [NOMINAL, OTHER, *(made_with["physics"] for made_with in SPEC.variants
 
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_dynamics_equal_gymnasiums_cartpole_at_full_force(physics: Physics) -> None:
-    ours, theirs = CartPole(physics), DiscreteCartPole(physics)
+    ours, theirs = DynamicsEnv(physics), DiscreteCartPole(physics)
     rng = np.random.default_rng(0)
     for seed in range(20):
         ours.reset(seed=seed)
@@ -39,7 +40,7 @@ def test_dynamics_equal_gymnasiums_cartpole_at_full_force(physics: Physics) -> N
 
 
 def test_reward_is_rllabs() -> None:
-    env = CartPole()
+    env = DynamicsEnv(NOMINAL)
     env.reset(seed=3)
     _, reward, failed, _, _ = env.step(np.array([0.5], np.float32))
     assert not failed
@@ -82,7 +83,7 @@ def test_two_actions_are_gymnasiums_and_full_force_left_and_right() -> None:
 
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_the_pole_is_drawn_as_long_as_it_is(physics: Physics) -> None:
-    env = CartPole(physics)
+    env = DynamicsEnv(physics)
     env.reset(seed=0)
     foot, tip = SPEC.draw(env)["pole"].points
     assert np.linalg.norm(tip - foot) == pytest.approx(2 * physics.half_length)

@@ -231,12 +231,13 @@ def test_wrapped_and_variant_environments_are_checked_too() -> None:
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(SPECS["cartpole"], **fields).make()
 
+    made_with = {**SPECS["cartpole"].kwargs}
     refused("bounds", wrap=lambda env: RescaleAction(env, np.float32(-2), np.float32(2)))
     refused("sizes", wrap=lambda env: TransformObservation(env, lambda obs: obs[:3], spaces.Box(-1, 1, (3,))))
     for steps in (499, 501):  # of two limits the earlier counts
         truncated = r"cartpole: .* not truncated at"
         refused(truncated, wrap=lambda env, steps=steps: TimeLimit(env, steps), horizon=501)
-        refused(truncated, kwargs={"max_episode_steps": steps})
+        refused(truncated, kwargs=made_with | {"max_episode_steps": steps})
     assert dataclasses.replace(SPECS["cartpole"], wrap=lambda env: TimeLimit(env, 20), horizon=20).make()
     short = dataclasses.replace(SPECS["cartpole"], variants={"short": {"max_episode_steps": 20}})
     assert short.make()

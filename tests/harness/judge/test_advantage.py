@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from envs import EnvSpec, cartpole
+from envs import EnvSpec
+from envs.balancing import cartpole
 from envs.spec import Tabular
 from harness.judge.advantage import (
     Comparison,
@@ -171,7 +172,7 @@ def best_feedback() -> Array:
     pays 1 - angle^2 / 20 - action^2 / 10,000: a discounted linear-quadratic regulator."""
     upright = np.zeros(4)
     moved = np.eye(5) * 1e-6
-    after = [cartpole.NOMINAL.advance(upright + d[:4], cartpole.NOMINAL.max_force * d[4]) for d in moved]
+    after = [cartpole.NOMINAL.advance(upright + d[:4], d[4:]) for d in moved]
     A, B = np.split(np.array(after).T / 1e-6, [4], axis=1)
     A, B = (np.sqrt(SPECS["cartpole"].gamma) * m for m in (A, B))
     Q, R = np.diag([0, 0, 1 / 20, 0]), np.array([[1e-4]])
