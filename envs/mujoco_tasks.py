@@ -1,0 +1,264 @@
+"""MuJoCo's tasks of Gymnasium (`-v5`), one row of `task` each; they are those of Gymnasium, bit for bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
+
+from envs.learners import SAC, Learner
+from envs.mujoco_batch import MujocoBatch
+from envs.spec import EnvSpec, Quantity, Shape, Shipped
+
+WEAK = 0.3
+"""Of its strength, what a weak motor has left."""
+SIDE, TOP = [0, 2], [0, 1]
+"""Axes that a drawing shows."""
+COLOURS = ((66, 133, 244), (234, 134, 51), (52, 168, 83), (171, 71, 188))
+GREY = (140, 140, 140)
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What is changed of Gymnasium's model; factors."""
+
+    mass: float = 1.0
+    """Of every body; its inertia follows."""
+    gravity: float = 1.0
+    gear: float = 1.0
+    """Of every motor; -1 flips them."""
+    weak: tuple[str, ...] = ()
+    """Joints whose motors have `WEAK` of their strength."""
+
+    def change(self, env: MujocoEnv) -> None:
+        """Changes the environment's model."""
+        model = env.model
+        model.body_mass *= self.mass
+        model.body_inertia *= self.mass
+        model.opt.gravity *= self.gravity
+        model.actuator_gear *= self.gear
+        for joint in self.weak:
+            model.actuator_gear[model.actuator_trnid[:, 0] == model.joint(joint).id] *= WEAK
+        mujoco.mj_setConst(model, env.data)
+
+
+NOMINAL = Physics()
+
+
+def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
+    """Gymnasium's environment with these physics."""
+    before = mujoco.get_mju_user_warning()
+    # It warns of one of Gymnasium's models, and would write a file of that where the program was started.
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        env = gym.make(env_id, disable_env_checker=True).unwrapped
+    finally:
+        mujoco.set_mju_user_warning(before)
+    assert isinstance(env, MujocoEnv)
+    if physics != NOMINAL:
+        physics.change(env)
+    return env
+
+
+def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shape]:
+    """Each geometry along these two axes, a capsule as the line of its axis, a ball as a circle. moves:
+    whether the scene follows the first body, over a scale of metres."""
+    inner = env.unwrapped
+    assert isinstance(inner, MujocoEnv)
+    model, data = inner.model, inner.data
+    origin = float(data.qpos[0]) if moves else 0.0
+    shapes = {}
+    for i in range(model.ngeom):
+        geom = model.geom(i)
+        radius, half = float(geom.size[0]), float(geom.size[1])
+        centre, along = data.geom_xpos[i], data.geom_xmat[i].reshape(3, 3)[:, 2]
+        if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            points = np.array([centre - half * along, centre + half * along])[:, axes]
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            turns = np.linspace(0, 2 * math.pi, 13)
+            points = centre[axes] + radius * np.column_stack([np.cos(turns), np.sin(turns)])
+        else:
+            continue
+        fixed = geom.bodyid[0] == 0
+        shapes[geom.name] = Shape(points - [origin, 0], GREY if fixed else COLOURS[geom.bodyid[0] % 4])
+    if moves:
+        ticks = np.floor(origin) + np.arange(-3, 5) - origin
+        comb = [[[x, 0.0], [x, -0.05], [x, 0.0]] for x in ticks]
+        shapes["ground"] = Shape(np.concatenate(comb), GREY)
+    return shapes
+
+
+def slides(joint: Any) -> bool:
+    """Whether it slides, and does not turn."""
+    return bool(joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def joints_of(model: mujoco.MjModel, skipped: int) -> tuple[Quantity, ...]:
+    """What is observed where that is the joints' positions, but for the first few, and then their rates."""
+    joints = [model.joint(i) for i in range(model.njnt)]
+    units = ["m" if slides(joint) else "rad" for joint in joints]
+    places = [Quantity(joint.name, unit) for joint, unit in zip(joints, units, strict=True)]
+    rates = [Quantity(f"{joint.name} rate", f"{u}/s") for joint, u in zip(joints, units, strict=True)]
+    return (*places[skipped:], *rates)
+
+
+def task(
+    name: str,
+    gymnasium_id: str,
+    summary: str,
+    *,
+    obs_scale: tuple[float, ...],
+    bar: float,
+    shipped: Shipped,
+    rl: Learner,
+    rl_steps: Mapping[str, int],
+    variants: Mapping[str, Physics],
+    ends: str = "never",
+    obs_names: tuple[Quantity, ...] = (),
+    axes: list[int] = SIDE,
+    moves: bool = False,
+    gamma: float = 0.99,
+) -> EnvSpec:
+    """The spec of one task. ends: why its episodes terminate. obs_names: what is observed, where that is not
+    the joints' positions without the first, and their rates."""
+    env = make(gymnasium_id)
+    model = env.model
+    env_id = f"irl_bench/{gymnasium_id}"
+    known = gym.spec(gymnasium_id)
+    assert known.max_episode_steps is not None
+    gym.register(
+        env_id,
+        entry_point="envs.mujoco_tasks:make",
+        max_episode_steps=known.max_episode_steps,
+        disable_env_checker=True,
+        kwargs={"env_id": gymnasium_id},
+    )
+    motors = [model.joint(int(joint)) for joint in model.actuator_trnid[:, 0]]
+    why = partial(_because, ends)
+    return EnvSpec(
+        name=name,
+        summary=summary,
+        env_id=env_id,
+        obs_size=len(obs_scale),
+        act_size=model.nu,
+        obs_names=obs_names or joints_of(model, 1),
+        act_names=tuple(
+            Quantity(f"motor {joint.name}", f"{gear:g} {'N' if slides(joint) else 'N m'}")
+            for joint, gear in zip(motors, model.actuator_gear[:, 0], strict=True)
+        ),
+        obs_scale=obs_scale,
+        horizon=known.max_episode_steps,
+        gamma=gamma,
+        time_step=env.dt,
+        bar=lambda seeds: bar,
+        rl_steps=rl_steps,
+        eval_episodes={"smoke": 5, "quick": 20, "full": 50},
+        demo_episodes={"smoke": 5, "quick": 100, "full": 100},
+        draw=partial(draw, axes=axes, moves=moves),
+        why_ended=why,
+        batch=partial(MujocoBatch, env_id, why),
+        shipped=shipped,
+        rl=rl,
+        variants={variant: {"physics": physics} for variant, physics in variants.items()},
+    )
+
+
+def _because(ends: str, env: gym.Env[Any, Any]) -> str:
+    return ends
+
+
+ANGLES = ("first", "second")
+DOUBLE_PENDULUM = task(
+    "double_pendulum",
+    "InvertedDoublePendulum-v5",
+    "MuJoCo InvertedDoublePendulum-v5: balance two poles on a cart for 1000 steps",
+    obs_names=(
+        Quantity("cart position", "m"),
+        *(Quantity(f"{of} of the {which} angle") for of in ("sine", "cosine") for which in ANGLES),
+        Quantity("cart velocity", "m/s"),
+        *(Quantity(f"{which} rate", "rad/s") for which in ANGLES),
+        Quantity("force of the rail's ends", "N"),
+    ),
+    obs_scale=(0.3, 0.1, 0.1, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0),
+    bar=9300.0,
+    shipped=Shipped(steps=200_000, bar=9300.0),
+    rl=SAC(),
+    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    variants={"heavy": Physics(mass=1.5), "gravity": Physics(gravity=1.4), "flipped": Physics(gear=-1.0)},
+    ends="tip fell below 1 m",
+)
+REACHER = task(
+    "reacher",
+    "Reacher-v5",
+    "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps",
+    obs_names=(
+        *(Quantity(f"{of} of the {which} angle") for of in ("cosine", "sine") for which in ANGLES),
+        *(Quantity(f"target {axis}", "m") for axis in "xy"),
+        *(Quantity(f"{which} rate", "rad/s") for which in ANGLES),
+        *(Quantity(f"from target to tip, {axis}", "m") for axis in "xy"),
+    ),
+    obs_scale=(0.7, 0.7, 0.7, 0.7, 0.1, 0.1, 3.0, 3.0, 0.1, 0.1),
+    bar=-6.0,
+    shipped=Shipped(steps=200_000, bar=-5.0),
+    rl=SAC(),
+    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    variants={"heavy": Physics(mass=2.0), "flipped": Physics(gear=-1.0)},
+    axes=TOP,
+)
+HALFCHEETAH = task(
+    "halfcheetah",
+    "HalfCheetah-v5",
+    "MuJoCo HalfCheetah-v5: run, 1000 steps",
+    obs_scale=(0.2, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 3.0, 1.0, 2.0, 8.0, 8.0, 8.0, 8.0, 8.0, 8.0),
+    bar=8000.0,
+    shipped=Shipped(steps=1_000_000, bar=8000.0),
+    rl=SAC(),
+    rl_steps={"smoke": 600, "quick": 60_000, "full": 200_000},
+    variants={
+        "weak_leg": Physics(weak=("fthigh", "fshin", "ffoot")),
+        "heavy": Physics(mass=1.5),
+        "flipped": Physics(gear=-1.0),
+    },
+    moves=True,
+)
+HOPPER = task(
+    "hopper",
+    "Hopper-v5",
+    "MuJoCo Hopper-v5: hop without falling, up to 1000 steps",
+    obs_scale=(1.0, 0.1, 0.3, 0.5, 0.5, 1.5, 1.0, 1.0, 2.0, 3.0, 4.0),
+    bar=3000.0,
+    shipped=Shipped(steps=1_000_000, bar=3000.0),
+    rl=SAC(),
+    rl_steps={"smoke": 600, "quick": 60_000, "full": 200_000},
+    variants={
+        "weak_foot": Physics(weak=("foot_joint",)),
+        "heavy": Physics(mass=1.3),
+        "flipped": Physics(gear=-1.0),
+    },
+    ends="fell",
+    moves=True,
+)
+WALKER2D = task(
+    "walker2d",
+    "Walker2d-v5",
+    "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps",
+    obs_scale=(1.0, 0.2, 0.4, 0.5, 0.4, 0.4, 0.5, 0.4, 2.0, 1.0, 1.5, 3.0, 4.0, 4.0, 3.0, 4.0, 4.0),
+    bar=3500.0,
+    shipped=Shipped(steps=1_000_000, bar=3500.0),
+    rl=SAC(),
+    rl_steps={"smoke": 600, "quick": 60_000, "full": 200_000},
+    variants={
+        "weak_leg": Physics(weak=("thigh_left_joint", "leg_left_joint", "foot_left_joint")),
+        "heavy": Physics(mass=1.3),
+        "flipped": Physics(gear=-1.0),
+    },
+    ends="fell",
+    moves=True,
+)

@@ -1,0 +1,1 @@
+"""Swing something up, and hold it there."""

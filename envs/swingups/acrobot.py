@@ -1,0 +1,164 @@
+"""RLLab's Acrobot (Duan et al. 2016, its `double_pendulum_env`): two links that hang from a hinge, with a
+motor between them; lift the tip to its upright place.
+
+Sizes, masses, torque, starts, reward and horizon are RLLab's. The equations below replace its Box2D
+simulation, in which the motor drives the joint towards an endless speed by the torque asked for; here the
+torque acts. RLLab's reward mirrors the tip from left to right; here it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+
+HORIZON = 500
+BEYOND = 0.5  # m, that the drawing's ground reaches to each side
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Of two uniform rods (`envs.dynamics.Dynamics`); a state is the angle of each from hanging,
+    anticlockwise [rad], and both rates [rad/s]. Each step pays minus the tip's distance [m] to where both
+    stand upright. It never terminates."""
+
+    gravity: float = 10.0
+    """[m/s^2]"""
+    mass: float = 0.5
+    """Of each link [kg]."""
+    length: float = 1.0
+    """Of each link [m]."""
+    max_torque: float = 50.0
+    """On the second link, and against the first, at an action of 1 [N m]."""
+    time_step: float = 0.02
+    """[s]"""
+    parts: int = 4
+    """Of a time step, for the integration."""
+    act_size = 1
+
+    @property
+    def bounds(self) -> Sequence[float]:
+        return 1.0, 1.0, 1.0, 1.0, np.inf, np.inf
+
+    def start(self, rng: np.random.Generator) -> Array:
+        return np.asarray(rng.standard_normal(4) * np.array([0.1, 0.1, 0.01, 0.01]))
+
+    def advance(self, state: Array, act: Array) -> Array:
+        torque = self.max_torque * act[0]
+        return runge_kutta(partial(self.rates, torque=torque), state, self.time_step, self.parts)
+
+    def rates(self, state: Array, torque: Array) -> Array:
+        """The state's derivative, by Lagrange: with mass m, length l and d = first - second,
+        4/3 m l^2 first'' + 1/2 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 3/2 m g l sin(first)
+        1/3 m l^2 second'' + 1/2 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 1/2 m g l sin(second)
+        """
+        first, second, rate, other = state
+        size, weight = self.mass * self.length * self.length, self.mass * self.gravity * self.length
+        cos, sin = np.cos(first - second) / 2, np.sin(first - second) / 2
+        one = (-torque - 1.5 * weight * np.sin(first)) / size - sin * (other * other)
+        two = (torque - 0.5 * weight * np.sin(second)) / size + sin * (rate * rate)
+        determinant = 4 / 9 - cos * cos
+        return np.array(
+            [rate, other, (one / 3 - cos * two) / determinant, (4 / 3 * two - cos * one) / determinant]
+        )
+
+    def energy(self, state: Array) -> Array:
+        """Kinetic and potential [J], above the hinge's height."""
+        first, second, rate, other = state
+        size, weight = self.mass * self.length * self.length, self.mass * self.gravity * self.length
+        moving = 2 / 3 * rate * rate + other * other / 6 + np.cos(first - second) / 2 * rate * other
+        return np.asarray(size * moving - weight * (1.5 * np.cos(first) + np.cos(second) / 2))
+
+    def observe(self, state: Array) -> Array:
+        first, second, rate, other = state
+        return np.array([np.cos(first), np.sin(first), np.cos(second), np.sin(second), rate, other])
+
+    def pay(self, state: Array, act: Array, after: Array) -> Array:
+        x, y = self.tip(after)
+        above = y - 2 * self.length
+        return np.asarray(-np.sqrt(x * x + above * above))
+
+    def tip(self, state: Array) -> tuple[Array, Array]:
+        """Where the tip is [m], to the right of the hinge and above it."""
+        first, second, _, _ = state
+        return (
+            self.length * (np.sin(first) + np.sin(second)),
+            -self.length * (np.cos(first) + np.cos(second)),
+        )
+
+    def fails(self, state: Array) -> NDArray[np.bool_]:
+        return np.zeros(state.shape[1:], np.bool_)
+
+    def failure(self, state: Array) -> str:
+        return "never"
+
+
+NOMINAL = Physics()
+
+
+def phi(obs: Array, act: Array) -> Array:
+    """(B, 5): how upright each link is, how still, and a constant."""
+    still = 1 - np.clip(obs[:, 4:] / 20.0, -1, 1) ** 2
+    return np.column_stack([-np.clip(obs[:, [0, 2]], -1, 1), still, np.ones(len(obs))])
+
+
+def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
+    """The links as lines, and a line at the hinge's height."""
+    inner = env.unwrapped
+    assert isinstance(inner, DynamicsEnv)
+    assert isinstance(inner.physics, Physics)
+    first, length = float(inner.state[0]), inner.physics.length
+    elbow = [length * np.sin(first), -length * np.cos(first)]
+    tip = [float(value) for value in inner.physics.tip(inner.state)]
+    return {
+        "hinge": Shape(np.array([[-BEYOND, 0.0], [BEYOND, 0.0]]), (140, 140, 140)),
+        "first": Shape(np.array([[0.0, 0.0], elbow]), (66, 133, 244)),
+        "second": Shape(np.array([elbow, tip]), (234, 134, 51)),
+    }
+
+
+SPEC = EnvSpec(
+    name="acrobot",
+    summary="RLLab's Acrobot: lift two links upright by a motor between them, and hold them, within 10 s",
+    env_id="irl_bench/Acrobot-v0",
+    obs_size=6,
+    act_size=1,
+    obs_names=(
+        Quantity("cosine of the first angle"),
+        Quantity("sine of the first angle"),
+        Quantity("cosine of the second angle"),
+        Quantity("sine of the second angle"),
+        Quantity("first rate", "rad/s"),
+        Quantity("second rate", "rad/s"),
+    ),
+    act_names=(Quantity("motor", "50 N m"),),
+    obs_scale=(0.7, 0.7, 0.7, 0.7, 5.0, 10.0),
+    horizon=HORIZON,
+    gamma=0.99,
+    time_step=NOMINAL.time_step,
+    bar=lambda seeds: -250.0,
+    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    eval_episodes={"smoke": 5, "quick": 100, "full": 100},
+    phi=phi,
+    draw=draw,
+    kwargs={"physics": NOMINAL},
+    batch=partial(DynamicsBatch, physics=NOMINAL),
+    shipped=Shipped(steps=160_000, bar=-223.6),
+    variants={
+        "long": {"physics": Physics(length=1.5)},
+        "heavy": {"physics": Physics(mass=1.0)},
+        "flipped": {"physics": Physics(max_torque=-NOMINAL.max_torque)},
+    },
+)
+
+gym.register(
+    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
+)

@@ -1,0 +1,159 @@
+"""RLLab's Cart-Pole Swing Up (Duan et al. 2016): swing a pole up by moving its cart, and hold it there.
+
+Sizes, masses, starts, reward and ending are RLLab's. The equations below replace its Box2D simulation, so
+there is no friction (RLLab's is 2e-6 to 5e-4), and no step's error is corrected by moving bodies. Angles are
+observed as cosine and sine instead of as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
+from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta, why_ended
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+
+HORIZON = 500
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`); a state is the cart's position [m]
+    and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s]. Each step pays
+    the angle's cosine after it, and leaving the track -100."""
+
+    gravity: float = 10.0
+    """[m/s^2]"""
+    cart_mass: float = 1.0
+    """[kg]"""
+    pole_mass: float = 0.1
+    """[kg]"""
+    pole_length: float = 1.0
+    """[m]"""
+    max_force: float = 10.0
+    """At an action of 1 [N]."""
+    max_x: float = 3.0
+    """How far from the middle the track ends [m]."""
+    time_step: float = 0.05
+    """[s]"""
+    parts: int = 5
+    """Of a time step, for the integration."""
+    act_size = 1
+
+    @property
+    def bounds(self) -> Sequence[float]:
+        return np.inf, np.inf, 1.0, 1.0, np.inf
+
+    def start(self, rng: np.random.Generator) -> Array:
+        middle, off = np.array([0.0, 0.0, np.pi, 0.0]), np.array([1.0, 2.0, 1.0, 3.0])
+        return np.asarray(rng.uniform(middle - off, middle + off))
+
+    def advance(self, state: Array, act: Array) -> Array:
+        force = self.max_force * act[0]
+        return runge_kutta(partial(self.rates, force=force), state, self.time_step, self.parts)
+
+    def rates(self, state: Array, force: Array) -> Array:
+        """The state's derivative, by Lagrange: with the pole's mass m, its centre at c = length / 2, its
+        inertia I about there and the cart's mass M,
+        (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
+        m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
+        """
+        _, velocity, angle, rate = state
+        cos, sin = np.cos(angle), np.sin(angle)
+        moment = self.pole_mass * self.pole_length / 2
+        inertia = self.pole_mass * self.pole_length * self.pole_length / 3
+        total = self.cart_mass + self.pole_mass
+        push, fall = force + moment * sin * (rate * rate), moment * self.gravity * sin
+        determinant = total * inertia - (moment * cos) * (moment * cos)
+        acceleration = (inertia * push - moment * cos * fall) / determinant
+        turning = (total * fall - moment * cos * push) / determinant
+        return np.array([velocity, acceleration, rate, turning])
+
+    def energy(self, state: Array) -> Array:
+        """Kinetic and potential [J], above the hinge's height."""
+        _, velocity, angle, rate = state
+        moment = self.pole_mass * self.pole_length / 2
+        inertia = self.pole_mass * self.pole_length * self.pole_length / 3
+        moving = (self.cart_mass + self.pole_mass) * velocity * velocity + inertia * rate * rate
+        both = moment * np.cos(angle) * velocity * rate
+        return np.asarray(moving / 2 + both + moment * self.gravity * np.cos(angle))
+
+    def observe(self, state: Array) -> Array:
+        x, velocity, angle, rate = state
+        return np.array([x, velocity, np.cos(angle), np.sin(angle), rate])
+
+    def pay(self, state: Array, act: Array, after: Array) -> Array:
+        return np.where(self.fails(after), -100.0, np.cos(after[2]))
+
+    def fails(self, state: Array) -> NDArray[np.bool_]:
+        return np.asarray(np.abs(state[0]) > self.max_x)
+
+    def failure(self, state: Array) -> str:
+        return "cart left the track"
+
+
+NOMINAL = Physics()
+
+
+def phi(obs: Array, act: Array) -> Array:
+    """(B, 5): how upright the pole is, how centred the cart, how still both, and a constant."""
+    upright = np.clip(obs[:, 2], -1, 1)
+    limits = (NOMINAL.max_x, 5.0, 10.0)
+    inside = 1 - np.clip(obs[:, [0, 1, 4]] / np.array(limits), -1, 1) ** 2
+    return np.column_stack([upright, inside, np.ones(len(obs))])
+
+
+def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
+    """The track, the cart as a box and the pole as a line."""
+    inner = env.unwrapped
+    assert isinstance(inner, DynamicsEnv)
+    assert isinstance(inner.physics, Physics)
+    x, _, angle, _ = (float(value) for value in inner.state)
+    return draw_cart_and_pole(x, angle, inner.physics.max_x, inner.physics.pole_length)
+
+
+SPEC = EnvSpec(
+    name="cartpole_swingup",
+    summary="RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
+    env_id="irl_bench/CartPoleSwingup-v0",
+    obs_size=5,
+    act_size=1,
+    obs_names=(
+        POSITION,
+        VELOCITY,
+        Quantity("cosine of the pole's angle"),
+        Quantity("sine of the pole's angle"),
+        RATE,
+    ),
+    act_names=(Quantity("motor", "10 N"),),
+    obs_scale=(1.0, 1.5, 0.7, 0.7, 3.0),
+    horizon=HORIZON,
+    gamma=0.99,
+    time_step=NOMINAL.time_step,
+    bar=lambda seeds: 400.0,
+    rl_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
+    eval_episodes={"smoke": 5, "quick": 100, "full": 100},
+    phi=phi,
+    draw=draw,
+    why_ended=why_ended,
+    kwargs={"physics": NOMINAL},
+    batch=partial(DynamicsBatch, physics=NOMINAL),
+    shipped=Shipped(steps=120_000, bar=400.0),
+    variants={
+        "long_pole": {"physics": Physics(pole_length=1.5)},
+        "heavy": {"physics": Physics(pole_mass=0.5)},
+        "gravity": {"physics": Physics(gravity=14.0)},
+        "flipped": {"physics": Physics(max_force=-NOMINAL.max_force)},
+    },
+)
+
+gym.register(
+    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
+)

@@ -1,0 +1,127 @@
+"""Gymnasium's `Pendulum-v1`: swing a pendulum up with a weak motor, and hold it upright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.dynamics import DynamicsBatch, DynamicsEnv
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+
+HORIZON = 200
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Of a rod on a motor (`envs.dynamics.Dynamics`); a state is its angle from upright [rad] and its rate
+    [rad/s]. What it pays is Gymnasium's, per step: -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and
+    the torque before it."""
+
+    gravity: float = 10.0
+    """[m/s^2]"""
+    mass: float = 1.0
+    """[kg]"""
+    length: float = 1.0
+    """[m]"""
+    max_torque: float = 2.0
+    """At an action of 1 [N m]."""
+    max_rate: float = 8.0
+    """Where the rate is cut [rad/s]."""
+    time_step: float = 0.05
+    """[s]"""
+    act_size = 1
+
+    @property
+    def bounds(self) -> Sequence[float]:
+        return 1.0, 1.0, self.max_rate
+
+    def start(self, rng: np.random.Generator) -> Array:
+        return rng.uniform((-np.pi, -1.0), (np.pi, 1.0))
+
+    def advance(self, state: Array, act: Array) -> Array:
+        angle, rate = state
+        pull = 3 * self.gravity / (2 * self.length) * np.sin(angle)
+        push = 3.0 / (self.mass * self.length**2) * self._torque(act)
+        rate = np.clip(rate + (pull + push) * self.time_step, -self.max_rate, self.max_rate)
+        return np.array([angle + rate * self.time_step, rate])
+
+    def observe(self, state: Array) -> Array:
+        angle, rate = state
+        return np.array([np.cos(angle), np.sin(angle), rate])
+
+    def pay(self, state: Array, act: Array, after: Array) -> Array:
+        angle, rate = state
+        off, torque = ((angle + np.pi) % (2 * np.pi)) - np.pi, self._torque(act)
+        return np.asarray(-(off * off + 0.1 * (rate * rate) + 0.001 * (torque * torque)))
+
+    def _torque(self, act: Array) -> Any:
+        """In 32 bits, as Gymnasium has it."""
+        return self.max_torque * act[0].astype(np.float32)
+
+    def fails(self, state: Array) -> NDArray[np.bool_]:
+        return np.zeros(state.shape[1:], np.bool_)
+
+    def failure(self, state: Array) -> str:
+        return "never"
+
+
+NOMINAL = Physics()
+
+
+def phi(obs: Array, act: Array) -> Array:
+    """(B, 4): how upright it is, how still, both, and a constant."""
+    upright, still = np.clip(obs[:, 0], -1, 1), 1 - np.clip(obs[:, 2] / NOMINAL.max_rate, -1, 1) ** 2
+    return np.stack([upright, still, upright * still, np.ones(len(obs))], axis=1)
+
+
+def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
+    """The rod as a line, and the point that it turns about."""
+    inner = env.unwrapped
+    assert isinstance(inner, DynamicsEnv)
+    assert isinstance(inner.physics, Physics)
+    angle, length = float(inner.state[0]), inner.physics.length
+    tip = [-length * np.sin(angle), length * np.cos(angle)]
+    return {
+        "motor": Shape(np.array([[-0.05, 0.0], [0.05, 0.0]]), (140, 140, 140)),
+        "rod": Shape(np.array([[0.0, 0.0], tip]), (234, 134, 51)),
+    }
+
+
+SPEC = EnvSpec(
+    name="swingup",
+    summary="Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
+    env_id="irl_bench/Swingup-v0",
+    obs_size=3,
+    act_size=1,
+    obs_names=(Quantity("cosine of the angle"), Quantity("sine of the angle"), Quantity("rate", "rad/s")),
+    act_names=(Quantity("motor", "2 N m"),),
+    obs_scale=(0.7, 0.7, 3.0),
+    horizon=HORIZON,
+    gamma=0.98,
+    time_step=NOMINAL.time_step,
+    bar=lambda seeds: -180.0,
+    rl_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
+    eval_episodes={"smoke": 5, "quick": 100, "full": 100},
+    phi=phi,
+    draw=draw,
+    kwargs={"physics": NOMINAL},
+    batch=partial(DynamicsBatch, physics=NOMINAL),
+    shipped=Shipped(steps=20_000, bar=-150.0, checkpoint_every=20),
+    variants={
+        "long": {"physics": Physics(length=1.5)},
+        "heavy": {"physics": Physics(mass=2.0)},
+        "gravity": {"physics": Physics(gravity=14.0)},
+        "light": {"physics": Physics(mass=0.5)},
+        "flipped": {"physics": Physics(max_torque=-NOMINAL.max_torque)},
+    },
+)
+
+gym.register(
+    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
+)
