@@ -48,6 +48,8 @@ MEDIUM, MEDIUM_TRIED, MEDIUM_OFF = 0.5, 10, 0.15
 from that share the nearest may be: an agent that learns at a stroke has none."""
 MARGIN = 0.5
 """Of the early endings that the bar allows, so much on tuning episodes: others may have more."""
+MOST_POINTS = 200
+"""Of the curve that is kept of a training."""
 CANDIDATES = "candidates.csv"
 MEDIUM_FILE = "__medium"
 """What a medium expert's file is called besides."""
@@ -160,7 +162,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     facts = {
         **candidate._asdict(),
         "settings": dataclasses.asdict(settings),
-        "curve": solution.true_curve,
+        "curve": thinned(solution.true_curve),
         "origin": origin(),
     }
     files = []
@@ -170,6 +172,12 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
         its = {"kind": kind, "checkpoint": solution.true_curve[place][0]}
         files.append(as_bytes(Kept(policy.arrays(), facts | its)))
     return candidate, files[0], files[1]
+
+
+def thinned(curve: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Of a long one some points."""
+    places = np.unique(np.linspace(0, len(curve) - 1, min(len(curve), MOST_POINTS)).astype(int))
+    return [curve[i] for i in places]
 
 
 def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:

@@ -94,7 +94,8 @@ def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_use
     _, medium = shipped(env, 0, medium=True)
     seeds = held_out_seeds(20)
     best, half = (measure(spec, Network.from_arrays(kept.arrays), seeds) for kept in (good, medium))
-    assert best.mean_return >= 0.95 * good.facts["mean_return"]
+    expected, random = good.facts["mean_return"], good.facts["random_return"]
+    assert best.mean_return >= expected - 0.05 * (expected - random)
     assert half.mean_return < best.mean_return
 
 
