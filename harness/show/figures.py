@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,12 +20,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from harness.judge.leaderboard import Entry
-from harness.judge.results import CONTROLS, REFERENCE, CellResult, Row
+from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
 
 RED = "#b00020"
 BLUE, ORANGE = "#0072b2", "#d55e00"
 """Told apart by the colour-blind too."""
-_POLICIES = {
+POLICIES = {
     "pi_star": (r"$\pi^*$ (the apprentice)", BLUE, "o"),
     "pi_R": (r"$\pi_R$ (RL on R*)", ORANGE, "D"),
 }
@@ -68,9 +69,10 @@ def draw(
     envs: int = 1,
     flag: str = "",
 ) -> list[Picture]:
-    """The figures of one env of `envs`, from its part of the leaderboard, its scored rows and its results:
-    scores, learning curves of RL, training curves of methods; those that have nothing to show are left
-    out. flag: what is said above each."""
+    """The figures of one board of `envs`, from its lines, its scored rows and its results: scores, learning
+    curves of RL, training curves of methods; those that have nothing to show are left out. flag: what is said
+    above each."""
+    file = file_of(env)
     most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
     with styled():
         rl, truth, training = _curves([entry.method for entry in entries], results)
@@ -79,7 +81,7 @@ def draw(
             alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
             pictures.append(
                 _panels(
-                    f"{env}_rl.png",
+                    f"{file}_rl.png",
                     f"{env}: RL on R* (the top of blue counts; each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
                     "environment steps (left, blue: return learned from; right, orange: true return)",
@@ -93,7 +95,7 @@ def draw(
             alt = f"Training curves in {env}, a panel for each of: "
             pictures.append(
                 _panels(
-                    f"{env}_training.png",
+                    f"{file}_training.png",
                     f"{env}: training of the methods",
                     alt + ", ".join(training) + ".",
                     "iteration",
@@ -111,7 +113,8 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
     figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
     axes = figure.add_subplot()
-    for value, name in ((0.0, "random"), (1.0, "expert")):
+    top = "expert" if entries[0].dynamics == NOMINAL else "RL on the true reward"
+    for value, name in ((0.0, "random"), (1.0, top)):
         axes.axvline(value, color="#888888", linewidth=1, linestyle="--", zorder=0)
         axes.text(value, 1.01, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
     told = []
@@ -122,7 +125,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
         words = []
         for entry in mine:
             y = place + (0.0 if len(mine) == 1 else -0.22 if entry.policy == "pi_star" else 0.18)
-            _, colour, marker = _POLICIES[entry.policy]
+            _, colour, marker = POLICIES[entry.policy]
             if not math.isfinite(entry.score_mean):
                 text = f"{entry.policy} {_why(entry)}"
                 box = {"facecolor": ground, "linewidth": 0, "pad": 1}
@@ -143,7 +146,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     axes.set_xlabel("normalized score (small dots: seeds; markers: means; bars: 95 % intervals)")
     if flag:
         axes.set_title(flag, color=RED, pad=18)
-    for label, colour, marker in _POLICIES.values():
+    for label, colour, marker in POLICIES.values():
         axes.scatter([], [], s=38, color=colour, marker=marker, label=label)
     figure.legend(loc="outside upper right", ncols=2, frameon=False)
     # Of two or three seeds an interval may be many times as wide as all scores.
@@ -152,7 +155,12 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     low, high = min([0.0, *shown]), max([1.0, *shown])
     axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
     alt = f"Mean normalized scores in {env} (0 random, 1 expert): {'; '.join(told)}."
-    return _picture(f"{env}_scores.png", f"{env}: normalized scores", alt, figure)
+    return picture(f"{file_of(env)}_scores.png", f"{env}: normalized scores", alt, figure)
+
+
+def file_of(board: str) -> str:
+    """How the names of a board's figures begin."""
+    return re.sub(r"\W+", "_", board)
 
 
 def _why(entry: Entry) -> str:
@@ -210,7 +218,7 @@ def _panels(
     figure.supxlabel(xlabel, fontsize=9)
     if flag:
         figure.suptitle(flag, color=RED)
-    return _picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
+    return picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
 
 
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
@@ -230,7 +238,7 @@ def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colou
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
-def _picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
+def picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
     width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
     return Picture(file, title, alt, png(figure), round(width), round(height))
 

@@ -8,17 +8,38 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from harness.judge.leaderboard import Entry, indistinct, leaderboard, overall, scored_rows
-from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell, CellResult, Request, Row, as_seeds, command_of
+from harness.judge.leaderboard import (
+    Entry,
+    indistinct,
+    is_on,
+    leaderboard,
+    overall,
+    scored_rows,
+    shown_in,
+)
+from harness.judge.results import (
+    COLUMNS,
+    NOMINAL,
+    PROGRAM_NAME,
+    Cell,
+    CellResult,
+    Request,
+    Row,
+    as_seeds,
+    command_of,
+)
 from harness.show import figures
+from harness.show.axes import draw_axes
 
 HEADINGS = (
     *("Method", "Role", "Policy", "Seeds ok", "Score [95 %]", "Behind the best [95 %]"),
-    *("Above best lower control", "Reward: distance", "Reward: rank", "Return [95 %]", "Note"),
+    *("Above best lower control", "Share of control_true", "Reward: distance", "Reward: rank"),
+    *("Return [95 %]", "Note"),
 )
 COST_HEADINGS = ("Method", "Policy", "Seconds", "Env steps", "Check steps", "RL solves", "Discounted return")
 OVERALL_HEADINGS = (
@@ -50,15 +71,15 @@ def report_files(
         "leaderboard.csv": as_csv(entries, [f.name for f in dataclasses.fields(Entry)]),
     }
 
-    envs = list(dict.fromkeys(entry.env for entry in entries))
-    flags = {env: _why_no_result(env, request, results) for env in envs}
+    boards = _boards(entries, rows, results)
+    flags = {name: _why_no_result(board.entries[0].env, request, results) for name, board in boards.items()}
     tables = {
-        env: [
-            (HEADINGS, [_cells(entry) for entry in entries if entry.env == env]),
-            (COST_HEADINGS, [_costs(entry) for entry in entries if entry.env == env]),
-            (DETAIL_HEADINGS, _details(env, results)),
+        name: [
+            (HEADINGS, [_cells(entry) for entry in board.entries]),
+            (COST_HEADINGS, [_costs(entry) for entry in board.entries]),
+            (DETAIL_HEADINGS, _details(board.results)),
         ]
-        for env in envs
+        for name, board in boards.items()
     }
     left_out = indistinct(entries)
     across = [
@@ -66,18 +87,18 @@ def report_files(
             *(x.method, x.policy, str(x.envs), str(x.runs)),
             *(_range(x.score, x.low, x.high, "z.2f"), f"{x.below:.0%}"),
         ]
-        for x in overall(rows, tuple(left_out))
+        for x in overall(_own_dynamics(rows), tuple(left_out))
     ]
-    apart = [f"{env} is left out: {why}" for env, why in left_out.items()] if len(envs) > 1 else []
+    apart = [f"{name} is left out: {why}" for name, why in left_out.items()] if len(boards) > 1 else []
     flag = f"{NO_RESULT}: " if any(flags.values()) else ""
     parts = [f"# {flag}Leaderboard\n", "".join(f"- {_escaped(line)}\n" for line in made)]
     if across or apart:
         said = "".join(f"- {_escaped(line)}\n" for line in apart)
         table = _markdown(OVERALL_HEADINGS, across) if across else ""
         parts.append(f"## Across environments\n\n{said}\n{table}")
-    for env, its_tables in tables.items():
+    for name, its_tables in tables.items():
         shown = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
-        parts.append(f"## {env}{f': {NO_RESULT}, {flags[env]}' if flags[env] else ''}\n\n{shown}")
+        parts.append(f"## {name}{f': {NO_RESULT}, {flags[name]}' if flags[name] else ''}\n\n{shown}")
     origins, spent = _origins(results), _spent(results)
     if spent:
         parts.append(f"## Where the time went\n\n{_markdown(SPENT_HEADINGS, spent)}")
@@ -85,16 +106,26 @@ def report_files(
     files["leaderboard.md"] = "\n".join(parts)
 
     pictures = {}
-    for env in envs:
-        pictures[env] = figures.draw(
-            env,
-            [entry for entry in entries if entry.env == env],
-            [row for row in rows if row.env == env],
-            [result for result in results if result.cell.env == env],
-            len(envs),
-            f"{NO_RESULT}: {flags[env]}" if flags[env] else "",
+    for name, board in boards.items():
+        pictures[name] = figures.draw(
+            name,
+            board.entries,
+            board.rows,
+            board.results,
+            len(boards),
+            f"{NO_RESULT}: {flags[name]}" if flags[name] else "",
         )
-        files |= {f"figures/{picture.file}": picture.png for picture in pictures[env]}
+        files |= {f"figures/{picture.file}": picture.png for picture in pictures[name]}
+
+    over = {
+        env: draw_axes(
+            env,
+            [e for e in entries if e.env == env],
+            f"{NO_RESULT}: {why}" if (why := _why_no_result(env, request, results)) else "",
+        )
+        for env in dict.fromkeys(entry.env for entry in entries)
+    }
+    files |= {f"figures/{one.file}": one.png for its in over.values() for one in its}
 
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -109,7 +140,8 @@ def report_files(
         overall=across,
         left_out=apart,
         pictures=pictures,
-        endings=_endings(results),
+        over=[one for its in over.values() for one in its],
+        endings={name: _endings(board.results) for name, board in boards.items()},
         warnings=_warnings(results, rows),
         origins=origins,
         spent_headings=SPENT_HEADINGS,
@@ -121,6 +153,40 @@ def report_files(
         ],
     )
     return files
+
+
+@dataclass(frozen=True)
+class Board:
+    """What is compared with each other: lines, and what they are of."""
+
+    entries: list[Entry]
+    rows: list[Row]
+    results: list[CellResult]
+
+
+def _boards(entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult]) -> dict[str, Board]:
+    """By name."""
+    by_name: dict[str, list[Entry]] = {}
+    for entry in entries:
+        by_name.setdefault(entry.board, []).append(entry)
+    by_task: dict[str, tuple[list[Row], list[CellResult]]] = {}
+    for row in rows:
+        by_task.setdefault(row.task, ([], []))[0].append(row)
+    for result in results:
+        by_task[result.cell.task][1].append(result)
+    boards = {}
+    for name, its in by_name.items():
+        shown, (its_rows, its_results) = its[0].shown, by_task[its[0].task]
+        mine = [row for row in its_rows if is_on(row, shown)]
+        boards[name] = Board(its, mine, [r for r in its_results if is_on(r.rows[0], shown)])
+    return boards
+
+
+def _own_dynamics(rows: Sequence[Row]) -> list[Row]:
+    """Those of envs as they are, on their first boards."""
+    nominal = [row for row in rows if row.dynamics == NOMINAL]
+    first = {env: shown_in([row for row in nominal if row.env == env])[0] for env in {r.env for r in nominal}}
+    return [row for row in nominal if is_on(row, first[row.env])]
 
 
 def _seeds(seeds: Sequence[int]) -> str:
@@ -157,11 +223,11 @@ def _why_no_result(env: str, request: Request, results: Sequence[CellResult]) ->
     return f"the expert of seed {seeds} misses its bar" if below else ""
 
 
-def _details(env: str, results: Sequence[CellResult]) -> list[list[str]]:
+def _details(results: Sequence[CellResult]) -> list[list[str]]:
     """What methods tell of their fits, means over seeds."""
     found: dict[tuple[str, str], list[float]] = {}
     for result in results:
-        for name, value in result.details.items() if result.cell.env == env else ():
+        for name, value in result.details.items():
             found.setdefault((result.cell.method, name), []).append(value)
     return [[m, name, f"{sum(v) / len(v):.2g}"] for (m, name), v in sorted(found.items())]
 
@@ -172,7 +238,7 @@ def _scores_csv(rows: Sequence[Row], request: Request, results: Sequence[CellRes
     frame = _frame(rows, COLUMNS)
     conditions = request.conditions
     frame["budget"], frame["rl"] = conditions.budget, conditions.rl
-    mine = [cells[Cell(row.env, row.method, row.seed)] for row in rows]
+    mine = [cells[Cell(row.env, row.method, row.seed, row.shown, row.dynamics)] for row in rows]
     frame["program"] = [result.origin.get(PROGRAM_NAME, "") for result in mine]
     frame["finished"] = [result.finished for result in mine]
     return frame.to_csv(index=False, lineterminator="\n")
@@ -220,6 +286,7 @@ def _cells(entry: Entry) -> list[str]:
         _range(entry.score_mean, entry.score_low, entry.score_high, "z.2f"),
         behind,
         _number(entry.above_best_lower_control, "+z.2f") if learned else "",
+        _number(entry.share_of_true, "z.2f") if learned else "",
         _number(entry.reward_distance, "z.2f") if learned else "",
         _number(entry.reward_rank, "z.2f") if learned else "",
         _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
@@ -250,18 +317,16 @@ def _escaped(text: str) -> str:
     return re.sub(r"([\\|<>&`]|(?<=\])\()", r"\\\1", text)
 
 
-def _endings(results: Sequence[CellResult]) -> dict[str, list[tuple[str, str, list[tuple[str, int]]]]]:
-    """For each env: method, policy, and how many evaluation episodes ended how, over all seeds."""
-    counts: dict[tuple[str, str, str], Counter[str]] = {}
+def _endings(results: Sequence[CellResult]) -> list[tuple[str, str, list[tuple[str, int]]]]:
+    """Method, policy, and how many evaluation episodes ended how, over all seeds."""
+    counts: dict[tuple[str, str], Counter[str]] = {}
     for result in results:
         for name, endings in result.endings.items():
-            counts.setdefault((result.cell.env, result.cell.method, name), Counter()).update(endings)
-    table: dict[str, list[tuple[str, str, list[tuple[str, int]]]]] = {}
-    for (env, method, policy), counter in sorted(counts.items()):
-        table.setdefault(env, []).append(
-            (method, policy, sorted(counter.items(), key=lambda item: (-item[1], item[0])))
-        )
-    return table
+            counts.setdefault((result.cell.method, name), Counter()).update(endings)
+    return [
+        (method, policy, sorted(counter.items(), key=lambda item: (-item[1], item[0])))
+        for (method, policy), counter in sorted(counts.items())
+    ]
 
 
 def _spent(results: Sequence[CellResult]) -> list[list[str]]:
@@ -281,10 +346,10 @@ def _origins(results: Sequence[CellResult]) -> list[str]:
 
 def _warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
     found = [f"{r.cell.name}: {text}" for r in sorted(results, key=lambda r: r.cell) for text in r.warnings]
-    unscored = {(r.env, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
+    unscored = {(r.task, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
     machines = {tuple((k, v) for k, v in r.origin.items() if k != PROGRAM_NAME) for r in results}
     if len(machines) > 1:
         found.append("the cells were computed on different machines or with different versions, see the end")
-    for env, seed in sorted(unscored):
-        found.append(f"{env}, seed {seed}: no normalized scores, for want of an expert better than random")
+    for task, seed in sorted(unscored):
+        found.append(f"{task}, seed {seed}: no normalized scores, for want of an expert better than random")
     return found

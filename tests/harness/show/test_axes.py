@@ -1,0 +1,44 @@
+"""Figures over what is shown and over dynamics say what the lines say."""
+
+from __future__ import annotations
+
+from harness.judge.leaderboard import leaderboard, scored_rows
+from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
+from harness.show.axes import draw_axes
+
+
+def results(demos: tuple[int, ...], dynamics: tuple[str, ...]) -> list[CellResult]:
+    def made(cell: Cell, **returns: float) -> CellResult:
+        rows = [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()]  # type: ignore[arg-type]
+        return CellResult(cell, rows)
+
+    found = []
+    for place in dynamics:
+        found += [made(Cell("swingup", REFERENCE, 0, dynamics=place), expert=100.0, random=0.0)]
+        found += [made(Cell("swingup", "control_true", 0, dynamics=place), pi_R=100.0)]
+        for count in demos:
+            for method in ("shaped", "maxent"):
+                cell = Cell("swingup", method, 0, Shown(count), place)
+                found += [made(cell, pi_star=2.0 * count + len(method), pi_R=float(count))]
+    return found
+
+
+def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> None:
+    (picture,) = draw_axes("swingup", leaderboard(scored_rows(results((1, 5, 20), (NOMINAL,)))))
+    assert picture.file == "swingup_demonstrations.png"
+    assert "shaped pi_star with 5: 0.16" in picture.alt
+    assert "maxent pi_R with 20: 0.20" in picture.alt
+    assert picture.png.startswith(b"\x89PNG")
+    assert draw_axes("swingup", leaderboard(scored_rows(results((0,), (NOMINAL,))))) == []
+    assert draw_axes("swingup", leaderboard(scored_rows(results((5,), (NOMINAL,))))) == []
+
+
+def test_transfer_has_a_panel_for_each_variant_of_what_is_shown_first() -> None:
+    entries = leaderboard(scored_rows(results((5, 20), (NOMINAL, "flipped", "heavy"))))
+    pictures = {picture.file: picture for picture in draw_axes("swingup", entries)}
+    assert list(pictures) == ["swingup_demonstrations.png", "swingup_transfer.png"]
+    alt = pictures["swingup_transfer.png"].alt
+    for text in ("flipped: shaped pi_star 0.16", "heavy: maxent pi_R 0.05", "heavy: reference expert 1.00"):
+        assert text in alt
+    assert "0.46" not in alt, "of 20 demonstrations"
+    assert draw_axes("swingup", entries)[1].png == pictures["swingup_transfer.png"].png
