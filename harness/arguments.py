@@ -9,9 +9,11 @@ from typing import NoReturn
 
 from harness.registry import (
     BUDGETS,
+    DEMONSTRATORS,
     ENGINES,
     ENVS,
     EXPERTS,
+    GROUPS,
     LIBRARIES,
     METHODS,
     PROTOCOLS,
@@ -40,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True)
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
     add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
-    add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join(ENVS))
+    add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join([*ENVS, *GROUPS]))
     add.add_argument(
         "--seeds",
         type=_seeds,
@@ -51,6 +53,28 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
     add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
+    add.add_argument(
+        "--demos",
+        type=_demos,
+        metavar="N[,N]",
+        default=(0,),
+        help="demonstrations, each number in turn; 0 (default): as many as the budget says",
+    )
+    add.add_argument(
+        "--subsample", type=_count, metavar="K", default=1, help="show every K-th step of them (default: all)"
+    )
+    add.add_argument(
+        "--demonstrator",
+        default="expert",
+        choices=DEMONSTRATORS,
+        help="who is shown: the expert, a worse one, or the expert with noise on its actions",
+    )
+    add.add_argument(
+        "--transfer",
+        action="store_true",
+        help="in the variants of each task, too: pi* carried over, and RL on R* there",
+    )
+    add.add_argument("--no-retrain", action="store_true", help="pi* alone: neither pi_R nor controls")
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser(
@@ -117,6 +141,10 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
     )
     add("--retry-failed", action="store_true", help="compute again what failed before")
+
+
+def _demos(text: str) -> tuple[int, ...]:
+    return tuple(sorted({_whole(part, MOST, least=0) for part in text.split(",")}))
 
 
 def _count(text: str) -> int:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.arguments import parser
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput, choose
+from harness.registry import ENVS, GROUPS, METHODS, VARIANTS, BadInput, choose
 from harness.run.environment import can_fix_instructions
 from harness.run.signals import ignore_stops, stop_cleanly
 
@@ -98,7 +98,9 @@ def _check_python() -> None:
 def _list() -> int:
     methods, variants = ({n: e.summary for n, e in table.items()} for table in (METHODS, VARIANTS))
     envs = {name: entry.summary for name, entry in ENVS.items()}
-    sections = {"methods": methods, "variants of methods, not part of 'all'": variants, "envs": envs}
+    groups = {name: ", ".join(members) for name, members in GROUPS.items()}
+    sections = {"methods": methods, "variants of methods, not part of 'all'": variants}
+    sections |= {"envs": envs, "groups of envs": groups}
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")
@@ -109,16 +111,22 @@ def _list() -> int:
 
 def _run(args: argparse.Namespace) -> int:
     methods = choose("method", args.methods, METHODS, VARIANTS)
-    envs = choose("env", args.envs, ENVS)
+    envs = choose("env", args.envs, ENVS, groups=GROUPS)
     # Imported here, for `--help` and `list` to answer at once.
-    from harness.judge.results import Conditions, Request
+    from harness.judge.results import Conditions, Request, Shown
     from harness.run.store import open_for_run
 
     _prepare()
     seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
     fixed = _is_deterministic(args)
-    conditions = Conditions(args.budget, args.protocol, args.rl, fixed, args.experts, args.record)
-    request = Request(methods, envs, seeds, conditions)
+    conditions = Conditions(
+        args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
+    )
+    shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
+    if args.demonstrator == "medium" and args.experts == "trained":
+        raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+    variants = _variants(envs) if args.transfer else ()
+    request = Request(methods, envs, seeds, conditions, shown, variants)
     _handle_signals()
     engine = _engine(args, envs)
     if args.engine == "inline":
@@ -130,17 +138,26 @@ def _run(args: argparse.Namespace) -> int:
     return int(failed or not whole)
 
 
+def _variants(envs: Sequence[str]) -> tuple[str, ...]:
+    """Tasks of other dynamics. Raises BadInput where there are none."""
+    from harness.registry import SPECS
+
+    found = tuple(f"{env}.{name}" for env in envs for name in SPECS[env].variants)
+    if not found:
+        raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
+    return found
+
+
 def _is_deterministic(args: argparse.Namespace) -> bool:
     return not args.fast and can_fix_instructions()
 
 
 def _reproduce(args: argparse.Namespace) -> int:
-    from harness.judge.results import Conditions, Request
-    from harness.reproduce import ENVS, PROTOCOLS, open_study, write_study
+    from harness.judge.results import Conditions, Request, Shown
+    from harness.reproduce import ENVS, PROTOCOLS, STUDIED, TRAJECTORIES, open_study, write_study
     from harness.run.progress import say
     from harness.run.request import merged
     from harness.run.store import open_for_run
-    from harness.run.study import ARMS
 
     _prepare()
     _handle_signals()
@@ -149,7 +166,8 @@ def _reproduce(args: argparse.Namespace) -> int:
         requests, fixed = {}, _is_deterministic(args)
         for protocol in PROTOCOLS:
             conditions = Conditions(args.budget, protocol, "sbx", fixed, "trained", args.record)
-            requests[protocol] = Request(tuple(ARMS), ENVS, args.seeds, conditions)
+            shown = tuple(map(Shown, TRAJECTORIES))
+            requests[protocol] = Request(STUDIED, ENVS, args.seeds, conditions, shown)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
         for protocol, request in requests.items():
             with open_for_run(args.out / protocol, request, engine.variables) as run:
@@ -204,7 +222,7 @@ def _bench(as_json: bool) -> int:
 
 
 def _experts(args: argparse.Namespace) -> int:
-    envs = choose("env", ",".join(args.envs), ENVS)
+    envs = choose("env", ",".join(args.envs), ENVS, groups=GROUPS)
     from harness import expert_training
     from harness.registry import SPECS
     from harness.run import expert_set

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from harness.bench import CONDITIONS, Measure, command, compute
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row, Shown, policies_of
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ENVS, SPECS
@@ -113,7 +113,7 @@ def apart(work: Callable[[int], T], argument: int) -> T:
 def _fit(count: int) -> float:
     """Seconds of the fit alone."""
     spec = SPECS["cartpole"]
-    demos = demonstrations_for("cartpole", 0, count, CONDITIONS)
+    demos = demonstrations_for("cartpole", 0, Shown(count), CONDITIONS)
     world = TaskWorld(spec, "absorbing", "sbx")
     started = time.perf_counter()
     Shaped().fit(demos, world, rng_for(0, "growth"))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained"]
 Record = Literal["first", "none"]
+Demonstrator = Literal["expert", "medium", "noisy"]
 EngineName = Literal["isolated", "inline"]
 
 BUDGETS = ("smoke", "quick", "full")
@@ -21,6 +23,7 @@ LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline")
 RECORDS: tuple[Record, ...] = ("first", "none")
+DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """What becomes of an episode's end (`harness.learn.rl`); the last two are parts of the first."""
 
@@ -48,6 +51,7 @@ METHODS = {
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
 }
 VARIANTS = {
+    "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
     "maxent_linear": Entry(
         "methods.maxent_linear:MaxEntLinear", "maximum-entropy IRL with a linear reward (Ziebart et al. 2008)"
     ),
@@ -72,11 +76,23 @@ ENVS = {
         "envs.balancing.cartpole_discrete:SPEC",
         "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
     ),
+    "swingup": Entry(
+        "envs.swingups.swingup:SPEC",
+        "Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
+    ),
     "gridworld": Entry(
         "envs.gridworld:SPEC",
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
     ),
 }
+
+
+GROUPS = {
+    "classic": ("cartpole", "pendulum", "highway"),
+    "swingups": ("swingup",),
+    "tabular": ("gridworld",),
+}
+"""Names that stand for several environments."""
 
 
 class _Specs(dict[str, "EnvSpec"]):
@@ -96,22 +112,30 @@ def all_specs() -> list[EnvSpec]:
     return [SPECS[name] for name in ENVS]
 
 
-def choose(kind: str, text: str, known: Collection[str], variants: Collection[str] = ()) -> tuple[str, ...]:
-    """The names in a comma-separated `text`, 'all' being every known one but no variant, without repeats, in
-    the order of `known` and then `variants`.
+def choose(
+    kind: str,
+    text: str,
+    known: Collection[str],
+    variants: Collection[str] = (),
+    groups: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> tuple[str, ...]:
+    """The names in a comma-separated `text`, 'all' being every known one but no variant, and a group's name
+    all that are of it, without repeats, in the order of `known` and then `variants`.
 
     Raises BadInput, with the closest match, for an unknown name; and for an empty one.
     """
     names = [name.strip() for name in text.split(",")]
     choices = (*known, *variants)
+    groups = {"all": (*known,), **groups}
     if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     for name in names:
-        if name != "all" and name not in choices:
-            near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
+        if name not in groups and name not in choices:
+            near = difflib.get_close_matches(name, [*choices, *groups], n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(choices)}"
             raise BadInput(f"no {kind} named {name!r}; {hint}")
-    return tuple(name for name in choices if name in names or ("all" in names and name in known))
+    chosen = {one for name in names for one in groups.get(name, (name,))}
+    return tuple(name for name in choices if name in chosen)
 
 
 def load_method(name: str) -> type[Method]:

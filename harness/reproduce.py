@@ -15,23 +15,35 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
-from harness.judge.results import COLUMNS, CONTROLS, REFERENCE, CellResult
+from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.registry import BadInput
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
-from harness.run.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.show.report import as_csv
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
+TRAJECTORIES = (1, 5, 20, 100)
+STUDIED = ("shaped", "shaped_decay", "bc")
+"""The thesis's model, without and with the weight regularisation that its section 5.3 suspects, and behaviour
+cloning on as much."""
+THESIS = ("shaped", Shown(100))
+"""What the thesis evaluates."""
 GREEN, YELLOW = "#009e73", "#e69f00"
+LINES = (
+    ("shaped", "pi_star", BLUE, "-", r"$\pi^*$"),
+    ("shaped_decay", "pi_star", BLUE, "--", r"$\pi^*$, with weight decay"),
+    ("bc", "pi_star", GREEN, "-", "behaviour cloning"),
+    ("shaped", "pi_R", ORANGE, "-", r"$\pi_R$"),
+    ("shaped_decay", "pi_R", ORANGE, "--", r"$\pi_R$, with weight decay"),
+)
+"""Method, policy, colour, style and label of each line of the study's figure."""
 MARKER, MARK = "study.json", b'{"study": "thesis", "format": 1}\n'
 
 
@@ -52,9 +64,12 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
     rows = [row for results in runs.values() for row in scored_rows(results)]
     write_atomic(directory / "scores.csv", as_csv(rows, COLUMNS))
     entries = [entry for results in runs.values() for entry in leaderboard(scored_rows(results))]
-    order = (*ARMS, *CONTROLS, REFERENCE)
-    entries.sort(key=lambda e: (ENVS.index(e.env), PROTOCOLS.index(e.protocol), order.index(e.method)))
-    table = pd.DataFrame([_line(entry) for entry in entries if entry.method != REFERENCE])
+    order = (*STUDIED, *CONTROLS, REFERENCE)
+    entries.sort(
+        key=lambda e: (ENVS.index(e.env), PROTOCOLS.index(e.protocol), order.index(e.method), e.demos)
+    )
+    lines = [_line(entry) for entry in entries if entry.method != REFERENCE]
+    table = pd.DataFrame(lines).drop_duplicates(ignore_index=True)
     write_atomic(directory / "study.csv", table.to_csv(index=False, lineterminator="\n"))
     write_atomic(directory / "study.md", _markdown(table))
     for env in dict.fromkeys(entry.env for entry in entries):
@@ -66,13 +81,11 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
 
 
 def _line(entry: Entry) -> dict[str, str | int | float]:
-    arm = ARMS.get(entry.method)
     return {
         "env": entry.env,
         "protocol": entry.protocol,
-        "method": arm.method if arm else entry.method,
-        "trajectories": (arm.demonstrations if arm else None) or "",
-        "weight decay": arm.settings.get("weight_decay", "") if arm else "",
+        "method": entry.method,
+        "trajectories": "" if entry.method in UNSHOWN else entry.demos,
         "policy": entry.policy,
         "seeds": entry.seeds_ok,
         "score": entry.score_mean,
@@ -96,19 +109,19 @@ def _figure_5_3(env: str, runs: dict[str, list[CellResult]]) -> Figure:
     """Learning curves on the true reward and on R*, the latter under both rewards, and the level of pi*."""
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     for place, protocol in enumerate(PROTOCOLS):
-        curves: dict[tuple[str, str], list[list[tuple[float, float]]]] = {}
+        curves: dict[tuple[str, Shown, str], list[list[tuple[float, float]]]] = {}
         stars = []
         for result in runs[protocol]:
             for name, points in result.curves.items():
-                curves.setdefault((result.cell.method, name), []).append(points)
-            if result.cell.method == THESIS:
+                curves.setdefault((result.cell.method, result.cell.shown, name), []).append(points)
+            if (result.cell.method, result.cell.shown) == THESIS:
                 stars += [row.return_mean for row in result.rows if row.policy == "pi_star"]
         axes: Axes = figure.add_subplot(1, 2, place + 1)
         under = axes.twinx()
         under.spines["right"].set_visible(True)
-        plot_seeds(axes, curves.get(("control_true", "pi_R_true"), []), BLUE)
-        plot_seeds(under, curves.get((THESIS, "pi_R"), []), YELLOW)
-        plot_seeds(axes, curves.get((THESIS, "pi_R_true"), []), ORANGE)
+        plot_seeds(axes, curves.get(("control_true", ALL_SHOWN, "pi_R_true"), []), BLUE)
+        plot_seeds(under, curves.get((*THESIS, "pi_R"), []), YELLOW)
+        plot_seeds(axes, curves.get((*THESIS, "pi_R_true"), []), ORANGE)
         for level in stars:
             axes.axhline(level, color=GREEN, linestyle=":", linewidth=1.5)
         axes.set_title(f"{env}, {protocol}")
@@ -129,39 +142,32 @@ def _figure_5_3(env: str, runs: dict[str, list[CellResult]]) -> Figure:
 def _study(env: str, entries: Sequence[Entry]) -> Figure:
     """Scores of pi* and pi_R against trajectories, and the controls as lines."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
-    found = {(e.protocol, e.method, e.policy): e for e in entries}
+    found = {(e.protocol, e.method, e.demos, e.policy): e for e in entries}
     first: Axes | None = None
     for place, protocol in enumerate(PROTOCOLS):
         axes: Axes = figure.add_subplot(1, 2, place + 1, sharey=first)
         first = first or axes
-        for policy, colour, label in (("pi_star", BLUE, r"$\pi^*$"), ("pi_R", ORANGE, r"$\pi_R$")):
-            if policy == "pi_star":
-                clones = {n: found.get((protocol, name, policy)) for name, (_, n, _) in CLONES.items()}
-                known = [(n, e.score_mean) for n, e in clones.items() if e and math.isfinite(e.score_mean)]
-                if known:
-                    axes.plot(*zip(*known, strict=True), color=GREEN, marker="^", label="behaviour cloning")
-            for shift, decay in enumerate(DECAYS):
-                points = [
-                    (n * (0.94 + 0.06 * shift + 0.03 * (policy == "pi_R")), entry)
-                    for n in TRAJECTORIES
-                    if (entry := found.get((protocol, name_of(n, decay), policy)))
-                    and math.isfinite(entry.score_mean)
-                ]
-                style: dict[str, Any] = {"linestyle": "--" if decay else "-", "marker": "s" if decay else "o"}
-                axes.errorbar(
-                    [x for x, _ in points],
-                    [e.score_mean for _, e in points],
-                    [
-                        [max(0.0, e.score_mean - e.score_low) for _, e in points],  # of equals, rounding
-                        [max(0.0, e.score_high - e.score_mean) for _, e in points],
-                    ],
-                    color=colour,
-                    label=f"{label}, weight decay {decay:g}",
-                    markersize=4,
-                    linewidth=1.2,
-                    **style,
-                )
-        for level, names in _controls(found, protocol).items():
+        for shift, (method, policy, colour, style, label) in enumerate(LINES):
+            points = [
+                (n * (0.94 + 0.03 * shift), entry)
+                for n in TRAJECTORIES
+                if (entry := found.get((protocol, method, n, policy))) and math.isfinite(entry.score_mean)
+            ]
+            axes.errorbar(
+                [x for x, _ in points],
+                [e.score_mean for _, e in points],
+                [
+                    [max(0.0, e.score_mean - e.score_low) for _, e in points],  # of equals, rounding
+                    [max(0.0, e.score_high - e.score_mean) for _, e in points],
+                ],
+                color=colour,
+                linestyle=style,
+                label=label,
+                marker="o",
+                markersize=4,
+                linewidth=1.2,
+            )
+        for level, names in _controls([e for e in entries if e.protocol == protocol]).items():
             axes.axhline(level, color="#999999", linewidth=0.8, linestyle=":")
             axes.text(1.01, level, names, transform=axes.get_yaxis_transform(), fontsize=7, va="center")
         axes.set_xscale("log")
@@ -175,9 +181,11 @@ def _study(env: str, entries: Sequence[Entry]) -> Figure:
     return figure
 
 
-def _controls(found: dict[tuple[str, str, str], Entry], protocol: str) -> dict[float, str]:
-    """The controls' scores, and the names of all that are about as high."""
-    scores = {name: found[key].score_mean for name in CONTROLS if (key := (protocol, name, "pi_R")) in found}
+def _controls(entries: Sequence[Entry]) -> dict[float, str]:
+    """The controls' scores, of as many trajectories as the thesis has, and the names of all that are about as
+    high."""
+    mine = [e for e in entries if e.method in CONTROLS and e.demos == THESIS[1].demos]
+    scores = {e.method: e.score_mean for e in mine}
     levels: dict[float, str] = {}
     for name, score in sorted(scores.items(), key=lambda item: item[1]):
         near = [level for level in levels if score - level < 0.03]

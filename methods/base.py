@@ -84,21 +84,31 @@ class Episodes:
     obs: for each episode (T+1, O), the last row being where it ended.
     act: for each episode (T, A), in [-1, 1]; 1 for a choice and 0 for the others where actions are choices.
     terminated: for each episode whether it terminated (and was not cut at the horizon).
+    times: where only some steps are shown, for each episode the N numbers of those, from 0, ascending; obs is
+    then (N, O) and act (N, A). None where all are.
+    steps: for each episode T; by default those that are shown.
     Raises ValueError for anything else: no episode, no step, wrong shapes, NaN, actions out of range.
     """
 
     obs: tuple[Array, ...]
     act: tuple[Array, ...]
     terminated: tuple[bool, ...]
+    times: tuple[NDArray[np.int64], ...] | None = None
+    steps: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.obs) == len(self.act) == len(self.terminated) > 0:
             raise ValueError("episodes: obs, act and terminated must list the same episodes, at least one")
+        if not self.steps:
+            object.__setattr__(self, "steps", tuple(map(len, self.act)))
+        last, rows = (1, "T+1") if self.whole else (0, "N")
         for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
-            if obs.ndim != 2 or act.ndim != 2 or len(obs) != len(act) + 1 or len(act) == 0:
-                raise ValueError(
-                    f"episode {i}: needs obs (T+1, O) and act (T, A), has {obs.shape}, {act.shape}"
-                )
+            if obs.ndim != 2 or act.ndim != 2 or len(obs) != len(act) + last or len(act) == 0:
+                raise ValueError(f"episode {i}: needs obs ({rows}, O) and act, has {obs.shape}, {act.shape}")
+            times = np.arange(len(act)) if self.times is None else self.times[i]
+            within = times.shape == (len(act),) and times[0] >= 0 and times[-1] < self.steps[i]
+            if not (within and (np.diff(times) > 0).all()):
+                raise ValueError(f"episode {i}: its times must ascend within its {self.steps[i]} steps")
             if obs.shape[1] != self.obs[0].shape[1] or act.shape[1] != self.act[0].shape[1]:
                 raise ValueError(f"episode {i}: its sizes differ from those of episode 0")
             if not (np.isfinite(obs).all() and np.isfinite(act).all()):
@@ -111,13 +121,30 @@ class Episodes:
         return len(self.act)
 
     @property
+    def whole(self) -> bool:
+        """Whether every step is shown."""
+        return self.times is None
+
+    @property
     def lengths(self) -> NDArray[np.int64]:
-        """Steps of each episode."""
-        return np.array([len(act) for act in self.act])
+        """Steps of each episode, shown or not."""
+        return np.array(self.steps)
 
     def pairs(self) -> tuple[Array, Array]:
-        """Every (observation, action) in one batch: (N, O) and (N, A)."""
-        return np.concatenate([obs[:-1] for obs in self.obs]), np.concatenate(self.act)
+        """Every (observation, action) that is shown, in one batch: (N, O) and (N, A)."""
+        obs = [obs[: len(act)] for obs, act in zip(self.obs, self.act, strict=True)]
+        return np.concatenate(obs), np.concatenate(self.act)
+
+    def every(self, count: int, rng: np.random.Generator) -> Episodes:
+        """Every `count`-th step of each episode, from one of the first, which chance decides; of a shorter
+        episode one step."""
+        starts = [int(rng.integers(min(count, steps))) for steps in self.steps]
+        times = tuple(np.arange(start, T, count) for start, T in zip(starts, self.steps, strict=True))
+        obs, act = (
+            tuple(rows[at].copy() for rows, at in zip(column, times, strict=True))
+            for column in (self.obs, self.act)
+        )
+        return Episodes(obs, act, self.terminated, times, self.steps)
 
 
 class Agent(Protocol):

@@ -112,7 +112,9 @@ class MaxEnt:
 
 def demonstrated(demos: Episodes, model: Model) -> Array:
     """mu_D (T, S, A): the share of the demonstrations, all of T steps, in each state and choosing each action
-    at each time. Raises ValueError where their lengths differ."""
+    at each time. Raises ValueError where their lengths differ, or some steps are not shown."""
+    if not demos.whole:
+        raise ValueError("in a known model, every step of a demonstration must be shown")
     if demos.lengths.min() < demos.lengths.max():
         raise ValueError("in a known model, demonstrations must be equally long")
     mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
@@ -148,9 +150,10 @@ def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array) -> Ar
 
 
 def with_absorbing_steps(steps: Array, episodes: Episodes, horizon: int) -> Array:
-    """(N, K + 1): what describes each of the episodes' steps, (M, K), and an absorbing indicator; episodes
-    that terminated add their steps from there to the horizon, all zeros and 1."""
-    left = int(sum((horizon - episodes.lengths)[np.array(episodes.terminated)]))
+    """(N, K + 1): what describes each step that is shown of the episodes, (M, K), and an absorbing indicator;
+    episodes that terminated add their steps from there to the horizon, all zeros and 1."""
+    absorbed = sum((horizon - episodes.lengths)[np.array(episodes.terminated)])
+    left = round(absorbed * len(steps) / sum(episodes.lengths))  # of as many as are shown of the others
     visits = np.zeros((len(steps) + left, steps.shape[1] + 1))
     visits[: len(steps), :-1] = steps
     visits[len(steps) :, -1] = 1

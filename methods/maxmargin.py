@@ -117,12 +117,15 @@ def feature_expectations(episodes: Episodes, world: World) -> Array:
     the absorbing indicator, scaled such that the discounts sum to 1."""
     weights = discounts(world)
     each = []
-    for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
-        alive = weights[: len(act)] @ world.phi(obs[:-1], act)
-        absorbed = weights[len(act) :].sum() if terminated else 0.0
-        each.append(np.append(alive, absorbed))
-    mean: Array = np.mean(each, axis=0)
-    return mean
+    for i, (obs, act, steps) in enumerate(zip(episodes.obs, episodes.act, episodes.steps, strict=True)):
+        alive = weights[:steps]
+        if episodes.times is not None:  # those that are shown stand for all
+            shown = weights[episodes.times[i]]
+            alive = shown * (alive.sum() / shown.sum())
+        mean = alive @ world.phi(obs[: len(act)], act)
+        absorbed = weights[steps:].sum() if episodes.terminated[i] else 0.0
+        each.append(np.append(mean, absorbed))
+    return np.asarray(np.mean(each, axis=0))
 
 
 def exact_feature_expectations(policy: Policy, world: World, model: Model) -> Array:

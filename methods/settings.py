@@ -12,6 +12,8 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
     ("maxent", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
+    ("shaped_decay", "*", "*"): {"weight_decay": 1e-3},
+    ("shaped_decay", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},

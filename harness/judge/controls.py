@@ -54,7 +54,8 @@ def control_reward(
 def shuffled(demos: Episodes, rng: np.random.Generator) -> Episodes:
     """The same states and the same actions, paired at random."""
     act = rng.permutation(demos.pairs()[1])
-    return replace(demos, act=tuple(a.copy() for a in np.split(act, np.cumsum(demos.lengths)[:-1])))
+    ends = np.cumsum([len(act) for act in demos.act])
+    return replace(demos, act=tuple(a.copy() for a in np.split(act, ends[:-1])))
 
 
 def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:

@@ -8,13 +8,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from harness.judge.results import CONTROLS, LOWER_CONTROLS, REFERENCE, CellResult, Row, usable
+from harness.judge.results import (
+    ALL_SHOWN,
+    CONTROLS,
+    LOWER_CONTROLS,
+    NOMINAL,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Row,
+    Shown,
+    usable,
+)
 from harness.judge.statistics import (
     interquartile_interval,
     interquartile_mean,
     mean_interval,
     normal_interval,
 )
+from harness.registry import Demonstrator
 
 _POLICIES = ("expert", "random", "pi_star", "pi_R")
 _ROLES = {
@@ -40,13 +53,20 @@ Scales = Mapping[tuple[str, int], tuple[float, float]]
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the leaderboard: a policy of a method in an env, over its seeds that are ok.
+    """One line of the leaderboard: a policy of a method in an env and its dynamics, with what is shown to it,
+    over its seeds that are ok.
 
-    score: normalized, 0 the random policy and 1 the expert. low and high bound a mean's 95 % interval.
+    score: normalized, 0 the random policy and 1 the expert; in other dynamics than the env's own, where the
+    expert is none, 1 what RL reaches there on the true reward. low and high bound a mean's 95 % interval.
     Costs are means over seeds. Numbers are NaN where nothing is known.
     """
 
     env: str
+    dynamics: str
+    demos: int
+    every: int
+    demonstrator: Demonstrator
+    """As of `Row`, the last three also of what no demonstrations are shown to."""
     method: str
     role: str
     policy: str
@@ -68,6 +88,8 @@ class Entry:
     """Whether that interval holds 0, or what is negligible beside it: it is not told apart from the best."""
     above_best_lower_control: float
     """Of pi_R rows: score_mean minus the best score_mean of the three lower controls."""
+    share_of_true: float
+    """Of pi_R rows: score_mean in units of what RL reaches on the true reward with as many steps."""
     reward_distance: float
     reward_rank: float
     return_mean: float
@@ -80,6 +102,22 @@ class Entry:
     rl_solves: float
     note: str
     """Which seeds were skipped, failed or not scored, and why."""
+
+    @property
+    def task(self) -> str:
+        """As of `Cell`."""
+        return Cell(self.env, self.method, 0, dynamics=self.dynamics).task
+
+    @property
+    def shown(self) -> Shown:
+        """As of `Cell`."""
+        return Shown(self.demos, self.every, self.demonstrator)
+
+    @property
+    def board(self) -> str:
+        """The task, and what is shown there: what can be compared."""
+        shown = str(self.shown)
+        return f"{self.task}, {shown}" if shown else self.task
 
 
 @dataclass(frozen=True)
@@ -98,85 +136,117 @@ class Overall:
 
 
 def scored_rows(results: Sequence[CellResult]) -> list[Row]:
-    """All rows with their normalized scores, by env, method (reference first, controls last), seed, policy.
+    """All rows with their normalized scores, by task, method (reference first, controls last), seed, policy.
 
-    The score is NaN where the expert or the random policy of that env and seed is missing, or where the
-    expert is no better than the random policy, which leaves no scale.
+    The score is NaN where what scores 0 or 1 in that task and seed is missing, or where the latter is no
+    better than the former, which leaves no scale.
     """
     rows = [row for result in results for row in result.rows]
     scales = _scales(rows)
 
     def scored(row: Row) -> Row:
-        low, scale = scales.get((row.env, row.seed), (math.nan, math.nan))
+        low, scale = scales.get((row.task, row.seed), (math.nan, math.nan))
         score = (row.return_mean - low) / scale if row.status == "ok" else math.nan
         return dataclasses.replace(row, normalized_score=score if usable(score) else math.nan)
 
     return sorted(map(scored, rows), key=_order)
 
 
-def _scales(rows: Sequence[Row]) -> dict[tuple[str, int], tuple[float, float]]:
-    known = {
-        (row.env, row.seed, row.policy): row.return_mean
+def _scales(rows: Sequence[Row]) -> Scales:
+    """By task and seed, what scores 0, and how much more what scores 1 returns."""
+    known: dict[tuple[str, int, str, str], float] = {
+        (row.task, row.seed, row.method, row.policy): row.return_mean
         for row in rows
-        if row.method == REFERENCE and row.status == "ok"
+        if row.method in (REFERENCE, "control_true") and row.status == "ok"
     }
     scales = {}
-    for env, seed in {(row.env, row.seed) for row in rows}:
-        low = known.get((env, seed, "random"), math.nan)
-        scale = known.get((env, seed, "expert"), math.nan) - low
+    for task, seed, dynamics in {(row.task, row.seed, row.dynamics) for row in rows}:
+        top = (REFERENCE, "expert") if dynamics == NOMINAL else ("control_true", "pi_R")
+        low = known.get((task, seed, REFERENCE, "random"), math.nan)
+        scale = known.get((task, seed, *top), math.nan) - low
         if scale > 0:
-            scales[env, seed] = low, scale
+            scales[task, seed] = low, scale
     return scales
 
 
 def _order(row: Row) -> tuple[Any, ...]:
     rank = 0 if row.method == REFERENCE else 2 + CONTROLS.index(row.method) if row.method in CONTROLS else 1
-    return row.env, rank, row.method, row.seed, _POLICIES.index(row.policy), row.protocol
+    nominal_first = row.env, row.dynamics != NOMINAL, row.dynamics
+    return *nominal_first, rank, row.method, row.shown, row.seed, _POLICIES.index(row.policy), row.protocol
 
 
 def leaderboard(rows: Sequence[Row]) -> list[Entry]:
-    """The lines of every env from rows with scores: methods from the best to the worst pi_R, those without a
-    reward by their pi_star after them, then controls, then the reference."""
-    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    """The lines of every board from rows with scores: methods from the best to the worst pi_R, those without
+    a reward by their pi_star after them, then controls, then the reference. What no demonstrations are shown
+    to is on every board of its task."""
+    tasks: dict[tuple[str, bool, str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.env, row.protocol, row.method, row.policy), []).append(row)
-    score = {key: _mean([row.normalized_score for row in group]) for key, group in groups.items()}
+        tasks.setdefault((row.env, row.dynamics != NOMINAL, row.dynamics, row.protocol), []).append(row)
     scales = _scales(rows)
-
-    def above(key: tuple[str, str, str, str]) -> float:
-        env, protocol, _, policy = key
-        if policy != "pi_R":
-            return math.nan
-        bars = [score.get((env, protocol, control, "pi_R"), math.nan) for control in LOWER_CONTROLS]
-        return score[key] - max(bars) if all(map(math.isfinite, bars)) else math.nan
-
-    def best(key: tuple[str, str, str, str]) -> list[Row]:
-        """The rows of the best method's policy of the same name; none for what is no method's."""
-        env, protocol, method, policy = key
-        if method == REFERENCE or method in CONTROLS:
-            return []
-        rivals = [
-            other
-            for other in groups
-            if (other[0], other[1], other[3]) == (env, protocol, policy)
-            and other[2] not in (REFERENCE, *CONTROLS)
-            and math.isfinite(score[other])
-        ]
-        return groups[max(sorted(rivals), key=lambda other: score[other])] if rivals else []
-
-    def place(key: tuple[str, str, str, str]) -> tuple[Any, ...]:
-        env, protocol, method, policy = key
-        section = 2 if method == REFERENCE else 1 if method in CONTROLS else 0
-        scores = [score.get((env, protocol, method, p), math.nan) for p in ("pi_R", "pi_star")]
-        descending = tuple(-s if math.isfinite(s) else math.inf for s in scores)
-        return env, protocol, section, *descending, method, _POLICIES.index(policy)
-
     return [
-        _entry(groups[key], score[key], above(key), best(key), scales) for key in sorted(groups, key=place)
+        entry
+        for _, its in sorted(tasks.items())
+        for shown in shown_in(its)
+        for entry in _board([row for row in its if is_on(row, shown)], shown, scales)
     ]
 
 
-def _entry(rows: list[Row], score: float, above: float, best: list[Row], scales: Scales) -> Entry:
+def shown_in(rows: Sequence[Row]) -> list[Shown]:
+    """What is shown there, as much as the budget says first."""
+    return sorted({row.shown for row in rows if row.method not in UNSHOWN}) or [ALL_SHOWN]
+
+
+def is_on(row: Row, shown: Shown) -> bool:
+    """Whether the row is on the board of what is shown."""
+    return row.method in UNSHOWN or row.shown == shown
+
+
+def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
+    """The lines of one board."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.method, row.policy), []).append(row)
+    score = {key: _mean([row.normalized_score for row in group]) for key, group in groups.items()}
+    bars = [score.get((control, "pi_R"), math.nan) for control in LOWER_CONTROLS]
+    bar = max(bars) if all(map(math.isfinite, bars)) else math.nan
+    true = score.get(("control_true", "pi_R"), math.nan)
+
+    def best(method: str, policy: str) -> list[Row]:
+        """The rows of the best method's policy of the same name; none for what is no method's."""
+        if method == REFERENCE or method in CONTROLS:
+            return []
+        rivals = [
+            key
+            for key in groups
+            if key[1] == policy and key[0] not in (REFERENCE, *CONTROLS) and math.isfinite(score[key])
+        ]
+        return groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
+
+    def place(key: tuple[str, str]) -> tuple[Any, ...]:
+        method, policy = key
+        section = 2 if method == REFERENCE else 1 if method in CONTROLS else 0
+        scores = [score.get((method, p), math.nan) for p in ("pi_R", "pi_star")]
+        descending = tuple(-s if math.isfinite(s) else math.inf for s in scores)
+        return section, *descending, method, _POLICIES.index(policy)
+
+    entries = []
+    for key in sorted(groups, key=place):
+        trained = key[1] == "pi_R"
+        above = score[key] - bar if trained else math.nan
+        share = score[key] / true if trained and true > 0 else math.nan
+        entries.append(_entry(groups[key], shown, score[key], above, share, best(*key), scales))
+    return entries
+
+
+def _entry(
+    rows: list[Row],
+    shown: Shown,
+    score: float,
+    above: float,
+    share: float,
+    best: list[Row],
+    scales: Scales,
+) -> Entry:
     first = rows[0]
     ok = [row for row in rows if row.status == "ok"]
     scored = [row for row in ok if math.isfinite(row.normalized_score)]
@@ -199,6 +269,10 @@ def _entry(rows: list[Row], score: float, above: float, best: list[Row], scales:
     statuses = {row.status for row in rows}
     return Entry(
         env=first.env,
+        dynamics=first.dynamics,
+        demos=shown.demos,
+        every=shown.every,
+        demonstrator=shown.demonstrator,
         method=first.method,
         role=_ROLES.get(first.method, "method"),
         policy=first.policy,
@@ -215,6 +289,7 @@ def _entry(rows: list[Row], score: float, above: float, best: list[Row], scales:
         behind_high=behind_high,
         tied=bool(behind_low <= NEGLIGIBLE and behind_high >= -NEGLIGIBLE),
         above_best_lower_control=above,
+        share_of_true=share,
         reward_distance=_mean([row.reward_distance for row in ok]),
         reward_rank=_mean([row.reward_rank for row in ok]),
         return_mean=_mean([row.return_mean for row in ok]),
@@ -251,7 +326,7 @@ def _error(row: Row, scales: Scales) -> float:
     if row.episodes < 2:
         return math.nan
     error = row.return_std / math.sqrt(row.episodes)
-    return error / scales[row.env, row.seed][1] if scales else error
+    return error / scales[row.task, row.seed][1] if scales else error
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -261,15 +336,17 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
-    """Envs in which a control that knows nothing scores about as much as the best method's pi_R or more, and
-    which one does."""
+    """Boards on which a control that knows nothing scores about as much as the best method's pi_R or more,
+    and which one does."""
     found = {}
-    for env in dict.fromkeys(entry.env for entry in entries):
-        mine = [entry for entry in entries if (entry.env, entry.policy) == (env, "pi_R")]
+    for board in dict.fromkeys(entry.board for entry in entries):
+        mine = [entry for entry in entries if (entry.board, entry.policy) == (board, "pi_R")]
         best = max((e.score_mean for e in mine if e.role == "method" and e.seeds_ok), default=math.nan)
         for entry in mine:
             if entry.method in UNINFORMED and entry.score_mean >= best - NO_BETTER:
-                found[env] = f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
+                found[board] = (
+                    f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
+                )
     return found
 
 

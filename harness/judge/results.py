@@ -26,10 +26,10 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from harness.registry import Experts, Library, Record
+from harness.registry import Demonstrator, Experts, Library, Record
 
-FORMAT = 7
-"""Version of the directory layout; a run of another version is refused."""
+FORMATS = (7, 8)
+"""Versions of the directory layout that are read; the first is written where it can hold the run."""
 
 CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 """In a regular expression's brackets: what changes how text is shown, or cannot be written."""
@@ -60,6 +60,10 @@ LEARNED = "learned"
 """The name of what a cell is handed over: what the cell before it learned."""
 REFERENCE = "reference"
 """The method of the rows of the expert and of the random policy."""
+NOMINAL = "nominal"
+"""The dynamics of a task as they are; others are those of its variants."""
+UNSHOWN = (REFERENCE, "control_true", "control_plus1", "control_minus1", "control_survival")
+"""What no demonstrations are shown to."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +80,54 @@ class Conditions:
     """Whose demonstrations: the shipped experts', or those of one trained for each seed."""
     record: Record = "first"
     """Which evaluation episodes of seed 0's policies are recorded."""
+    retrain: bool = True
+    """Whether there are pi_R, and so controls; or pi_star alone."""
+
+
+@dataclass(frozen=True, order=True)
+class Shown:
+    """What is shown of an expert."""
+
+    demos: Count = 0
+    """Episodes; 0: as many as the budget says."""
+    every: Annotated[int, Meta(ge=1, le=10**6)] = 1
+    """Of whose steps every so-many-th is shown, as a pair of observation and action."""
+    demonstrator: Demonstrator = "expert"
+    """Who is shown: the expert, a worse one, or the expert with noise on its actions."""
+
+    def __str__(self) -> str:
+        many = [f"{self.demos} demonstrations"] if self.demos else []
+        every = [f"1 of {self.every} steps"] if self.every > 1 else []
+        return ", ".join([*many, *every, *([self.demonstrator] if self.demonstrator != "expert" else [])])
+
+
+ALL_SHOWN = Shown()
 
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One unit of work: a method (or control, or the reference) in an env under a seed."""
+    """One unit of work: a method (or control, or the reference) in an env under a seed; with what is shown to
+    it, and the dynamics in which what it learned is used."""
 
     env: Name
     method: Name
     seed: Seed
+    shown: Shown = ALL_SHOWN
+    dynamics: Name = NOMINAL
+
+    @property
+    def task(self) -> str:
+        """The env, and its dynamics where they are not its own."""
+        return self.env if self.dynamics == NOMINAL else f"{self.env}.{self.dynamics}"
 
     @property
     def name(self) -> str:
-        return f"{self.env}__{self.method}__seed{self.seed}"
+        shown = self.shown
+        parts = [self.task, self.method, f"seed{self.seed}"]
+        parts += [f"{shown.demos}_demos"] if shown.demos else []
+        parts += [f"every_{shown.every}"] if shown.every > 1 else []
+        parts += [shown.demonstrator] if shown.demonstrator != "expert" else []
+        return "__".join(parts)
 
 
 @dataclass(frozen=True)
@@ -100,6 +139,14 @@ class Row:
     seed: Seed
     policy: PolicyName
     protocol: Name
+    dynamics: Name = NOMINAL
+    """Those of the env as it is, or the variant in which pi_star is used and pi_R trained."""
+    demos: Count = 0
+    """Demonstrations that were asked for; 0: as many as the budget says."""
+    every: Count = 1
+    """Of whose steps every so-many-th was shown."""
+    demonstrator: Demonstrator = "expert"
+    """Who was shown."""
     status: Status = "ok"
     reason: Text = ""
     """Why it was skipped or failed."""
@@ -127,6 +174,18 @@ class Row:
     rl_solves: Count = 0
     expert: Text = ""
     """Whose demonstrations (`harness.run.experts.Expert.name`)."""
+    pairs: Count = 0
+    """Pairs of observation and action that were shown; 0 where none were, or it is not known."""
+
+    @property
+    def task(self) -> str:
+        """As of `Cell`."""
+        return Cell(self.env, self.method, self.seed, dynamics=self.dynamics).task
+
+    @property
+    def shown(self) -> Shown:
+        """As of `Cell`."""
+        return Shown(self.demos, self.every, self.demonstrator)
 
 
 COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
@@ -178,8 +237,14 @@ class CellResult:
 def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
     """The rows of a cell that failed."""
     reason = reason[:LONGEST_TEXT]
-    rows = [Row(cell.env, cell.method, cell.seed, p, protocol, "failed", reason) for p in policies_of(cell)]
+    rows = [row_of(cell, p, protocol, status="failed", reason=reason) for p in policies_of(cell)]
     return CellResult(cell, rows)
+
+
+def row_of(cell: Cell, policy: PolicyName, protocol: str, **columns: Any) -> Row:
+    """A row of the cell's."""
+    asked = dataclasses.asdict(cell.shown)
+    return Row(cell.env, cell.method, cell.seed, policy, protocol, cell.dynamics, **asked, **columns)
 
 
 def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
@@ -191,7 +256,10 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
 
 def before(cell: Cell) -> Cell | None:
     """The cell whose artifact saves this one a fit, if there is one."""
-    return dataclasses.replace(cell, method="bc") if cell.method == "control_clone" else None
+    if cell.method == "control_clone":
+        return dataclasses.replace(cell, method="bc", dynamics=NOMINAL)
+    fitted = cell.dynamics != NOMINAL and cell.method not in UNSHOWN
+    return dataclasses.replace(cell, dynamics=NOMINAL) if fitted else None
 
 
 def artifact_of(cell: Cell) -> str:
@@ -219,17 +287,43 @@ class Request:
     seeds: Annotated[tuple[Seed, ...], Meta(min_length=1, max_length=MOST_SEEDS)]
     """In ascending order."""
     conditions: Conditions
+    shown: Annotated[tuple[Shown, ...], Meta(min_length=1, max_length=100)] = (ALL_SHOWN,)
+    """What is shown to methods: each in turn."""
+    variants: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
+    """Tasks of other dynamics that what was learned is carried over to, 'ENV.VARIANT'."""
+
+    @property
+    def _methods(self) -> tuple[str, ...]:
+        controls = CONTROLS if self.conditions.retrain else ()
+        return (REFERENCE, *controls, *self.methods)
+
+    def _shown_to(self, method: str) -> tuple[Shown, ...]:
+        return (ALL_SHOWN,) if method in UNSHOWN else self.shown
+
+    def _variants(self, env: str) -> list[str]:
+        return [variant for of, _, variant in (v.partition(".") for v in self.variants) if of == env]
 
     @property
     def cells(self) -> list[Cell]:
         """Every cell, the reference and the controls included."""
-        methods = (REFERENCE, *CONTROLS, *self.methods)
-        return [Cell(e, m, s) for e in self.envs for m in methods for s in self.seeds]
+        return [
+            Cell(env, method, seed, shown, dynamics)
+            for env in self.envs
+            for dynamics in (NOMINAL, *self._variants(env))
+            for method in self._methods
+            for shown in self._shown_to(method)
+            for seed in self.seeds
+        ]
 
     def asks_for(self, cell: Cell) -> bool:
         """Whether the cell is one of `cells`."""
-        known = cell.method in (REFERENCE, *CONTROLS, *self.methods)
-        return known and cell.env in self.envs and cell.seed in self.seeds
+        return (
+            cell.method in self._methods
+            and cell.env in self.envs
+            and cell.seed in self.seeds
+            and cell.shown in self._shown_to(cell.method)
+            and (cell.dynamics == NOMINAL or cell.task in self.variants)
+        )
 
 
 def as_seeds(seeds: Sequence[int]) -> str:
@@ -243,10 +337,22 @@ def as_seeds(seeds: Sequence[int]) -> str:
 
 
 def command_of(request: Request) -> str:
-    """The command line that asks for all of it at once."""
+    """The command line that asks for all of it; several where no one does."""
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
     words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
     words += ["--rl", c.rl]
     words += ["--experts", c.experts, "--record", c.record]
-    return " ".join([*words, *([] if c.deterministic else ["--fast"])])
+    words += ["--transfer"] if request.variants else []
+    words += [] if c.retrain else ["--no-retrain"]
+    words += [] if c.deterministic else ["--fast"]
+    many: dict[tuple[int, str], list[int]] = {}
+    for shown in request.shown:
+        many.setdefault((shown.every, shown.demonstrator), []).append(shown.demos)
+    commands = []
+    for (every, demonstrator), demos in many.items():
+        more = ["--demos", ",".join(map(str, demos))] if demos != [0] else []
+        more += ["--subsample", str(every)] if every > 1 else []
+        more += ["--demonstrator", demonstrator] if demonstrator != "expert" else []
+        commands.append(" ".join([*words, *more]))
+    return " && ".join(commands)

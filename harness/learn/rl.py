@@ -220,9 +220,10 @@ class Agent:
         return found
 
 
-def disturbed(policy: Policy, spec: EnvSpec, noise: float) -> Policy:
-    """The policy with white noise of this standard deviation on its actions, the same for every policy."""
-    rng = np.random.default_rng(0)
+def disturbed(policy: Policy, spec: EnvSpec, noise: float, rng: np.random.Generator | None = None) -> Policy:
+    """The policy with white noise of this standard deviation on its actions; by default the same noise for
+    every policy."""
+    rng = rng or np.random.default_rng(0)
 
     def act(obs: Array) -> Array:
         chosen = spec.executed(policy(obs))

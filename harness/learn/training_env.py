@@ -101,7 +101,9 @@ class TrainingEnv(VecEnv):
 
     def demonstrated(self, episodes: Episodes) -> tuple[Transitions, NDArray[np.bool_]]:
         """Every step of the episodes as they would go here, those in the absorbing state with random actions;
-        and whether each is the last of its episode."""
+        and whether each is the last of its episode. Raises ValueError where some are not shown."""
+        if not episodes.whole:
+            raise ValueError("an agent learns from demonstrations of which every step is shown")
         parts = []
         for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
             stay = ABSORBING_STEPS if terminated and self._state else 0

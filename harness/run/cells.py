@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,14 +19,17 @@ from harness.judge.results import (
     CONTROLS,
     MOST_CURVES,
     MOST_POINTS,
+    NOMINAL,
     REFERENCE,
+    UNSHOWN,
     Cell,
     CellResult,
     Conditions,
     Curve,
     PolicyName,
     Row,
-    Status,
+    Shown,
+    row_of,
 )
 from harness.learn.learned import check_learned
 from harness.learn.seeds import evaluation_seeds, rng_for
@@ -36,7 +40,6 @@ from harness.run.artifacts import KIND, artifact
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
-from harness.run.study import ARMS, Arm
 from methods.base import Episodes, Learned, Policy, Reward, World
 from methods.settings import settings_for
 
@@ -72,8 +75,8 @@ def run_cell(
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     """What these cells, of one environment and seed, share."""
-    counts = {demonstration_count(cell, conditions) for cell in cells}
-    return shared_by(cells[0].env, cells[0].seed, sorted(counts), conditions)
+    shown = {shown_to(cell, conditions) for cell in cells if cell.method not in UNSHOWN}
+    return shared_by(cells[0].env, cells[0].seed, sorted(shown), conditions)
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class Task:
     shared: Shared
     seconds: dict[str, float] = field(default_factory=dict)
     """That each stage took so far."""
+    noted: dict[str, int] = field(default_factory=dict)
+    """Columns of all its rows that became known so far."""
 
     @contextmanager
     def during(self, stage: str) -> Iterator[None]:
@@ -95,7 +100,14 @@ class Task:
 
     @property
     def spec(self) -> EnvSpec:
+        """Where demonstrations are of, and methods learn."""
         return SPECS[self.cell.env]
+
+    @cached_property
+    def place(self) -> EnvSpec:
+        """Where what was learned is used."""
+        nominal = self.cell.dynamics == NOMINAL
+        return self.spec if nominal else self.spec.variant(self.cell.dynamics)
 
     @property
     def seeds(self) -> range:
@@ -136,15 +148,17 @@ def policies(task: Task) -> list[Made]:
         return reference(task)
     if task.cell.method in CONTROLS:
         return [retrain(task, control(task))]
-    star = fit(task, demonstrations(task))
+    star = carried(task) or fit(task, demonstrations(task))
     if star.reward is None:
         return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
+    if not task.conditions.retrain:
+        return [star, Made("pi_R", None, columns={"reason": "not asked for"})]
     return [star, retrain(task, star.reward)]
 
 
 def reference(task: Task) -> list[Made]:
     """The expert and a random policy."""
-    expert, spec, rng = task.shared.expert, task.spec, task.rng("random policy")
+    expert, spec, rng = task.shared.expert, task.place, task.rng("random policy")
     took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
     took |= {"check_steps": expert.check_steps, "rl_solves": 1}
     return [
@@ -156,22 +170,27 @@ def reference(task: Task) -> list[Made]:
 def demonstrations(task: Task) -> Episodes:
     """Those of this environment and seed, the same for every method."""
     with task.during("demonstrate"):
-        return task.shared.demonstrations(demonstration_count(task.cell, task.conditions))
+        demos = task.shared.demonstrations(shown_to(task.cell, task.conditions))
+    task.noted["pairs"] = sum(map(len, demos.act))
+    return demos
 
 
-def demonstration_count(cell: Cell, conditions: Conditions) -> int:
-    """How many episodes a cell learns from."""
-    return arm_of(cell).demonstrations or SPECS[cell.env].demo_episodes[conditions.budget]
+def shown_to(cell: Cell, conditions: Conditions) -> Shown:
+    """What is shown to a cell's method, as many demonstrations as the budget says included."""
+    return replace(cell.shown, demos=cell.shown.demos or SPECS[cell.env].demo_episodes[conditions.budget])
 
 
-def arm_of(cell: Cell) -> Arm:
-    """The method of a cell, with what it is given besides its budget's."""
-    return ARMS.get(cell.method) or Arm(cell.method, None, {})
+def carried(task: Task) -> Made | None:
+    """pi_star, with R*, of the same cell in the env's own dynamics, where that was kept; what `fit` finds,
+    at once."""
+    learned = task.shared.learned
+    both = {"pi_star", "reward"} <= learned.keys()
+    return Made("pi_star", learned["pi_star"], learned["reward"]) if both else None
 
 
-def learned_by(task: Task, method: str, more: Mapping[str, Any], demos: Episodes, world: World) -> Learned:
-    """What a method learns with the settings of its environment and budget, and `more`."""
-    settings = {**settings_for(method, task.cell.env, task.conditions.budget), **more}
+def learned_by(task: Task, method: str, demos: Episodes, world: World) -> Learned:
+    """What a method learns with the settings of its environment and budget."""
+    settings = settings_for(method, task.cell.env, task.conditions.budget)
     rng = rng_for(task.cell.seed, task.cell.env, method, "fit")
     learned = load_method(method)(**settings).fit(demos, world, rng)
     check_learned(learned, task.spec, demos)
@@ -180,9 +199,9 @@ def learned_by(task: Task, method: str, more: Mapping[str, Any], demos: Episodes
 
 def fit(task: Task, demos: Episodes) -> Made:
     """pi_star, with R*."""
-    arm, world = arm_of(task.cell), task.world()
+    world = task.world()
     with task.during("fit"):
-        learned = learned_by(task, arm.method, arm.settings, demos, world)
+        learned = learned_by(task, task.cell.method, demos, world)
     took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
     most = MOST_CURVES - len(("pi_R", "pi_R_true"))
@@ -200,11 +219,14 @@ def thinned(values: Sequence[float]) -> Curve:
 
 def control(task: Task) -> Reward | None:
     """The reward of a control, None for the true one."""
+    known = task.shared.learned
+    if "reward" in known:
+        return cast(Reward, known["reward"])
 
     def fitted(method: str, demos: Episodes) -> Learned:
-        if task.cell.method == "control_clone" and "pi_star" in task.shared.learned:
-            return Learned(task.shared.learned["pi_star"], None)
-        return learned_by(task, method, {}, demos, task.world())
+        if task.cell.method == "control_clone" and "pi_star" in known:
+            return Learned(known["pi_star"], None)
+        return learned_by(task, method, demos, task.world())
 
     rng, spec = task.rng("control"), task.spec
     return control_reward(task.cell.method, lambda: demonstrations(task), fitted, spec.random_actions, rng)
@@ -213,7 +235,7 @@ def control(task: Task) -> Reward | None:
 def retrain(task: Task, reward: Reward | None) -> Made:
     """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
     with task.during("retrain"):
-        solver = solver_for(task.spec, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl)
+        solver = solver_for(task.place, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl)
         solution = solver.solve(reward, task.rl_steps)
     took = {"fit_seconds": task.seconds["retrain"], "env_steps": solution.env_steps}
     took |= {"check_steps": solution.check_steps, "rl_solves": 1}
@@ -222,8 +244,10 @@ def retrain(task: Task, reward: Reward | None) -> Made:
 
 
 def measured(task: Task, reward: Reward | None) -> dict[str, float]:
-    """How far the reward is from the true one."""
+    """How far the reward is from the true one, in the env's own dynamics."""
     spec = task.spec
+    if task.place is not spec:
+        return {}
     with task.during("measure"):
         if spec.tabular:
             distance, rank = known_comparison(reward, spec.tabular, spec.gamma)
@@ -235,22 +259,22 @@ def measured(task: Task, reward: Reward | None) -> dict[str, float]:
 def score(task: Task, policy: Policy) -> Evaluation:
     """In the original environment, by the true reward."""
     with task.during("score"):
-        return evaluate(task.spec, policy, task.seeds)
+        return evaluate(task.place, policy, task.seeds)
 
 
 def row(task: Task, made: Made, scored: Evaluation | None) -> Row:
     """Of scores.csv."""
-    cell = task.cell
-    columns = {"expert": task.shared.expert.name, **made.columns, **(scored.columns() if scored else {})}
-    status: Status = "ok" if scored else "skipped"
-    return Row(cell.env, cell.method, cell.seed, made.name, task.conditions.protocol, status, **columns)
+    columns = {"expert": task.shared.expert.name, **task.noted, **made.columns}
+    columns |= scored.columns() if scored else {}
+    columns["status"] = "ok" if scored else "skipped"
+    return row_of(task.cell, made.name, task.conditions.protocol, **columns)
 
 
 def missed_bar(task: Task, expert: Evaluation) -> str:
     """Why the expert is none to be trusted, '' where it meets its bar."""
-    episodes, allowed = len(expert.returns), task.spec.max_terminated[task.conditions.budget]
+    episodes, allowed = len(expert.returns), task.place.max_terminated[task.conditions.budget]
     terminated = (episodes - expert.endings.get("time limit", 0)) / episodes
-    bar = task.spec.bar(task.seeds)
+    bar = task.place.bar(task.seeds)
     if expert.returns.mean() >= bar and terminated <= allowed:
         return ""
     return (
@@ -266,7 +290,7 @@ def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]
         return {}, []
     learned: dict[str, Policy | Reward] = {one.name: one.policy for one in made if one.policy is not None}
     learned.pop("random", None)
-    if (reward := made[-1].reward) is not None:
+    if (reward := made[0].reward) is not None:
         learned["reward"] = reward
     with task.during("record"):
         data, lost = artifact(task.cell, task.conditions, learned)
@@ -286,5 +310,5 @@ def recorded(task: Task, made: Made, scored: Evaluation) -> bytes:
     first, reward = scored.first, made.reward
     with task.during("record"):
         paid = None if reward is None else reward(first.obs[:-1], first.act, first.obs[1:]) - reward.absorbing
-        frames = drawings(task.spec, task.seeds[0], first.act)
-        return recordings.record(task.spec, task.cell, made.name, first, frames, paid)
+        frames = drawings(task.place, task.seeds[0], first.act)
+        return recordings.record(task.place, task.cell, made.name, first, frames, paid)

@@ -10,7 +10,7 @@ from typing import Any, NoReturn, TypeVar
 
 import msgspec
 
-from harness.judge.results import CONTROL_CHARACTERS, CellResult, policies_of, usable
+from harness.judge.results import CONTROL_CHARACTERS, Cell, CellResult, policies_of, usable
 
 T = TypeVar("T")
 LONGEST_REASON = 100
@@ -39,8 +39,8 @@ def decode(data: bytes | str) -> CellResult:
         raise ValueError("it holds more than a cell does")
     cell = result.cell
     for row in result.rows:
-        if (row.env, row.method, row.seed) != (cell.env, cell.method, cell.seed):
-            raise ValueError(f"it holds a row of {row.env}, {row.method}, seed {row.seed}")
+        if Cell(row.env, row.method, row.seed, row.shown, row.dynamics) != cell:
+            raise ValueError(f"it holds a row of {row.task}, {row.method}, seed {row.seed}")
     policies = [row.policy for row in result.rows]
     for policy in (*policies, *result.endings):
         if policy not in policies_of(cell) or policies.count(policy) > 1:

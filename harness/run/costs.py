@@ -9,7 +9,7 @@ from typing import Annotated
 
 import msgspec
 
-from harness.judge.results import Conditions
+from harness.judge.results import ALL_SHOWN, Conditions
 from harness.registry import SPECS
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
@@ -64,7 +64,8 @@ class Costs:
 
 def _name(job: Job) -> str:
     cell = job.cells[0]
-    return f"{cell.env} {SHARED if job.shared else cell.method}"
+    shown = f" {cell.shown}" if cell.shown != ALL_SHOWN else ""
+    return f"{cell.env} {SHARED}" if job.shared else f"{cell.task} {cell.method}{shown}"
 
 
 def _stored() -> dict[str, dict[str, float]]:

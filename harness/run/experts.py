@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,12 +13,13 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.judge.advantage import Replays, replay
-from harness.judge.results import LEARNED, Conditions
+from harness.judge.results import LEARNED, Conditions, Shown
+from harness.learn.rl import disturbed
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.stored import from_arrays, to_arrays
 from harness.learn.world import solver_for, without_rewards
-from harness.registry import SPECS
+from harness.registry import SPECS, BadInput, Demonstrator
 from harness.run.artifacts import learned_in
 from harness.run.cache import Kept, as_bytes, from_bytes, kept
 from harness.run.expert_set import shipped
@@ -30,6 +31,8 @@ REPLAYS = {"smoke": 20, "quick": 200, "full": 500}
 """States and actions by which a reward is compared with the true one, for each budget."""
 EXPERT, REPLAYED = "expert", "replays"
 """Names of what is handed to cells, beside those of demonstrations."""
+NOISE = 0.3
+"""Standard deviation of the noise on a noisy demonstrator's actions, in [-1, 1]."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +67,17 @@ def expert_for(env: str, seed: int, conditions: Conditions) -> Expert:
     return _expert(kept(f"expert{seed}", env, asked, lambda: _as_kept(_trained(spec, seed, conditions))))
 
 
-def demonstrations_for(env: str, seed: int, episodes: int, conditions: Conditions) -> Episodes:
-    """So many demonstrations of the run seed's expert, the same for every method."""
-    return _episodes(_demonstrations(expert_for(env, seed, conditions), env, seed, episodes, conditions))
+def demonstrations_for(env: str, seed: int, shown: Shown, conditions: Conditions) -> Episodes:
+    """What is shown of the run seed's expert, the same to every method."""
+    return _episodes(_demonstrations(expert_for(env, seed, conditions), env, seed, shown, conditions))
 
 
-def prepare(env: str, seed: int, counts: Iterable[int], conditions: Conditions) -> dict[str, bytes]:
-    """What `Shared` reads, with so many demonstrations and so many; made now, or found in the cache."""
+def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions) -> dict[str, bytes]:
+    """What `Shared` reads, with these demonstrations; made now, or found in the cache."""
     expert, spec = expert_for(env, seed, conditions), SPECS[env]
     found = {EXPERT: _as_kept(expert)}
-    for count in counts:
-        found[_demonstrations_name(count)] = _demonstrations(expert, env, seed, count, conditions)
+    for one in shown:
+        found[str(one)] = _demonstrations(expert, env, seed, one, conditions)
     if not spec.tabular:
         found[REPLAYED] = _replays(expert, env, seed, conditions)
     return {name: as_bytes(what) for name, what in found.items()}
@@ -92,9 +95,9 @@ class Shared:
         """The run seed's."""
         return _expert(from_bytes(self.inputs[EXPERT]))
 
-    def demonstrations(self, episodes: int) -> Episodes:
-        """So many of them, the same for every method."""
-        return _episodes(from_bytes(self.inputs[_demonstrations_name(episodes)]))
+    def demonstrations(self, shown: Shown) -> Episodes:
+        """What is shown, the same to every method."""
+        return _episodes(from_bytes(self.inputs[str(shown)]))
 
     @cached_property
     def learned(self) -> dict[str, Any]:
@@ -108,28 +111,44 @@ class Shared:
         return Replays(**from_bytes(self.inputs[REPLAYED]).arrays)
 
 
-def _demonstrations_name(episodes: int) -> str:
-    return f"demonstrations of {episodes} episodes"
-
-
-def _demonstrations(expert: Expert, env: str, seed: int, episodes: int, conditions: Conditions) -> Kept:
+def _demonstrations(expert: Expert, env: str, seed: int, shown: Shown, conditions: Conditions) -> Kept:
     def draw() -> Kept:
-        seeds = demonstration_seeds(seed, episodes)
-        demos = without_rewards(Simulator(SPECS[env]).run(expert.policy, seeds))
+        spec = SPECS[env]
+        policy = demonstrator(expert.policy, env, seed, shown.demonstrator, conditions)
+        seeds = demonstration_seeds(seed, shown.demos)
+        demos = without_rewards(Simulator(spec).run(policy, seeds))
+        if shown.every > 1:
+            demos = demos.every(shown.every, rng_for(seed, env, "steps shown"))
         arrays: dict[str, Any] = {"obs": np.concatenate(demos.obs), "act": np.concatenate(demos.act)}
         arrays |= {"lengths": demos.lengths, "terminated": np.array(demos.terminated)}
+        if demos.times is not None:
+            arrays |= {"times": np.concatenate(demos.times), "shown": np.array([*map(len, demos.times)])}
         return Kept(arrays, {})
 
-    return kept(f"demonstrations{seed}", env, _asked(expert, conditions, episodes), draw)
+    return kept(f"demonstrations{seed}", env, _asked(expert, conditions, astuple(shown)), draw)
+
+
+def demonstrator(expert: Policy, env: str, seed: int, kind: Demonstrator, conditions: Conditions) -> Policy:
+    """Who demonstrates: the run seed's expert, the checkpoint of its training with about half its return, or
+    the expert with noise on its actions. Raises BadInput where there is no such checkpoint."""
+    if kind == "medium":
+        if conditions.experts != "shipped":
+            raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+        return Network.from_arrays(shipped(env, seed, medium=True)[1].arrays)
+    return disturbed(expert, SPECS[env], NOISE, rng_for(seed, env, "noise")) if kind == "noisy" else expert
 
 
 def _episodes(found: Kept) -> Episodes:
-    lengths = found.arrays["lengths"]
-    ends = np.cumsum(lengths)
+    arrays = found.arrays
+    steps, shown = arrays["lengths"], arrays.get("shown", arrays["lengths"])
+    ends, whole = np.cumsum(shown), "times" not in arrays
+    rows = ends + np.arange(1, len(ends) + 1) if whole else ends
     return Episodes(
-        tuple(np.split(found.arrays["obs"], (ends + np.arange(1, len(lengths) + 1))[:-1])),
-        tuple(np.split(found.arrays["act"], ends[:-1])),
-        tuple(bool(x) for x in found.arrays["terminated"]),
+        tuple(np.split(arrays["obs"], rows[:-1])),
+        tuple(np.split(arrays["act"], ends[:-1])),
+        tuple(bool(x) for x in arrays["terminated"]),
+        None if whole else tuple(np.split(arrays["times"], ends[:-1])),
+        tuple(int(x) for x in steps),
     )
 
 
@@ -143,7 +162,7 @@ def _replays(expert: Expert, env: str, seed: int, conditions: Conditions) -> Kep
     return kept(f"replays{seed}", env, _asked(expert, conditions, count), sample)
 
 
-def _asked(expert: Expert, conditions: Conditions, count: int) -> list[object]:
+def _asked(expert: Expert, conditions: Conditions, count: object) -> list[object]:
     trained = [conditions.rl, conditions.budget] if expert.name.startswith("trained") else []
     return [expert.name, count, *trained]
 

@@ -15,20 +15,19 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions
+from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput, Entry
 from harness.run import environment
-from harness.run.study import ARMS, Arm
 from methods.settings import settings_for
 
 CELLS, EXPERTS_MODULE = "harness.run.cells", "harness.run.experts"
 """What computes cells, and what they share."""
 NO_NUMBER = {
-    *("harness/registry.py", "methods/settings.py", "harness/run/study.py"),
+    *("harness/registry.py", "methods/settings.py"),
     *("harness/run/files.py", "harness/run/keys.py"),
 }
-"""Files that a cell imports and that change none of its numbers: what the first three say of its own method
-is in its key."""
+"""Files that a cell imports and that change none of its numbers: what the first two say of its own method is
+in its key."""
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """What decides, besides the program, how cells are reported."""
 PACKAGES = (
@@ -94,18 +93,18 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     installed, tasks, methods = (
         [_installed(), dict(variables)],
         dict[str, str](),
-        dict[tuple[str, str], str](),
+        dict[tuple[str, str, Shown, str], str](),
     )
     keys = {}
     for cell in cells:
         if cell.env not in tasks:
             asked = [dataclasses.asdict(conditions), experts_version(cell.env)]
             tasks[cell.env] = _digest(sources(CELLS, *_module(ENVS, cell.env)), asked, installed)
-        if (its := (cell.env, cell.method)) not in methods:
-            arm = ARMS.get(cell.method) or Arm(CONTROL_METHODS.get(cell.method, cell.method), None, {})
-            settings = settings_for(arm.method, cell.env, conditions.budget) | arm.settings
-            modules = _module(METHODS | VARIANTS, arm.method)
-            methods[its] = _digest(sources(*modules), [*arm, settings], [])
+        if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
+            method = CONTROL_METHODS.get(cell.method, cell.method)
+            settings = settings_for(method, cell.env, conditions.budget)
+            asked = [method, settings, dataclasses.asdict(cell.shown), cell.dynamics]
+            methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, [])
         keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
     return keys
 

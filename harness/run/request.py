@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from harness.judge.results import FORMAT, MOST_SEEDS, Conditions, Request
+from harness.judge.results import ALL_SHOWN, FORMATS, MOST_SEEDS, Conditions, Request
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
@@ -30,8 +30,12 @@ def write_request(path: Path, request: Request) -> None:
 
 def as_text(request: Request) -> str:
     """What run.json holds."""
-    data = {"format": FORMAT, **dataclasses.asdict(request)}
+    data = {"format": FORMATS[-1], **dataclasses.asdict(request)}
     data |= data.pop("conditions")
+    if (request.shown, request.variants, request.conditions.retrain) == ((ALL_SHOWN,), (), True):
+        data["format"] = FORMATS[0]
+        for name in ("shown", "variants", "retrain"):
+            del data[name]
     if data["seeds"] == tuple(range(len(data["seeds"]))):
         data["seeds"] = len(data["seeds"])
     return json.dumps({"sha256": checksum(data), **data}, indent=2) + "\n"
@@ -64,6 +68,8 @@ def merged(path: Path, request: Request) -> Request:
         envs=_union(ENVS, old.envs, request.envs),
         seeds=tuple(sorted({*old.seeds, *request.seeds})),
         conditions=old.conditions,
+        shown=tuple(sorted({*old.shown, *request.shown})),
+        variants=tuple(sorted({*old.variants, *request.variants})),
     )
     try:
         return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
@@ -113,14 +119,15 @@ def stored_request(path: Path) -> Request | None:
     try:
         data = json.loads(text)
         version = data["format"]
-        if version == FORMAT:
+        if version in FORMATS:
             if data.pop("sha256") != checksum(data):
                 raise ValueError
-            conditions = {key: data.pop(key) for key in KEYS}
+            conditions = {key: data.pop(key) for key in KEYS if key in data}
             request = checked({**data, "conditions": conditions, "seeds": _seeds(data["seeds"])}, Request)
             if list(request.seeds) != sorted({*request.seeds}):
                 raise ValueError
             return request
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadInput(f"{file} is damaged") from error
-    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads format {FORMAT}")
+    known = " and ".join(map(str, FORMATS))
+    raise BadInput(f"{path} has format {printable(repr(version))[:40]}; this version reads {known}")

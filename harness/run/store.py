@@ -50,7 +50,7 @@ REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REP
 OF_CELLS = ("cells/", "recordings/", "artifacts/")
 """How the names of files begin that a cell wrote."""
 OTHER_VERSION = "computed by another version of the program, its packages or its experts"
-CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}\.json")
+CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
 """Names of files that hold a cell."""
 
 
@@ -221,7 +221,7 @@ class RunDirectory:
             return []
         except OSError as error:
             raise BadInput(f"cannot read {folder}: {error.strerror}") from error
-        ours = tuple(f"{env}__" for env in self.request.envs)
+        ours = tuple(f"{env}{end}" for env in self.request.envs for end in ("__", "."))
         return sorted(folder / n for n in names if CELL_FILE.fullmatch(n) and n.startswith(ours))
 
     def _load(self, path: Path) -> CellResult:
@@ -329,16 +329,18 @@ def open_to_verify(path: Path) -> Iterator[RunDirectory]:
 
 def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
     """Cells that cannot be compared with the rest of their environment, that is of the version of most of its
-    references, or of most cells where it has none; nor with the rest of their method."""
+    references, or of most cells where it has none; nor with those that differ by their seed alone."""
     others = set()
     for env in {cell.env for cell in results}:
         mine = {cell: results[cell].key for cell in sorted(results) if cell.env == env}
         deciding = {cell: key for cell, key in mine.items() if cell.method == REFERENCE} or mine
         task = _most(map(task_of, deciding.values()))
         others |= {cell for cell, key in mine.items() if task_of(key) != task}
-        for method in {cell.method for cell in mine.keys() - others}:
-            its = {cell: key for cell, key in mine.items() if cell.method == method and cell not in others}
-            most = _most(its.values())
+        seeds: dict[Cell, dict[Cell, str]] = {}
+        for cell in mine.keys() - others:
+            seeds.setdefault(dataclasses.replace(cell, seed=0), {})[cell] = mine[cell]
+        for its in seeds.values():
+            most = _most(key for _, key in sorted(its.items()))
             others |= {cell for cell, key in its.items() if key != most}
     return sorted(others)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of, row_of
 from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
 from harness.run.store import RunDirectory
@@ -167,11 +167,9 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
 
 
 def _rows(cell: Cell, conditions: Conditions, score: float, steps: int = 7) -> list[Row]:
-    said, numbers = (conditions.protocol, "ok", ""), (1, score, 0, score, 0, 5, 0)
-    return [
-        Row(cell.env, cell.method, cell.seed, policy, *said, *numbers, env_steps=steps)
-        for policy in policies_of(cell)
-    ]
+    numbers = {"episodes": 1, "return_mean": score, "return_std": 0.0, "discounted_mean": score}
+    numbers |= {"discounted_std": 0.0, "length_mean": 5.0, "length_std": 0.0, "env_steps": steps}
+    return [row_of(cell, policy, conditions.protocol, **numbers) for policy in policies_of(cell)]
 
 
 def _leave_one_behind(directory: Path) -> None:

@@ -12,17 +12,26 @@ import pytest
 
 from harness.cli import main
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, Row
+from harness.judge.results import (
+    CONTROLS,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    Row,
+    Shown,
+    row_of,
+)
 from harness.registry import SPECS
-from harness.reproduce import PROTOCOLS, _study
+from harness.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES, _study
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.study import ARMS, CLONES, DECAYS, THESIS, TRAJECTORIES, name_of
 from methods.shaped import Shaped
 
 
 class InstantGrid:
-    """Scores every cell at once: 500 the expert, 0 the random policy, an arm by its trajectories."""
+    """Scores every cell at once: 500 the expert, 0 the random policy, methods by what is shown to them."""
 
     computed: ClassVar[list[Cell]] = []
 
@@ -36,17 +45,13 @@ class InstantGrid:
 
     def result(self, cell: Cell) -> CellResult:
         def row(policy: Any, value: float) -> Row:
-            return Row(
-                *(cell.env, cell.method, cell.seed, policy, self.protocol),
-                return_mean=value + cell.seed * (cell.method != REFERENCE),
-            )
+            moved = value + cell.seed * (cell.method != REFERENCE)
+            return row_of(cell, policy, self.protocol, return_mean=moved)
 
-        level = ARMS[cell.method].demonstrations if cell.method in ARMS else 400
+        level = cell.shown.demos if cell.method in STUDIED else 400
         rows = [row("pi_star", 2.0 * level), row("pi_R", level)]
-        if cell.method in CLONES:
-            rows[1] = Row(
-                cell.env, cell.method, cell.seed, "pi_R", self.protocol, "skipped", "learns no reward"
-            )
+        if cell.method == "bc":
+            rows[1] = row_of(cell, "pi_R", self.protocol, status="skipped", reason="learns no reward")
         if cell.method == REFERENCE:
             rows = [row("expert", 500), row("random", 0)]
         elif cell.method in CONTROLS:
@@ -67,27 +72,28 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     reproduce: Callable[[], int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert reproduce() == 0
-    methods = {REFERENCE, *CONTROLS, *ARMS}
-    assert len(InstantGrid.computed) == len(methods) * 2 * 3 * 2  # envs, seeds, protocols
+    methods = {REFERENCE, *CONTROLS, *STUDIED}
+    cells = len(UNSHOWN) + len(TRAJECTORIES) * (len(methods) - len(UNSHOWN))
+    assert len(InstantGrid.computed) == cells * 2 * 3 * 2  # envs, seeds, protocols
     scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
     assert set(scores["method"]) == methods
-    learned = table[table["method"].isin(["shaped", "bc"])]
-    assert len(learned) == len(ARMS) * 2 * 2 * 2  # policies, envs, protocols
+    learned = table[table["method"].isin(STUDIED)]
+    assert len(learned) == len(STUDIED) * len(TRAJECTORIES) * 2 * 2 * 2  # policies, envs, protocols
     learned = learned[learned["score"].notna()]
-    assert len(learned) == (len(ARMS) * 2 - len(CLONES)) * 2 * 2  # bc has no pi_R
+    assert len(learned) == len(TRAJECTORIES) * (2 * len(STUDIED) - 1) * 2 * 2  # bc has no pi_R
     assert set(learned["trajectories"]) == set(TRAJECTORIES)
-    assert set(learned["weight decay"].dropna()) == set(DECAYS)
+    assert len(table[table["method"] == "control_true"]) == 2 * 2
     for _, line in learned.iterrows():
         times = 2 if line["policy"] == "pi_star" else 1
         assert line["score"] == pytest.approx((times * line["trajectories"] + 1) / 500)
         assert line["low"] < line["score"] < line["high"]
     one = table[(table["env"] == "pendulum") & (table["protocol"] == "native")]
-    assert list(dict.fromkeys(one["method"])) == ["shaped", "bc", *CONTROLS]
-    for method in ("shaped", "bc"):
+    assert list(dict.fromkeys(one["method"])) == [*STUDIED, *CONTROLS]
+    for method in STUDIED:
         assert one[one["method"] == method]["trajectories"].is_monotonic_increasing
     assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
-    assert "| cartpole | native | shaped | 100 | 0" in capsys.readouterr().out
+    assert "| cartpole | native | shaped | 100 | pi_R" in capsys.readouterr().out
 
     pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert len(pictures) == 4
@@ -120,14 +126,13 @@ def test_equal_scores_whose_mean_is_rounded_can_be_drawn(
             ]
         )
     )[0]
-    off = dataclasses.replace(entry, method=THESIS, score_mean=0.3, score_low=0.1 + 0.2, score_high=0.1 + 0.2)
+    scores = {"score_mean": 0.3, "score_low": 0.1 + 0.2, "score_high": 0.1 + 0.2}
+    off = dataclasses.replace(entry, method="shaped", demos=5, **scores)
     assert off.score_low > off.score_mean
     assert _study("cartpole", [off])
 
 
-def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_is_a_method_on_so_many_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     fitted: list[tuple[Shaped, int]] = []
     fit = Shaped.fit
@@ -137,13 +142,13 @@ def test_an_arm_is_the_thesiss_model_on_so_many_trajectories(
         return fit(self, demos, *rest)
 
     monkeypatch.setattr(Shaped, "fit", spy)
-    for name in (name_of(1, DECAYS[1]), "shaped"):
-        cell, conditions = Cell("cartpole", name, 1), Conditions("smoke", "native", "sb3")
+    for name, shown in (("shaped_decay", Shown(1)), ("shaped", Shown())):
+        cell, conditions = Cell("cartpole", name, 1, shown), Conditions("smoke", "native", "sb3")
         result, _ = run_cell(cell, conditions, prepare([cell], conditions))
         assert [(row.method, row.policy, row.status) for row in result.rows] == [
             (name, "pi_star", "ok"),
             (name, "pi_R", "ok"),
         ]
     (thin, one), (usual, several) = fitted
-    assert (one, thin.weight_decay, thin.steps) == (1, DECAYS[1], usual.steps)
+    assert (one, thin.weight_decay, thin.steps) == (1, 1e-3, usual.steps)
     assert (several, usual.weight_decay) == (SPECS["cartpole"].demo_episodes["smoke"], 0)

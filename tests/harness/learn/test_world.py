@@ -134,7 +134,8 @@ def test_where_the_model_is_known_an_agent_begins_with_nothing() -> None:
 def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
     world, generator = TaskWorld(steady, "absorbing", "sb3"), rng()
     one, other = (world.rollout(on_target, 2, generator) for _ in range(2))
-    assert {f.name for f in dataclasses.fields(one)} == {"obs", "act", "terminated"}
+    fields = {f.name for f in dataclasses.fields(one)}
+    assert fields == {"obs", "act", "terminated", "times", "steps"}
     assert len({obs.tobytes() for obs in (*one.obs, *other.obs)}) == 4
     again = world.rollout(on_target, 2, rng())
     np.testing.assert_array_equal(again.obs[0], one.obs[0])

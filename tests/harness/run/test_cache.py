@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from harness.judge.results import Conditions
+from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
@@ -119,32 +119,32 @@ def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
 def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     conditions = Conditions("smoke", "absorbing", "sb3", experts="trained")
     asked = ("cartpole", 3, conditions)
-    one, demos = expert_for(*asked), demonstrations_for(*asked[:2], 4, conditions)
-    shared = Shared(prepare(*asked[:2], [4, 5], conditions))
+    one, demos = expert_for(*asked), demonstrations_for(*asked[:2], Shown(4), conditions)
+    shared = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     before = len(list(folder.iterdir()))
     for name in ("solver_for", "replay", "Simulator"):
         monkeypatch.setattr(experts, name, lambda *_: never())
-    again = Shared(prepare(*asked[:2], [4, 5], conditions))
+    again = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     for other in (shared, again):
         its = other.expert
         assert (one.name, one.curve, one.seconds) == (its.name, its.curve, its.seconds)
         np.testing.assert_array_equal(one.policy(np.eye(4)), its.policy(np.eye(4)))
-        drawn = other.demonstrations(4)
+        drawn = other.demonstrations(Shown(4))
         for mine, theirs in zip((*demos.obs, *demos.act), (*drawn.obs, *drawn.act), strict=True):
             np.testing.assert_array_equal(mine, theirs)
-        assert len(other.demonstrations(5)) == 5
+        assert len(other.demonstrations(Shown(5))) == 5
         with pytest.raises(KeyError):
-            other.demonstrations(6)
+            other.demonstrations(Shown(6))
     for name, array in vars(shared.replays).items():
         np.testing.assert_array_equal(getattr(again.replays, name), array)
     assert len(list(folder.iterdir())) == before == 4
     with pytest.raises(pytest.fail.Exception, match="again"):
-        prepare("cartpole", 4, [4], conditions)
+        prepare("cartpole", 4, [Shown(4)], conditions)
 
 
 def test_demonstrations_come_back_as_they_were_drawn() -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
-    first, again = (demonstrations_for("cartpole", 2, 6, conditions) for _ in range(2))
+    first, again = (demonstrations_for("cartpole", 2, Shown(6), conditions) for _ in range(2))
     drawn = Simulator(CARTPOLE).run(expert_for("cartpole", 2, conditions).policy, demonstration_seeds(2, 6))
     for demos in (first, again):
         assert demos.terminated == tuple(e.terminated for e in drawn)

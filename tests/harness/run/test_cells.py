@@ -332,5 +332,6 @@ def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[st
     result = failed_rows(cell, "native", "no luck")
     assert policies_of(cell) == policies
     assert result.cell == cell
-    rows = [Row("cartpole", method, 4, policy, "native", "failed", "no luck") for policy in policies]
+    failed = {"status": "failed", "reason": "no luck"}
+    rows = [Row("cartpole", method, 4, policy, "native", **failed) for policy in policies]  # type: ignore[arg-type]
     assert repr(result.rows) == repr(rows)

@@ -18,9 +18,19 @@ from tests.harness.fake_runs import FAKE, FAKE_ENV, PER_SEED, SMOKE, computed, f
 
 
 def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
-    """A run whose cell of bc hangs, at the moment when that cell is the last one running."""
-    faults(tmp_path, cartpole__bc__seed0="sleep")
-    command = [*before, *FAKE, *SMOKE, "--methods", "bc", "--workers", "2", "--out", str(tmp_path / "run")]
+    """A run whose cell of shaped hangs, at the moment when that cell is the last one running."""
+    faults(tmp_path, cartpole__shaped__seed0="sleep")
+    command = [
+        *before,
+        *FAKE,
+        *SMOKE,
+        "--methods",
+        "shaped",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     process = subprocess.Popen(
         command,
         env=FAKE_ENV,
@@ -32,7 +42,7 @@ def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
     assert process.stdout is not None
     while "; 1 left" not in (line := process.stdout.readline()):
         assert line, process.communicate()
-    while "cartpole__bc__seed0" not in computed(tmp_path / "run"):
+    while "cartpole__shaped__seed0" not in computed(tmp_path / "run"):
         time.sleep(0.05)
     return process
 
@@ -56,7 +66,7 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What the cells of an undisturbed run hold."""
     directory = tmp_path_factory.mktemp("unbroken")
     faults(directory)
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(directory / "run")]
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(directory / "run")]
     subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
     return scores(directory / "run")
 
@@ -82,17 +92,17 @@ def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
     wait_until_gone(tmp_path)
     assert len(scores(tmp_path / "run")) == PER_SEED
     faults(tmp_path)
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
     assert scores(tmp_path / "run") == unbroken
-    assert computed(tmp_path / "run").count("cartpole__bc__seed0") == 2
+    assert computed(tmp_path / "run").count("cartpole__shaped__seed0") == 2
     assert len(computed(tmp_path / "run")) == PER_SEED + 2
 
 
 @pytest.mark.parametrize("after", [0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
 def test_being_stopped_again_and_again_is_one_clean_stop(tmp_path: Path, after: float) -> None:
     faults(tmp_path)
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(
         command, env=FAKE_ENV, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
@@ -110,7 +120,7 @@ def test_a_run_with_nothing_to_do_deletes_what_a_killed_one_left(tmp_path: Path)
     with tempfile.TemporaryDirectory(prefix="t-") as temporary:  # a short path
         env = {**FAKE_ENV, "TMPDIR": temporary}
         faults(tmp_path)
-        command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+        command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
         subprocess.run(command, env=env, check=True, capture_output=True)
         process = subprocess.Popen([*command, "--seeds", "2"], env=env, stdout=subprocess.DEVNULL)
         while not list(Path(temporary).glob("irl-bench-*/program")):
@@ -142,12 +152,12 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
     )
     assert second.returncode == 2
     assert f"in use by another run (process {process.pid})" in second.stderr
-    os.kill(process_of(tmp_path / "run", "cartpole__bc__seed0"), signal.SIGSEGV)
+    os.kill(process_of(tmp_path / "run", "cartpole__shaped__seed0"), signal.SIGSEGV)
     assert process.wait(20) == 1
     assert process.stderr is not None
     err = process.stderr.read()
     process.stderr.close()
-    assert "FAILED: cartpole__bc__seed0: its process was killed by SIGSEGV" in err
+    assert "FAILED: cartpole__shaped__seed0: its process was killed by SIGSEGV" in err
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").exists()
 
@@ -156,7 +166,7 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     tmp_path: Path, unbroken: dict[str, str]
 ) -> None:
     faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     # As a full disk does, the system refuses to write on, here after 50 KiB a file.
     limited = ["bash", "-c", 'ulimit -f 50; exec "$@"', "-", *command]
     full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
@@ -171,7 +181,7 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
 
 def test_a_run_pins_its_instructions_unless_asked_to_be_fast_and_mixes_with_no_other(tmp_path: Path) -> None:
     faults(tmp_path)
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
     told = (tmp_path / "run/run.log").read_text()
     for name, value in SAME_INSTRUCTIONS.items():
@@ -187,8 +197,8 @@ def test_a_run_pins_its_instructions_unless_asked_to_be_fast_and_mixes_with_no_o
 
 def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
-    faults(tmp_path, cartpole__bc__seed0="raise", cartpole__reference__seed0="slow")
-    command = [*FAKE, *SMOKE, "--methods", "bc", "--out", str(tmp_path / "run")]
+    faults(tmp_path, cartpole__shaped__seed0="raise", cartpole__reference__seed0="slow")
+    command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     env = {**FAKE_ENV, "TERM": "xterm", "COLUMNS": "200"}
     process = subprocess.Popen(command, env=env, stdout=theirs, stderr=subprocess.DEVNULL)
     os.close(theirs)
@@ -201,7 +211,7 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     os.close(ours)
     assert process.wait() == 1
     assert b"cartpole__reference__seed0" in shown
-    assert b"failed  cartpole__bc__seed0: ValueError" in shown
+    assert b"failed  cartpole__shaped__seed0: ValueError" in shown
     total = PER_SEED + 2  # and the expert
     assert f"{total} of {total} done, 1 failed".encode() in shown
 
@@ -209,7 +219,7 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
 @pytest.mark.parametrize("how", ["moved", "deleted"])
 def test_a_directory_that_goes_while_the_run_goes_on_is_one_line(tmp_path: Path, how: str) -> None:
     process = start(tmp_path)
-    cell = process_of(tmp_path / "run", "cartpole__bc__seed0")
+    cell = process_of(tmp_path / "run", "cartpole__shaped__seed0")
     if how == "moved":
         (tmp_path / "run").rename(tmp_path / "elsewhere")
     else:

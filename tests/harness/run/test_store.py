@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.judge.results import FORMAT, LARGEST, Cell, CellResult, Conditions, Request, Row
+from harness.judge.results import FORMATS, LARGEST, Cell, CellResult, Conditions, Request, Row
 from harness.registry import BadInput
 from harness.run import marked
 from harness.run.codec import checksum, decode, encode
@@ -233,7 +233,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
     stored = json.loads((tmp_path / "a/b/run.json").read_text())
     assert len(stored.pop("sha256")) == 64
     assert stored == {
-        "format": FORMAT,
+        "format": FORMATS[0],
         "methods": ["shaped", "bc"],
         "envs": ["cartpole", "highway"],
         "seeds": 3,
@@ -249,7 +249,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
 def stored(**changes: object) -> str:
     """A run.json that REQUEST fits, but for the changes."""
     asked = {"methods": ["bc"], "envs": ["cartpole"], "seeds": 1}
-    data = {"format": FORMAT, **asked, **dataclasses.asdict(CONDITIONS), **changes}
+    data = {"format": FORMATS[0], **asked, **dataclasses.asdict(CONDITIONS), **changes}
     return json.dumps({"sha256": checksum(data), **data})
 
 

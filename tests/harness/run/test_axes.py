@@ -1,0 +1,295 @@
+"""What is shown, and the dynamics in which what was learned is used: from the command line to the
+leaderboard."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from harness.arguments import parser
+from harness.cli import main
+from harness.judge.leaderboard import leaderboard, scored_rows
+from harness.judge.results import (
+    CONTROLS,
+    NOMINAL,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    Request,
+    Shown,
+    before,
+    command_of,
+    files_of,
+    row_of,
+)
+from harness.learn.seeds import rng_for
+from harness.registry import SPECS, BadInput
+from harness.run.artifacts import read_artifact
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.experts import demonstrations_for
+from harness.run.request import REQUEST, existing, merged, write_request
+from harness.run.store import CELL_FILE, open_for_report, open_for_run
+from methods.base import Episodes
+from methods.maxmargin import feature_expectations
+
+SMOKE = Conditions("smoke", "absorbing", "sbx")
+MANY = Request(
+    ("shaped", "bc"),
+    ("swingup", "cartpole"),
+    (0, 3),
+    SMOKE,
+    (Shown(), Shown(5), Shown(1, 20), Shown(0, 1, "noisy")),
+    ("swingup.flipped", "swingup.heavy", "cartpole.flipped"),
+)
+
+
+def test_cells_are_a_product_but_for_what_nothing_is_shown_to() -> None:
+    cells = MANY.cells
+    assert len({cell.name for cell in cells}) == len({*cells}) == len(cells)
+    methods = len(UNSHOWN) + 4 * (1 + len(CONTROLS) + 2 - len(UNSHOWN))
+    assert len(cells) == (3 + 2) * methods * 2  # tasks, seeds
+    assert {cell.task for cell in cells} == {"swingup", "cartpole", *MANY.variants}
+    names = [name for cell in cells for name in files_of(cell)]
+    assert len({*names}) == len(names)
+    assert all(CELL_FILE.fullmatch(f"{cell.name}.json") for cell in cells)
+
+
+def test_a_run_asks_for_its_cells_and_no_others() -> None:
+    cells = {*MANY.cells}
+    envs, methods = ("swingup", "cartpole", "pendulum"), (REFERENCE, *CONTROLS, "shaped", "bc", "maxent")
+    shown = (*MANY.shown, Shown(5, 20), Shown(2))
+    dynamics = (NOMINAL, "flipped", "heavy")
+    for combination in itertools.product(envs, methods, (0, 1, 3), shown, dynamics):
+        assert MANY.asks_for(Cell(*combination)) == (Cell(*combination) in cells)
+
+
+def test_what_a_run_was_asked_for_is_remembered_and_grows(tmp_path: Path) -> None:
+    plain = Request(("bc",), ("swingup",), (0,), SMOKE)
+    for request, version in ((plain, 7), (MANY, 8)):
+        path = tmp_path / str(version)
+        path.mkdir()
+        write_request(path, request)
+        assert existing(path) == dataclasses.replace(request, shown=tuple(request.shown))
+        assert f'"format": {version}' in (path / REQUEST).read_text()
+    grown = merged(tmp_path / "7", dataclasses.replace(plain, shown=(Shown(5),), variants=("swingup.light",)))
+    assert (grown.shown, grown.variants) == ((Shown(), Shown(5)), ("swingup.light",))
+    without = dataclasses.replace(plain, conditions=dataclasses.replace(SMOKE, retrain=False))
+    with pytest.raises(BadInput, match="retrain"):
+        merged(tmp_path / "7", without)
+    assert {cell.method for cell in without.cells} == {REFERENCE, "bc"}
+
+
+def test_the_command_says_it_all() -> None:
+    asked = []
+    for command in command_of(MANY).split(" && "):
+        args = parser().parse_args(shlex.split(command)[1:])
+        assert args.transfer
+        asked += [Shown(demos, args.subsample, args.demonstrator) for demos in args.demos]
+    assert sorted(asked) == sorted(MANY.shown)
+    assert "--transfer" not in command_of(Request(("bc",), ("swingup",), (0,), SMOKE))
+
+
+def whole(count: int = 3, steps: int = 45) -> Episodes:
+    obs = [np.arange(steps + 1.0)[:, None] + 100 * i for i in range(count)]
+    act = [np.linspace(-1, 1, steps)[:, None] for _ in range(count)]
+    return Episodes(tuple(obs), tuple(act), (False,) * count)
+
+
+def test_of_steps_that_are_not_shown_nothing_is_left() -> None:
+    few = whole().every(20, np.random.default_rng(0))
+    assert not few.whole
+    assert few.times is not None
+    assert few.lengths.tolist() == [45, 45, 45]
+    for i, (obs, act, times) in enumerate(zip(few.obs, few.act, few.times, strict=True)):
+        assert len(obs) == len(act) == len(times) in (2, 3)
+        assert np.diff(times).tolist() == [20] * (len(times) - 1)
+        assert np.array_equal(obs[:, 0], times + 100 * i)
+        assert np.array_equal(act, whole().act[0][times])
+        for shown, all_of_it in ((obs, whole().obs[i]), (act, whole().act[i])):
+            assert shown.base is None or shown.base.size < all_of_it.size, "a view would show the rest"
+    assert {int(times[0]) for times in whole(200).every(20, np.random.default_rng(1)).times or ()} == {
+        *range(20)
+    }
+    assert [len(act) for act in whole(2, 3).every(20, np.random.default_rng(2)).act] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"times": (np.array([0, 0]),)}, "ascend"),
+        ({"times": (np.array([3, 9]),)}, "ascend"),
+        ({"times": (np.array([3]),)}, "ascend"),
+        ({"times": None}, r"obs \(T\+1"),
+    ],
+)
+def test_times_that_cannot_be_are_refused(wrong: dict, message: str) -> None:
+    right = {"times": (np.array([3, 8]),), "steps": (9,)}
+    assert len(Episodes((np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,), **right).pairs()[0]) == 2
+    with pytest.raises(ValueError, match=message):
+        Episodes((np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,), **{**right, **wrong})
+
+
+def test_features_of_few_steps_stand_for_all() -> None:
+    world: Any = SimpleNamespace(horizon=60, gamma=0.95, phi=lambda obs, act: np.column_stack([act, act**2]))
+    every = feature_expectations(whole(50), world)
+    some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world)
+    np.testing.assert_allclose(some, every, atol=0.03)
+    constant: Any = SimpleNamespace(**{**vars(world), "phi": lambda obs, act: np.ones((len(act), 1))})
+    for episodes in (whole(2), whole(2).every(7, np.random.default_rng(0))):
+        dead = dataclasses.replace(episodes, terminated=(True, False))
+        alive = (1 - 0.95**45) / (1 - 0.95**60)
+        np.testing.assert_allclose(feature_expectations(dead, constant).sum(), (1 + alive) / 2)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+
+
+@pytest.mark.usefixtures("cache")
+def test_demonstrators_show_what_they_are_called() -> None:
+    def shown(*asked: object) -> Episodes:
+        return demonstrations_for("cartpole", 1, Shown(*asked), SMOKE)  # type: ignore[arg-type]
+
+    expert, medium, noisy = (shown(6, 1, who) for who in ("expert", "medium", "noisy"))
+    assert medium.lengths.mean() < 0.8 * expert.lengths.mean()
+    for one in (medium, noisy):
+        for obs, other in zip(one.obs, expert.obs, strict=True):
+            assert np.array_equal(obs[0], other[0]), "the same episodes"
+    off = noisy.act[0][0] - expert.act[0][0]
+    assert off != 0
+    first = np.array([n[0] - e[0] for n, e in zip(shown(100, 1, "noisy").act, shown(100).act, strict=True)])
+    assert first.std() == pytest.approx(0.3, rel=0.25)
+    for one_act, other_act in zip(shown(2).act, expert.act, strict=False):  # the first ones, but for rounding
+        np.testing.assert_allclose(one_act, other_act, atol=1e-6)
+    few = shown(6, 20)
+    for obs, times, all_of_it in zip(few.obs, few.times or (), expert.obs, strict=True):
+        assert np.array_equal(obs, all_of_it[times])
+    trained = dataclasses.replace(SMOKE, experts="trained")
+    with pytest.raises(BadInput, match="shipped"):
+        demonstrations_for("cartpole", 1, Shown(2, 1, "medium"), trained)
+
+
+def test_what_goes_on_from_what() -> None:
+    shown = Shown(5)
+    flipped = Cell("swingup", "shaped", 0, shown, "flipped")
+    assert before(flipped) == Cell("swingup", "shaped", 0, shown)
+    assert before(Cell("swingup", "shaped", 0, shown)) is None
+    assert before(Cell("swingup", "control_true", 0, dynamics="flipped")) is None
+    for dynamics in (NOMINAL, "flipped"):
+        clone = Cell("swingup", "control_clone", 0, shown, dynamics)
+        assert before(clone) == Cell("swingup", "bc", 0, shown)
+
+
+def made(cell: Cell, **returns: float) -> CellResult:
+    return CellResult(cell, [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()])  # type: ignore[arg-type]
+
+
+def test_each_board_has_its_own_scale_and_what_nothing_is_shown_to() -> None:
+    results = []
+    for dynamics, expert, true in ((NOMINAL, 100.0, 90.0), ("flipped", -50.0, 60.0)):
+        results += [made(Cell("swingup", REFERENCE, 0, dynamics=dynamics), expert=expert, random=0.0)]
+        results += [made(Cell("swingup", "control_true", 0, dynamics=dynamics), pi_R=true)]
+        for demos in (0, 5):
+            cell = Cell("swingup", "shaped", 0, Shown(demos), dynamics)
+            results += [made(cell, pi_star=30.0 + demos, pi_R=45.0)]
+    entries = leaderboard(scored_rows(results))
+    boards = list(dict.fromkeys(entry.board for entry in entries))
+    assert boards == [
+        *("swingup", "swingup, 5 demonstrations"),
+        *("swingup.flipped", "swingup.flipped, 5 demonstrations"),
+    ]
+    found = {(e.board, e.method, e.policy): e for e in entries}
+    assert found["swingup", "shaped", "pi_star"].score_mean == pytest.approx(0.30)
+    assert found["swingup, 5 demonstrations", "shaped", "pi_star"].score_mean == pytest.approx(0.35)
+    assert found["swingup.flipped", "shaped", "pi_star"].score_mean == pytest.approx(30 / 60)
+    assert found["swingup.flipped", "control_true", "pi_R"].score_mean == 1
+    assert found["swingup.flipped", REFERENCE, "expert"].score_mean == pytest.approx(-50 / 60)
+    assert found["swingup", "shaped", "pi_R"].share_of_true == pytest.approx(0.5)
+    assert found["swingup.flipped", "shaped", "pi_R"].share_of_true == pytest.approx(0.75)
+    assert np.isnan(found["swingup", "shaped", "pi_star"].share_of_true)
+    for board in boards:
+        assert found[board, "control_true", "pi_R"].seeds == 1
+
+
+@pytest.mark.usefixtures("cache")
+def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    words = ["run", "--methods", "shaped,bc", "--envs", "swingup", "--budget", "smoke", "--rl", "sb3"]
+    words += ["--demos", "0,2", "--subsample", "7", "--transfer", "--engine", "inline", "--out", str(out)]
+    with pytest.MonkeyPatch.context() as patch:
+        spec = SPECS["swingup"]
+        patch.setitem(
+            SPECS, "swingup", dataclasses.replace(spec, variants={"flipped": spec.variants["flipped"]})
+        )
+        assert main(words) == 0, capsys.readouterr().err
+        rows = pd.read_csv(out / "scores.csv")
+        assert set(rows["dynamics"]) == {NOMINAL, "flipped"}
+        assert set(rows[rows["method"] == "shaped"]["demos"]) == {0, 2}
+        assert set(rows["every"][rows["method"] == "shaped"]) == {7}
+        assert (rows["status"] == "skipped").sum() == 2 * 2  # bc learns no reward
+        shaped = rows[(rows["method"] == "shaped") & (rows["demos"] == 2)].set_index(["dynamics", "policy"])
+        pairs = shaped.loc[(NOMINAL, "pi_star"), "pairs"]
+        assert 2 * 28 <= pairs <= 2 * 29  # of 200 steps
+        returns = shaped["return_mean"]
+        assert returns[NOMINAL, "pi_star"] != returns["flipped", "pi_star"]
+        kept = {
+            name: read_artifact(out / "artifacts" / f"{name}__shaped__seed0__2_demos__every_7.safetensors")
+            for name in ("swingup", "swingup.flipped")
+        }
+        obs = rng_for(0, "any").normal(size=(20, 3))
+        act = kept["swingup"]["pi_star"](obs)
+        assert np.array_equal(act, kept["swingup.flipped"]["pi_star"](obs))
+        paid = [k["reward"](obs, act, obs) for k in kept.values()]
+        assert np.array_equal(*paid)
+        distances = shaped["reward_distance"]
+        assert distances.notna()[NOMINAL, "pi_R"]
+        assert distances.isna()["flipped", "pi_R"]
+        assert main(["verify", str(out)]) == 0
+        assert main(["report", str(out)]) == 0
+        page = (out / "report.html").read_text()
+        assert "swingup.flipped, 2 demonstrations, 1 of 7 steps" in page
+        assert (out / "figures/swingup_flipped_2_demonstrations_1_of_7_steps_scores.png").exists()
+
+
+@pytest.mark.usefixtures("cache")
+def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = ["run", "--methods", "bc", "--budget", "smoke", "--out", str(tmp_path / "run")]
+    for more, message in (
+        (["--demos", "5,x"], "not a whole number"),
+        (["--demos", "-1"], "between 0"),
+        (["--subsample", "0"], "between 1"),
+        (["--demonstrator", "nobody"], "invalid choice"),
+        (["--demonstrator", "medium", "--experts", "trained"], "shipped"),
+        (["--envs", "gridworld", "--transfer"], "no other dynamics"),
+    ):
+        assert main([*base, *more]) == 2
+        err = capsys.readouterr().err
+        assert message in err
+        assert err.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_cells_of_other_axes_have_other_keys_and_are_of_one_version(tmp_path: Path) -> None:
+    cells = [cell for cell in MANY.cells if (cell.env, cell.method) == ("swingup", "shaped")]
+    with open_for_run(tmp_path / "run", MANY) as run:
+        for cell in cells:
+            run.save(made(cell, pi_star=1.0, pi_R=1.0))
+        one_seed = {run.keys[cell] for cell in cells if cell.seed == 0}
+        assert len(one_seed) == len(cells) / 2 == 4 * 3
+        assert len({key.partition(":")[0] for key in one_seed}) == 1
+    with open_for_report(tmp_path / "run") as run:
+        found, unusable = run.load()
+    assert (sorted(found), unusable) == (sorted(cells), {})
