@@ -18,16 +18,17 @@ from pebble.concurrent import process as in_a_process
 
 from envs import EnvSpec
 from harness.judge.evaluation import evaluate
+from harness.judge.results import thinned
 from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
 from harness.registry import SPECS, BadInput
 from harness.run.cache import Kept, as_bytes, load
-from harness.run.expert_set import SUMS
 from harness.run.files import read, sha256, write_atomic
 from harness.run.keys import origin
 from harness.run.marked import open_marked
 from harness.run.processes import NAME, fresh_processes
 from harness.run.progress import say, tell
+from harness.run.sums import SUMS, as_lines
 from methods.base import Policy
 from methods.network import Network
 
@@ -48,7 +49,7 @@ MEDIUM, MEDIUM_TRIED, MEDIUM_OFF = 0.5, 10, 0.15
 from that share the nearest may be: an agent that learns at a stroke has none."""
 MARGIN = 0.5
 """Of the early endings that the bar allows, so much on tuning episodes: others may have more."""
-MOST_POINTS = 200
+MOST_CHECKS = 200
 """Of the curve that is kept of a training."""
 CANDIDATES = "candidates.csv"
 MEDIUM_FILE = "__medium"
@@ -126,8 +127,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     checked = np.array([value for _, value in solution.true_curve])
     scale = checked.max() - random_return
     near = np.flatnonzero(checked >= checked.max() - NEAR * scale)
-    near = near[np.linspace(0, len(near) - 1, min(len(near), MOST_NEAR)).astype(int)]
-    plain = {int(i): measure(spec, solution.checkpoints[i], few) for i in near}
+    plain = {i: measure(spec, solution.checkpoints[i], few) for i in thinned(near.tolist(), MOST_NEAR)}
     best = max(one.mean_return for one in plain.values())
     ties = [i for i, one in plain.items() if one.mean_return >= best - NEAR * scale]
     noisy = {
@@ -162,7 +162,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     facts = {
         **candidate._asdict(),
         "settings": dataclasses.asdict(settings),
-        "curve": thinned(solution.true_curve),
+        "curve": thinned(solution.true_curve, MOST_CHECKS),
         "origin": origin(),
     }
     files = []
@@ -172,12 +172,6 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
         its = {"kind": kind, "checkpoint": solution.true_curve[place][0]}
         files.append(as_bytes(Kept(policy.arrays(), facts | its)))
     return candidate, files[0], files[1]
-
-
-def thinned(curve: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Of a long one some points."""
-    places = np.unique(np.linspace(0, len(curve) - 1, min(len(curve), MOST_POINTS)).astype(int))
-    return [curve[i] for i in places]
 
 
 def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
@@ -207,7 +201,7 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
                     say(f"{env}, agent {seed}: {_told(_measured(one))}, medium {one.medium_return:.1f}")
             _number(out, env, list(done.values()))
         names = [CANDIDATES, *sorted(path.name for path in out.iterdir() if _EXPERT.fullmatch(path.name))]
-        write_atomic(out / SUMS, "".join(f"{sha256(out / name)}  {name}\n" for name in names))
+        write_atomic(out / SUMS, as_lines((sha256(out / name), name) for name in names))
 
 
 def _unnumbered(out: Path, env: str, seed: int, kind: str) -> Path:

@@ -22,11 +22,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
 from harness.registry import Demonstrator, Experts, Library, Record
+
+Point = TypeVar("Point")
 
 FORMATS = (7, 8)
 """Versions of the directory layout that are read; the first is written where it can hold the run."""
@@ -239,6 +241,12 @@ def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
     reason = reason[:LONGEST_TEXT]
     rows = [row_of(cell, p, protocol, status="failed", reason=reason) for p in policies_of(cell)]
     return CellResult(cell, rows)
+
+
+def thinned(points: Sequence[Point], most: int) -> list[Point]:
+    """So many of them, at equal distances, with the first and the last; all where there are no more."""
+    kept = min(len(points), most)
+    return [points[i * (len(points) - 1) // max(1, kept - 1)] for i in range(kept)]
 
 
 def row_of(cell: Cell, policy: PolicyName, protocol: str, **columns: Any) -> Row:

@@ -30,6 +30,7 @@ from harness.judge.results import (
     Row,
     Shown,
     row_of,
+    thinned,
 )
 from harness.learn.learned import check_learned
 from harness.learn.seeds import evaluation_seeds, rng_for
@@ -205,16 +206,15 @@ def fit(task: Task, demos: Episodes) -> Made:
     took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
     most = MOST_CURVES - len(("pi_R", "pi_R_true"))
-    curves = {name: thinned(values) for name, values in list(learned.curves.items())[:most]}
+    curves = {name: curve(values) for name, values in list(learned.curves.items())[:most]}
     many = f"{task.cell.name}: of {len(learned.curves)} curves the first {most} are kept"
     warnings = (many,) if len(learned.curves) > most else ()
     return Made("pi_star", learned.policy, learned.reward, took, curves, learned.details, warnings)
 
 
-def thinned(values: Sequence[float]) -> Curve:
-    """A method's curve; of a long one some points."""
-    places = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).astype(int))
-    return [(float(x + 1), float(values[x])) for x in places]
+def curve(values: Sequence[float]) -> Curve:
+    """What is kept of one value an iteration."""
+    return [(float(x), float(y)) for x, y in thinned(list(enumerate(values, 1)), MOST_POINTS)]
 
 
 def control(task: Task) -> Reward | None:

@@ -16,8 +16,7 @@ from harness.registry import BadInput
 from harness.run.cache import Kept, load
 from harness.run.files import read, sha256
 from harness.run.keys import EXPERTS, ROOT, expert_files
-
-SUMS = "SHA256SUMS"
+from harness.run.sums import SUMS, readable
 
 
 def folder() -> Path:
@@ -34,12 +33,7 @@ def shipped(env: str, seed: int, medium: bool = False) -> tuple[int, Kept]:
     number = seed % len(names)
     path = ROOT / names[number]
     found = load(path)
-    if found is None or _listed(path.parent).get(path.name) != sha256(path):
+    listed = readable(read(path.parent / SUMS))
+    if found is None or listed.get(path.name) != sha256(path):
         raise BadInput(f"{path} is damaged")
     return number, found
-
-
-def _listed(where: Path) -> dict[str, str]:
-    """Checksums by name."""
-    lines = read(where / SUMS).decode().splitlines()
-    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-import hashlib
 import os
 import re
 from collections import Counter
@@ -17,7 +16,7 @@ from types import MappingProxyType
 
 from harness.judge.results import REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
-from harness.run.codec import decode, encode, printable
+from harness.run.codec import decode, encode
 from harness.run.environment import numeric
 from harness.run.files import (
     append,
@@ -40,10 +39,19 @@ from harness.run.request import (
     merged,
     write_request,
 )
+from harness.run.sums import (
+    SUMS,
+    as_lines,
+    in_words,
+    mend_last_line,
+    named,
+    readable,
+    seal_of,
+    why_damaged,
+)
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
-SUMS = "SHA256SUMS"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
@@ -97,7 +105,7 @@ class RunDirectory:
         write_atomic(self.path / name, encode(keyed))
         noted = [(sha256(self.path / name), name)]
         noted += [(digest, name) for name, digest in result.files.items()]
-        append(self.path / SUMS, _lines(noted).encode())
+        append(self.path / SUMS, as_lines(noted).encode())
 
     def learned(self, cell: Cell) -> bytes:
         """The artifact of a cell, empty where there is none."""
@@ -118,7 +126,7 @@ class RunDirectory:
                 result = self._load(path)
                 results[result.cell] = result
             except (ValueError, OSError) as error:
-                unusable[path] = _reason(error)
+                unusable[path] = in_words(error)
         for cell in [] if self.keys else _of_other_versions(results):
             del results[cell]
             unusable[self.path / "cells" / f"{cell.name}.json"] = OTHER_VERSION
@@ -135,9 +143,9 @@ class RunDirectory:
             lines[name] = sha256(self.path / name)
             lines |= result.files
         lines |= {file.relative_to(self.path).as_posix(): sha256(file) for file in files}
-        listed = _lines((digest, name) for name, digest in sorted(lines.items()))
-        write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{_seal(listed.encode())}\n")
-        write_atomic(self.path / SUMS, listed + _lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
+        listed = as_lines((digest, name) for name, digest in sorted(lines.items()))
+        write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{seal_of(listed.encode())}\n")
+        write_atomic(self.path / SUMS, listed + as_lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
 
     def is_sealed(self, results: Sequence[CellResult]) -> bool:
         """Whether all that is rebuilt from cells is as it was written, from these and by this version."""
@@ -157,7 +165,7 @@ class RunDirectory:
         """Cells among these whose files are not those that were noted when they were stored."""
         noted = self._listed()
         names = {f"cells/{result.cell.name}.json" for result in results} & noted.keys()
-        damages = {self.path / name: _damage(self.path / name, noted[name]) for name in sorted(names)}
+        damages = {self.path / name: why_damaged(self.path / name, noted[name]) for name in sorted(names)}
         return {path: damage for path, damage in damages.items() if damage}
 
     def forgotten(self, results: Iterable[CellResult]) -> list[str]:
@@ -173,7 +181,7 @@ class RunDirectory:
         try:
             noted = self._noted()
         except (OSError, ValueError) as error:
-            return _reason(error)
+            return in_words(error)
         listed = any(f"cells/{result.cell.name}.json" in noted for result in results)
         return "it lists no cell" if results and not listed else ""
 
@@ -186,7 +194,7 @@ class RunDirectory:
         try:
             noted = self._noted()
         except (OSError, ValueError) as error:
-            damaged[self.path / SUMS] = _reason(error)
+            damaged[self.path / SUMS] = in_words(error)
             noted = {}
         if self.why_incomplete(list(results.values())):
             for cell in [cell for cell in self.request.cells if cell not in results]:
@@ -194,7 +202,7 @@ class RunDirectory:
         for name, digest in noted.items():
             file = self.path / name
             if file not in damaged and (
-                reason := _damage(file, digest) if _is_ours(name) else "no file of a run"
+                reason := why_damaged(file, digest) if _is_ours(name) else "no file of a run"
             ):
                 damaged[file] = reason
         there = [f"cells/{cell.name}.json" for cell in results]
@@ -210,7 +218,7 @@ class RunDirectory:
             self.path / name: f"{name} is missing or damaged"
             for result in results
             for name, digest in result.files.items()
-            if _damage(self.path / name, digest)
+            if why_damaged(self.path / name, digest)
         }
 
     def _cell_files(self) -> list[Path]:
@@ -242,22 +250,19 @@ class RunDirectory:
     def _noted(self) -> dict[str, str]:
         """Checksums of files by their names. Raises ValueError for anything but such a list."""
         data = read(self.path / SUMS)
-        noted = dict(map(_named, data.decode().splitlines()))
-        if REPORT_KEY in noted and not _damage(self.path / REPORT_KEY, noted[REPORT_KEY]):
+        noted = dict(map(named, data.decode().splitlines()))
+        if REPORT_KEY in noted and not why_damaged(self.path / REPORT_KEY, noted[REPORT_KEY]):
             _, seal = self._report_key()
-            if _seal(data[: int(seal.partition(" ")[0])]) != seal:
+            if seal_of(data[: int(seal.partition(" ")[0])]) != seal:
                 raise ValueError("lines of it were changed or are missing")
         return noted
 
     def _listed(self) -> dict[str, str]:
         """The same, as far as it can be read."""
-        listed = {}
-        with suppress(OSError):
-            for line in read(self.path / SUMS).decode(errors="replace").splitlines():
-                with suppress(ValueError):
-                    name, digest = _named(line)
-                    listed[name] = digest
-        return listed
+        try:
+            return readable(read(self.path / SUMS))
+        except OSError:
+            return {}
 
     def _key_of_report(self, results: Iterable[CellResult]) -> str:
         cells = [sha256(self.path / "cells" / f"{result.cell.name}.json") for result in results]
@@ -298,7 +303,7 @@ def open_for_run(
         for folder, kind in FOLDERS.items():
             remove_unfinished(path / folder, rf".+\.{kind}")
         write_request(path, grown)
-        _mend_last_line(path / SUMS)
+        mend_last_line(path / SUMS)
         if variables is None:
             variables = numeric(grown.conditions.deterministic)
         yield RunDirectory(path, grown, lock, cell_keys(grown.cells, grown.conditions, variables))
@@ -310,7 +315,7 @@ def open_for_report(path: Path) -> Iterator[RunDirectory]:
     request = existing(path)
     with held(path) as lock:
         with suppress(OSError):  # what is no such list is replaced
-            _mend_last_line(path / SUMS)
+            mend_last_line(path / SUMS)
         yield RunDirectory(path, request, lock)
 
 
@@ -351,23 +356,6 @@ def _most(keys: Iterable[str]) -> str:
     return most
 
 
-def _lines(noted: Iterable[tuple[str, str]]) -> str:
-    return "".join(f"{digest}  {name}\n" for digest, name in noted)
-
-
-def _named(line: str) -> tuple[str, str]:
-    """Name and checksum of a line of the list. Raises ValueError where it is none."""
-    digest, _, name = line.partition("  ")
-    if len(digest) != 64 or not name:
-        raise ValueError("damaged")
-    return name, digest
-
-
-def _seal(listed: bytes) -> str:
-    """Size and digest of a list, by which it is known again."""
-    return f"{len(listed)} {hashlib.sha256(listed).hexdigest()}"
-
-
 def _cell_of(name: str) -> str:
     """The cell that a listed file belongs to, '' for what is rebuilt from all."""
     folder, _, file = name.partition("/")
@@ -380,29 +368,6 @@ def _is_ours(name: str) -> bool:
     """Whether a run writes files of such names, by their path in its directory."""
     folder, _, file = name.rpartition("/")
     return folder in ("", *FOLDERS) and file not in ("", ".", "..")
-
-
-def _damage(file: Path, digest: str) -> str:
-    """Why it is not as it was written, '' where it is."""
-    try:
-        return "" if sha256(file) == digest else "its checksum does not match"
-    except FileNotFoundError:
-        return "missing"
-    except OSError as error:
-        return _reason(error)
-
-
-def _reason(error: Exception) -> str:
-    return printable(getattr(error, "strerror", None) or str(error))
-
-
-def _mend_last_line(sums: Path) -> None:
-    """Ends the list of checksums, made if it is not there, with a whole line, where a crash left a part of
-    one."""
-    with appending(sums) as file:
-        data = read(sums)
-        if not data.endswith(b"\n"):
-            file.truncate(data.rfind(b"\n") + 1)
 
 
 def _check_can_append(file: Path) -> None:

@@ -1,0 +1,244 @@
+"""What `run`, `reproduce` and `report` do; each returns the exit code (`harness.cli`)."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import logging
+import os
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
+from harness.registry import ENVS, GROUPS, METHODS, SPECS, VARIANTS, BadInput, choose
+from harness.run import keys, scratch
+from harness.run.engines import Engine
+from harness.run.environment import cache_folder, can_fix_instructions
+from harness.run.files import can_write, read
+from harness.run.processes import let_cells_sleep
+from harness.run.progress import say, tell
+from harness.run.request import merged, stored_request
+from harness.run.signals import stop_cleanly
+from harness.run.store import LOG, SUMS, RunDirectory, open_for_report, open_for_run, open_to_verify
+
+MOST_NAMED = 20
+"""Files that a line names, but for the first."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Computes what is asked for and not there yet, and reports all that is there."""
+    methods = choose("method", args.methods, METHODS, VARIANTS)
+    envs = choose("env", args.envs, ENVS, groups=GROUPS)
+    _prepare()
+    seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
+    fixed = _is_deterministic(args)
+    conditions = Conditions(
+        args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
+    )
+    shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
+    if args.demonstrator == "medium" and args.experts == "trained":
+        raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+    variants = _variants(envs) if args.transfer else ()
+    request = Request(methods, envs, seeds, conditions, shown, variants)
+    handle_signals()
+    engine = _engine(args, envs)
+    if args.engine == "inline":
+        _check_all_inline(args.out, engine)
+    with open_for_run(args.out, request, engine.variables) as run:
+        results = _compute(run, request, args, engine)
+        whole = _write_report(run, list(results.values()), anew=False)
+        failed = _tell_troubles([results[cell] for cell in request.cells])
+    return int(failed or not whole)
+
+
+def reproduce(args: argparse.Namespace) -> int:
+    """The study of the thesis, once under each protocol."""
+    from harness import reproduce as study
+
+    _prepare()
+    handle_signals()
+    engine, found = _engine(args, study.ENVS), {}
+    with study.open_study(args.out):
+        requests, fixed = {}, _is_deterministic(args)
+        for protocol in study.PROTOCOLS:
+            conditions = Conditions(args.budget, protocol, "sbx", fixed, "trained", args.record)
+            shown = tuple(map(Shown, study.TRAJECTORIES))
+            requests[protocol] = Request(study.STUDIED, study.ENVS, args.seeds, conditions, shown)
+            merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
+        for protocol, request in requests.items():
+            with open_for_run(args.out / protocol, request, engine.variables) as run:
+                results = _compute(run, request, args, engine)
+            found[protocol] = [results[cell] for cell in request.cells]
+        study.write_study(args.out, found)
+        say("\n" + _text(args.out / "study.md"))
+    return int(_tell_troubles([result for results in found.values() for result in results]))
+
+
+def report(directory: Path) -> int:
+    """Rebuilds tables and figures from the cells that are stored there."""
+    _prepare()
+    with open_for_report(directory) as run:
+        results, unusable = run.load()
+        _tell_unusable(unusable, "left out")
+        if not results:
+            raise BadInput(f"{directory} holds no finished cell")
+        whole = _write_report(run, list(results.values()), anew=True)
+    failed = _tell_troubles(list(results.values()))
+    return int(failed or not whole or bool(unusable))
+
+
+def _prepare() -> None:
+    """Raises BadInput where nothing could be computed or drawn, before anything is written."""
+    scratch.remove_abandoned(scratch.base())
+    keys.versions(keys.PACKAGES)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
+    if keys.TEMPLATE not in keys.program():
+        raise BadInput(f"{keys.TEMPLATE} is missing; install the program again")
+    try:
+        importlib.import_module("harness.run.isolated")
+        importlib.import_module("harness.run.grid")
+        importlib.import_module("harness.run.reporting")
+    except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
+        raise BadInput(f"nothing can draw the report: {error}") from error
+
+
+def _variants(envs: Sequence[str]) -> tuple[str, ...]:
+    """Tasks of other dynamics. Raises BadInput where there are none."""
+    found = tuple(f"{env}.{name}" for env in envs for name in SPECS[env].variants)
+    if not found:
+        raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
+    return found
+
+
+def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
+    """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
+    from harness.run import engines, isolated
+
+    if args.engine == "isolated":
+        modules = [ENVS[env].target.partition(":")[0] for env in envs]
+        fixed = _is_deterministic(args)
+        return isolated.Isolated(args.workers or cores(), args.cell_timeout, fixed, modules)
+    if args.workers or args.cell_timeout:
+        raise BadInput("--engine inline computes one cell after the other and cannot stop any")
+    return engines.Inline()
+
+
+def _is_deterministic(args: argparse.Namespace) -> bool:
+    return not args.fast and can_fix_instructions()
+
+
+def _check_all_inline(directory: Path, engine: Engine) -> None:
+    """Raises BadInput where the directory holds cells of another engine, which inline ones would replace."""
+    if stored_request(directory) is None:
+        return
+    with open_to_verify(directory) as run:
+        results, _ = run.load()
+        now = keys.cell_keys(results, run.request.conditions, engine.variables)
+    if any(result.key != now[cell] for cell, result in results.items()):
+        raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
+
+
+def _compute(
+    run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine
+) -> dict[Cell, CellResult]:
+    """Computes what the request asks for and the directory lacks; returns all that is there then."""
+    from harness.run.grid import Grid
+
+    known, unusable = run.load()
+    _tell_unusable(unusable, "left out, computed again if asked for")
+    again = {cell for cell, result in known.items() if args.retry_failed and _has_failed(result)}
+    cells = [cell for cell in request.cells if cell not in known or cell in again]
+    kept = len(request.cells) - len(cells)
+    conditions = request.conditions
+    say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
+    if cells and not can_write(cache_folder()):
+        tell(f"the cache {cache_folder()} cannot be written to: experts are trained for this run alone")
+    grid = Grid(conditions, run, engine)
+    grid.run(cells)
+    results, _ = run.load()
+    if lost := [cell for cell in request.cells if cell not in results]:
+        tell(f"lost or damaged while the run went on, computed again: {lost[0].name}, {len(lost)} in all")
+        grid.run(lost)
+        results, unusable = run.load()
+        for cell in [cell for cell in request.cells if cell not in results]:
+            reason = unusable.get(run.path / "cells" / f"{cell.name}.json", "it is gone")
+            results[cell] = failed_rows(
+                cell, conditions.protocol, f"its stored result cannot be used: {reason}"
+            )
+            run.save(results[cell])
+    if any(_has_failed(results[cell]) for cell in request.cells):
+        tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
+    return results
+
+
+def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
+    """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
+    all is there that the run stored."""
+    from harness.run.reporting import write_report
+
+    incomplete = run.why_incomplete(results) if anew else ""
+    forgotten = run.forgotten(results)
+    damaged = run.damaged_files(results) | run.swapped(results)
+    if anew or not run.is_sealed(results):
+        run.seal(results, write_report(run.path, run.request, results))
+    say("\n" + _text(run.path / "leaderboard.md"))
+    shown = ["scores.csv", "report.html"]
+    shown += ["recordings"] * any(result.recordings for result in results)
+    shown += ["artifacts"] * any(result.artifacts for result in results)
+    for name in shown:
+        say(f"{name:11} {run.path / name}")
+    there = {result.cell for result in results}
+    if absent := [cell.name for cell in run.request.cells if cell not in there]:
+        say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
+    _tell_unusable(damaged, "damaged")
+    if forgotten:
+        tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
+    if incomplete:
+        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
+    return not (forgotten or damaged or incomplete)
+
+
+def _and_more(names: Sequence[str]) -> str:
+    return f" and {len(names) - 1} more" if names[1:] else ""
+
+
+def _text(file: Path) -> str:
+    """What can be shown of a text file."""
+    return read(file).decode(errors="replace")
+
+
+def _tell_troubles(results: list[CellResult]) -> bool:
+    """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
+    for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
+        tell(f"WARNING: {warning}")
+    failed = [result for result in results if _has_failed(result)]
+    for result in failed:
+        reason = next(row.reason for row in result.rows if row.status == "failed")
+        tell(f"FAILED: {result.cell.name}: {reason}")
+    return bool(failed)
+
+
+def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
+    """A line for each reason."""
+    for reason in sorted(set(files.values())):
+        first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
+        names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
+        more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+        tell(f"{what_happens}: {names}{more}: {reason}")
+
+
+def _has_failed(result: CellResult) -> bool:
+    return any(row.status == "failed" for row in result.rows)
+
+
+def cores() -> int:
+    """As many processes as can work at a time."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def handle_signals() -> None:
+    """Whatever stops a run stops it cleanly, and Ctrl-Z suspends all of it."""
+    if threading.current_thread() is threading.main_thread():
+        stop_cleanly()
+        let_cells_sleep()
