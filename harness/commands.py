@@ -14,13 +14,14 @@ from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, 
 from harness.registry import ENVS, GROUPS, METHODS, SPECS, VARIANTS, BadInput, choose
 from harness.run import keys, scratch
 from harness.run.engines import Engine
-from harness.run.environment import cache_folder, can_fix_instructions
+from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write, read
 from harness.run.processes import let_cells_sleep
 from harness.run.progress import say, tell
 from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
-from harness.run.store import LOG, SUMS, RunDirectory, open_for_report, open_for_run, open_to_verify
+from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_verify
+from harness.run.sums import SUMS
 
 MOST_NAMED = 20
 """Files that a line names, but for the first."""
@@ -37,8 +38,13 @@ def run(args: argparse.Namespace) -> int:
         args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
     )
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
-    if args.demonstrator == "medium" and args.experts == "trained":
-        raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+    if args.demonstrator == "medium":
+        if args.experts == "trained":
+            raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+        if none := [env for env in envs if not keys.expert_files(env)]:
+            raise BadInput(f"there are no medium demonstrators of {', '.join(none)}; leave it out of --envs")
+    if args.transfer and args.no_retrain:
+        raise BadInput("--transfer scores by what RL reaches in a variant; leave out --no-retrain")
     variants = _variants(envs) if args.transfer else ()
     request = Request(methods, envs, seeds, conditions, shown, variants)
     handle_signals()
@@ -104,8 +110,11 @@ def _prepare() -> None:
 
 
 def _variants(envs: Sequence[str]) -> tuple[str, ...]:
-    """Tasks of other dynamics. Raises BadInput where there are none."""
-    found = tuple(f"{env}.{name}" for env in envs for name in SPECS[env].variants)
+    """Tasks of other dynamics. Raises BadInput where there are none, or they cannot be told."""
+    try:
+        found = tuple(f"{env}.{name}" for env in envs for name in SPECS[env].variants)
+    except Exception as error:  # whatever is wrong with an environment's file
+        raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
     if not found:
         raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
     return found
@@ -125,17 +134,21 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
 
 
 def _is_deterministic(args: argparse.Namespace) -> bool:
-    return not args.fast and can_fix_instructions()
+    """Whether cells' processes have their instructions fixed; those of this one are chosen already."""
+    return args.engine == "isolated" and not args.fast and can_fix_instructions()
 
 
 def _check_all_inline(directory: Path, engine: Engine) -> None:
-    """Raises BadInput where the directory holds cells of another engine, which inline ones would replace."""
+    """Raises BadInput where the directory holds cells of the other engine that still count, which inline ones
+    would replace."""
     if stored_request(directory) is None:
         return
     with open_to_verify(directory) as run:
         results, _ = run.load()
-        now = keys.cell_keys(results, run.request.conditions, engine.variables)
-    if any(result.key != now[cell] for cell, result in results.items()):
+        conditions = run.request.conditions
+        others = keys.cell_keys(results, conditions, numeric(conditions.deterministic))
+        now = keys.cell_keys(results, conditions, engine.variables)
+    if any(others[cell] == result.key != now[cell] for cell, result in results.items()):
         raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
 
 
@@ -167,7 +180,7 @@ def _compute(
                 cell, conditions.protocol, f"its stored result cannot be used: {reason}"
             )
             run.save(results[cell])
-    if any(_has_failed(results[cell]) for cell in request.cells):
+    if any(_has_failed(results[cell]) for cell in request.cells) and (run.path / LOG).exists():
         tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
     return results
 

@@ -135,6 +135,17 @@ class Episodes:
         obs = [obs[: len(act)] for obs, act in zip(self.obs, self.act, strict=True)]
         return np.concatenate(obs), np.concatenate(self.act)
 
+    def transitions(self) -> tuple[Array, Array, Array]:
+        """Every step that is shown with what was observed after it: (N, O), (N, A) and (N, O)."""
+        obs, act, after = [], [], []
+        for i, (seen, done) in enumerate(zip(self.obs, self.act, strict=True)):
+            times = np.arange(len(seen)) if self.times is None else self.times[i]
+            followed = np.flatnonzero(np.diff(times) == 1)
+            obs.append(seen[followed])
+            act.append(done[followed])
+            after.append(seen[followed + 1])
+        return np.concatenate(obs), np.concatenate(act), np.concatenate(after)
+
     def every(self, count: int, rng: np.random.Generator) -> Episodes:
         """Every `count`-th step of each episode, from one of the first, which chance decides; of a shorter
         episode one step."""

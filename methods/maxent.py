@@ -111,15 +111,14 @@ class MaxEnt:
 
 
 def demonstrated(demos: Episodes, model: Model) -> Array:
-    """mu_D (T, S, A): the share of the demonstrations, all of T steps, in each state and choosing each action
-    at each time. Raises ValueError where their lengths differ, or some steps are not shown."""
-    if not demos.whole:
-        raise ValueError("in a known model, every step of a demonstration must be shown")
+    """mu_D (T, S, A): the share of the demonstrations, all of T steps, that are shown in each state and
+    choosing each action at each time. Raises ValueError where their lengths differ."""
     if demos.lengths.min() < demos.lengths.max():
         raise ValueError("in a known model, demonstrations must be equally long")
     mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
-    for obs, act in zip(demos.obs, demos.act, strict=True):
-        mu[np.arange(len(act)), model.states(obs[:-1]), act.argmax(axis=1)] += 1 / len(demos)
+    for i, (obs, act) in enumerate(zip(demos.obs, demos.act, strict=True)):
+        times = np.arange(len(act)) if demos.times is None else demos.times[i]
+        mu[times, model.states(obs[: len(act)]), act.argmax(axis=1)] += 1 / len(demos)
     return mu
 
 

@@ -88,10 +88,10 @@ class ShapedML(Shaped):
         centre, spread = standardiser(act)
         x, u = (obs - f.mean) / f.std, (act - centre) / spread
         seen = (demos, world.rollout(noisy, self.rollouts, rng))
-        before = np.concatenate([(o[:-1] - f.mean) / f.std for e in seen for o in e.obs])
-        after = np.concatenate([(o[1:] - f.mean) / f.std for e in seen for o in e.obs])
-        acts = np.concatenate([(a - centre) / spread for e in seen for a in e.act])
-        dynamics = linear_fit(np.concatenate([before, acts], axis=1), after)
+        steps = [episodes.transitions() for episodes in seen]
+        before, acts, after = (np.concatenate(parts) for parts in zip(*steps, strict=True))
+        moved = np.concatenate([(before - f.mean) / f.std, (acts - centre) / spread], axis=1)
+        dynamics = linear_fit(moved, (after - f.mean) / f.std)
         A, B = np.split(dynamics, [world.obs_size], axis=1)
         hessian = inverse_lqr(A, B, -linear_fit(x, u), x, world.gamma, self.prior)
         hessian /= np.outer(spread, spread)

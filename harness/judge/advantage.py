@@ -15,14 +15,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from envs import EnvSpec
 from envs.spec import Tabular
+from harness.judge.stretches import Stretches
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
+from methods.network import standardiser
 from methods.tabular import action_values, greedy, policy_value, value_iteration
 
 LEAST_WEIGHT = 0.01
@@ -33,44 +34,39 @@ SAME = 1e-9
 
 class Comparison(NamedTuple):
     """distance: 0 where the advantages are the same but for scale, 1 where they are opposite, NaN where one
-    is 0 everywhere. rank: Spearman's correlation of the two."""
+    is 0 everywhere. rank: Spearman's correlation of the two. floor: the distance of the reward from a shaped
+    copy of itself, which would be 0 if replays never ended. epic: as of `epic_distance`, where the model is
+    known."""
 
     distance: float
     rank: float
+    floor: float = math.nan
+    epic: float = math.nan
 
 
 @dataclass(frozen=True)
-class Replays:
+class Replays(Stretches):
     """Pairs of replays from the same moments: N in which another action is taken first, then N in which not.
 
-    obs (M + 2 N, O), act (M, A): the steps of all, one replay after the other, with the last observation of
-    each. lengths: (2 N,), steps of each. advantage: (N,), of the true reward. gamma: (), the discount.
+    advantage: (N,), of the true reward. gamma: (), the discount.
     """
 
-    obs: NDArray[np.float32]
-    act: NDArray[np.float32]
-    lengths: NDArray[np.int64]
     advantage: Array
     gamma: Array
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """By name, for storage."""
-        return dict(vars(self))
-
     def advantage_of(self, reward: Reward) -> Array:
         """(N,): of the reward, with nothing to be had once an episode has terminated."""
-        ends = np.cumsum(self.lengths + 1) - 1
-        starts = ends - self.lengths
-        before = np.ones(len(self.obs), bool)
-        before[ends] = False
-        after = np.ones(len(self.obs), bool)
-        after[starts] = False
-        obs, act = self.obs.astype(np.float64), self.act.astype(np.float64)
-        paid = reward(obs[before], act, obs[after]) - reward.absorbing
-        age = np.arange(len(act)) - np.repeat(starts - np.arange(len(starts)), self.lengths)
-        values = np.add.reduceat(paid * self.gamma**age, starts - np.arange(len(starts)))
-        left, kept = np.split(values, 2)
+        left, kept = np.split(self.returns(reward, float(self.gamma)), 2)
         return np.asarray(left - kept)
+
+    def shaped(self, advantage: Array) -> Array:
+        """(N,): the advantage of the same reward shaped by a potential of observations, as large as the
+        largest advantage is: the same but for what discounting leaves where replays end."""
+        mean, std = standardiser(self.last)
+        direction = np.random.default_rng(0).normal(size=len(mean)) / np.sqrt(len(mean))
+        potential = np.abs(advantage).max() * np.tanh((self.last - mean) / std @ direction)
+        left, kept = np.split(self.gamma**self.lengths * np.where(self.terminated, 0, potential), 2)
+        return np.asarray(advantage + left - kept)
 
 
 def replay(spec: EnvSpec, expert: Policy, seeds: Sequence[int], rng: np.random.Generator) -> Replays:
@@ -102,21 +98,17 @@ def replay(spec: EnvSpec, expert: Policy, seeds: Sequence[int], rng: np.random.G
         rewards = episode.rewards[start:]
         return float(rewards @ spec.gamma ** np.arange(len(rewards)))
 
-    both = list(zip([*left, *kept], [*starts, *starts], strict=True))
-    values = np.array([value(episode, start) for episode, start in both])
-    return Replays(
-        np.concatenate([e.obs[t:] for e, t in both]).astype(np.float32),
-        np.concatenate([e.act[t:] for e, t in both]).astype(np.float32),
-        np.array([len(e.act) - t for e, t in both]),
-        values[:count] - values[count:],
-        np.array(spec.gamma),
-    )
+    episodes, starts = [*left, *kept], [*starts, *starts]
+    values = np.array([value(episode, start) for episode, start in zip(episodes, starts, strict=True)])
+    stretches = Stretches.of(episodes, starts)
+    return Replays(**vars(stretches), advantage=values[:count] - values[count:], gamma=np.array(spec.gamma))
 
 
 def sampled_comparison(reward: Reward | None, replays: Replays) -> Comparison:
     """Of a reward, None being the true one, over the replays."""
     own = replays.advantage if reward is None else replays.advantage_of(reward)
-    return compare(own, replays.advantage)
+    floor = compare(replays.shaped(own), own).distance
+    return compare(own, replays.advantage)._replace(floor=floor)
 
 
 def known_comparison(reward: Reward | None, tabular: Tabular, gamma: float) -> Comparison:
@@ -124,9 +116,8 @@ def known_comparison(reward: Reward | None, tabular: Tabular, gamma: float) -> C
     true = np.broadcast_to(tabular.reward[:, None], tabular.P.shape[:2])
     paid = true if reward is None else expected_rewards(tabular, reward)
     expert = greedy(value_iteration(tabular.P, tabular.reward, gamma)[1])
-    return compare(
-        policy_advantage(tabular.P, paid, expert, gamma), policy_advantage(tabular.P, true, expert, gamma)
-    )
+    own, known = (policy_advantage(tabular.P, r, expert, gamma) for r in (paid, true))
+    return compare(own, known)._replace(floor=0.0, epic=epic_distance(paid, true, gamma))
 
 
 def policy_advantage(P: Array, r: Array, policy: Array, gamma: float) -> Array:
@@ -136,8 +127,23 @@ def policy_advantage(P: Array, r: Array, policy: Array, gamma: float) -> Array:
     return np.where(np.abs(advantage) > SAME * np.abs(r).max() / (1 - gamma), advantage, 0.0)
 
 
+def epic_distance(own: Array, true: Array, gamma: float) -> float:
+    """EPIC (Gleave et al. 2021) of rewards (S, A), all states, actions and next states being as likely: 0 for
+    equals but for scale, shift and shaping, 1 for opposites, NaN where one is constant. It tells a reward
+    from its own advantage, and asks for the true reward of steps that no dynamics take."""
+
+    def canonical(r: Array) -> Array:
+        mean = r.mean(axis=1)
+        return np.asarray((r - mean[:, None])[:, :, None] + gamma * mean).ravel()
+
+    a, b = canonical(own), canonical(true)
+    if np.ptp(a) <= SAME * np.abs(own).max() or np.ptp(b) <= SAME * np.abs(true).max():
+        return math.nan
+    return math.sqrt(max(0.0, (1 - float(np.corrcoef(a, b)[0, 1])) / 2))
+
+
 def compare(own: Array, true: Array) -> Comparison:
-    """Of two advantages of the same states and actions."""
+    """Distance and rank of two advantages of the same states and actions."""
     a, b = own.ravel(), true.ravel()
     size = np.linalg.norm(a) * np.linalg.norm(b)
     if size == 0:

@@ -46,7 +46,7 @@ NEGLIGIBLE = 0.005
 """Differences of scores up to this are none."""
 GOOD = 0.95
 """Runs that score less are counted."""
-UNSCORED = ("not scored", "no expert better than a random policy to measure by")
+UNSCORED = ("not scored", "what would score 1 is missing, or no better than a random policy")
 Scales = Mapping[tuple[str, int], tuple[float, float]]
 """By env and seed: the random policy's return, and how much better the expert's is."""
 
@@ -91,7 +91,9 @@ class Entry:
     share_of_true: float
     """Of pi_R rows: score_mean in units of what RL reaches on the true reward with as many steps."""
     reward_distance: float
+    reward_floor: float
     reward_rank: float
+    policy_ranking: float
     return_mean: float
     return_low: float
     return_high: float
@@ -291,7 +293,9 @@ def _entry(
         above_best_lower_control=above,
         share_of_true=share,
         reward_distance=_mean([row.reward_distance for row in ok]),
+        reward_floor=_mean([row.reward_floor for row in ok]),
         reward_rank=_mean([row.reward_rank for row in ok]),
+        policy_ranking=_mean([row.policy_ranking for row in ok]),
         return_mean=_mean([row.return_mean for row in ok]),
         return_low=returns[0],
         return_high=returns[1],
@@ -336,17 +340,18 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
-    """Boards on which a control that knows nothing scores about as much as the best method's pi_R or more,
-    and which one does."""
+    """Of entries of one board an env, the envs in which a control that knows nothing scores about as much as
+    the best method's pi_R or more, and which one does."""
+    boards: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if entry.policy == "pi_R":
+            boards.setdefault(entry.env, []).append(entry)
     found = {}
-    for board in dict.fromkeys(entry.board for entry in entries):
-        mine = [entry for entry in entries if (entry.board, entry.policy) == (board, "pi_R")]
+    for env, mine in boards.items():
         best = max((e.score_mean for e in mine if e.role == "method" and e.seeds_ok), default=math.nan)
         for entry in mine:
             if entry.method in UNINFORMED and entry.score_mean >= best - NO_BETTER:
-                found[board] = (
-                    f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
-                )
+                found[env] = f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
     return found
 
 

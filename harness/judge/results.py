@@ -165,8 +165,14 @@ class Row:
     """(J - J_random) / (J_expert - J_random), undiscounted; known once the env's reference cell is."""
     reward_distance: float = math.nan
     """Of pi_R rows: how far the reward is from the true one, in [0, 1] (`harness.judge.advantage`)."""
+    reward_floor: float = math.nan
+    """Of pi_R rows: the distance of the reward from a shaped copy of itself, which ought to be 0."""
     reward_rank: float = math.nan
     """Of pi_R rows: Spearman's correlation of the advantages under the two."""
+    reward_epic: float = math.nan
+    """Of pi_R rows, where the model is known: the EPIC distance, for comparison with other work."""
+    policy_ranking: float = math.nan
+    """Of pi_R rows: that of policies' mean returns under the two (`harness.judge.ranking`)."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0
@@ -268,6 +274,17 @@ def before(cell: Cell) -> Cell | None:
         return dataclasses.replace(cell, method="bc", dynamics=NOMINAL)
     fitted = cell.dynamics != NOMINAL and cell.method not in UNSHOWN
     return dataclasses.replace(cell, dynamics=NOMINAL) if fitted else None
+
+
+def name_of(shown: Shown) -> str:
+    """The name, among what cells share, of the demonstrations that are shown."""
+    return f"demonstrations {shown}"
+
+
+def needs(cell: Cell, name: str) -> bool:
+    """Whether the cell uses what is shared under this name: of demonstrations those that it is shown."""
+    is_shown = name.startswith(name_of(ALL_SHOWN))
+    return not is_shown or (cell.method not in UNSHOWN and name == name_of(cell.shown))
 
 
 def artifact_of(cell: Cell) -> str:

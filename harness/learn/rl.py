@@ -118,7 +118,7 @@ class Agent:
             self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
         self.env_steps += steps
 
-    def best(self, reward: Reward | Payment | None) -> Solution:
+    def best(self, reward: Reward | None) -> Solution:
         """The best checkpoint of what was learned last, under the reward. Raises ValueError where nothing was
         learned yet."""
         if not self._checkpoints:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from harness.registry import ENVS, SPECS
 
-PACKAGES = ("envs", "methods", "harness")
-"""Whose dataclasses are loaded."""
+ROOMS = ("envs", "methods", "harness.learn", "harness.judge")
+"""Whose dataclasses are stored and loaded: importing one of their modules does nothing else."""
 
 
 def to_arrays(thing: object, name: str) -> tuple[dict[str, NDArray[Any]], Any]:
@@ -32,7 +32,7 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
     """The inverse of `to_arrays`. Raises ValueError for anything that it did not write."""
     try:
         return _built(arrays, described)
-    except (KeyError, TypeError, AttributeError, ImportError, RecursionError) as error:
+    except (LookupError, TypeError, AttributeError, ImportError, RecursionError, ArithmeticError) as error:
         raise ValueError(f"nothing that was stored here: {error}") from error
 
 
@@ -50,7 +50,7 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
         return {"env": thing.name}
     kind = type(thing)
     if not dataclasses.is_dataclass(kind) or not _is_ours(kind.__module__):
-        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(PACKAGES)}")
+        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(ROOMS)}")
     fields = {field.name: getattr(thing, field.name) for field in dataclasses.fields(kind) if field.init}
     parts = {key: _described(value, f"{name}.{key}", arrays) for key, value in fields.items()}
     return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": parts}
@@ -71,7 +71,7 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
             module, _, attribute = target.partition(":")
             kind = getattr(importlib.import_module(module), attribute) if _is_ours(module) else None
             if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
-                raise ValueError(f"{target!r} is no dataclass of {', '.join(PACKAGES)}")
+                raise ValueError(f"{target!r} is no dataclass of {', '.join(ROOMS)}")
             return kind(**{key: _built(arrays, value) for key, value in fields.items()})
     raise ValueError(f"{str(described)[:40]!r} is nothing that was stored here")
 
@@ -88,4 +88,4 @@ def _compact(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in PACKAGES
+    return f"{module}.".startswith(tuple(f"{room}." for room in ROOMS))

@@ -23,7 +23,7 @@ LARGEST = 1 << 28
 
 
 def artifact(
-    cell: Cell, conditions: Conditions, learned: Mapping[str, Policy | Reward]
+    cell: Cell, conditions: Conditions, learned: Mapping[str, Policy | Reward | None]
 ) -> tuple[bytes, list[str]]:
     """The file of a cell, and why some of what was learned cannot be in it; '' where nothing can."""
     arrays, parts, troubles = dict[str, Any](), dict[str, Any](), []
@@ -38,8 +38,8 @@ def artifact(
 
 
 def read_artifact(path: Path) -> dict[str, Any]:
-    """Policies and rewards by name: 'pi_star', 'reward' and 'pi_R', or 'expert', as far as there are any.
-    Raises BadInput where the file is none, or damaged."""
+    """Policies and rewards by name: 'pi_star', 'reward', None where the method learns none, and 'pi_R', or
+    'expert', as far as there are any. Raises BadInput where the file is none, or damaged."""
     try:
         with opened(path) as file:
             data = file.read(LARGEST + 1)
@@ -59,6 +59,7 @@ def learned_in(data: bytes) -> dict[str, Any]:
         learned = {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}
     except (KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(str(error)) from error
-    if not all(map(callable, learned.values())):
+    things = [thing for name, thing in learned.items() if (name, thing) != ("reward", None)]
+    if not things or not all(map(callable, things)):
         raise ValueError("what is neither a policy nor a reward")
     return learned

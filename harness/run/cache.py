@@ -7,6 +7,7 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,8 @@ def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kep
     try:
         _write(path, data)
     except OSError:
-        _write(spare, data)
+        with suppress(OSError):
+            _write(spare, data)
     return computed
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, cast
 
@@ -28,7 +28,6 @@ from harness.judge.results import (
     Curve,
     PolicyName,
     Row,
-    Shown,
     row_of,
     thinned,
 )
@@ -76,7 +75,7 @@ def run_cell(
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     """What these cells, of one environment and seed, share."""
-    shown = {shown_to(cell, conditions) for cell in cells if cell.method not in UNSHOWN}
+    shown = {cell.shown for cell in cells if cell.method not in UNSHOWN}
     return shared_by(cells[0].env, cells[0].seed, sorted(shown), conditions)
 
 
@@ -171,14 +170,9 @@ def reference(task: Task) -> list[Made]:
 def demonstrations(task: Task) -> Episodes:
     """Those of this environment and seed, the same for every method."""
     with task.during("demonstrate"):
-        demos = task.shared.demonstrations(shown_to(task.cell, task.conditions))
+        demos = task.shared.demonstrations(task.cell.shown)
     task.noted["pairs"] = sum(map(len, demos.act))
     return demos
-
-
-def shown_to(cell: Cell, conditions: Conditions) -> Shown:
-    """What is shown to a cell's method, as many demonstrations as the budget says included."""
-    return replace(cell.shown, demos=cell.shown.demos or SPECS[cell.env].demo_episodes[conditions.budget])
 
 
 def carried(task: Task) -> Made | None:
@@ -250,10 +244,13 @@ def measured(task: Task, reward: Reward | None) -> dict[str, float]:
         return {}
     with task.during("measure"):
         if spec.tabular:
-            distance, rank = known_comparison(reward, spec.tabular, spec.gamma)
+            compared = known_comparison(reward, spec.tabular, spec.gamma)
         else:
-            distance, rank = sampled_comparison(reward, task.shared.replays)
-    return {"reward_distance": distance, "reward_rank": rank}
+            compared = sampled_comparison(reward, task.shared.replays)
+        found = {f"reward_{name}": value for name, value in compared._asdict().items()}
+        if ranked := task.shared.ranked:
+            found["policy_ranking"] = ranked.ranking(reward)
+    return found
 
 
 def score(task: Task, policy: Policy) -> Evaluation:
@@ -288,10 +285,12 @@ def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]
     """The file of what was learned, by its name, and why some of that is not in it."""
     if task.conditions.record == "none":
         return {}, []
-    learned: dict[str, Policy | Reward] = {one.name: one.policy for one in made if one.policy is not None}
+    learned: dict[str, Policy | Reward | None] = {
+        one.name: one.policy for one in made if one.policy is not None
+    }
     learned.pop("random", None)
-    if (reward := made[0].reward) is not None:
-        learned["reward"] = reward
+    if task.cell.method not in (REFERENCE, "control_true"):
+        learned["reward"] = made[0].reward
     with task.during("record"):
         data, lost = artifact(task.cell, task.conditions, learned)
     return ({f"{task.cell.name}.{KIND}": data} if data else {}), lost

@@ -30,7 +30,9 @@ class Costs:
 
     def __init__(self, conditions: Conditions) -> None:
         self._budget = conditions.budget
-        self._under = f"{conditions.budget}, {conditions.rl}, experts {conditions.experts}"
+        c = conditions
+        told = (c.rl, f"experts {c.experts}", *(() if c.retrain else ("without pi_R",)))
+        self._under = ", ".join([c.budget, *told])
         self._measured: dict[str, float] = _stored().get(self._under, {})
         self._noted: dict[str, float] = {}
 
@@ -52,7 +54,7 @@ class Costs:
 
     def _guess(self, job: Job) -> float:
         env = job.cells[0].env
-        known = [seconds for name, seconds in self._measured.items() if name.startswith(f"{env} ")]
+        known = [seconds for name, seconds in self._measured.items() if _is_cell_of(name, env)]
         if known and not job.shared:
             return sorted(known)[len(known) // 2]
         try:
@@ -60,6 +62,11 @@ class Costs:
         except Exception:  # whatever is wrong with an environment, its own cells tell
             return 1.0
         return steps / STEPS_PER_SECOND * (0.1 if job.shared else 1.0)
+
+
+def _is_cell_of(name: str, env: str) -> bool:
+    """Whether a job of this name is a cell of the environment."""
+    return name.startswith(f"{env} ") and name != f"{env} {SHARED}"
 
 
 def _name(job: Job) -> str:

@@ -17,11 +17,21 @@ from harness.run.cache import Kept, load
 from harness.run.files import read, sha256
 from harness.run.keys import EXPERTS, ROOT, expert_files
 from harness.run.sums import SUMS, readable
+from methods.network import Network
+
+KINDS = (False, True)
+"""Of experts, whether they are medium ones."""
 
 
 def folder() -> Path:
     """Where they are."""
     return next((ROOT / name for name in EXPERTS if (ROOT / name).is_dir()), ROOT / EXPERTS[0])
+
+
+def shipped_policies(env: str) -> list[Network]:
+    """A task's experts and medium ones; none where it has none."""
+    count = len(expert_files(env)) // len(KINDS)
+    return [Network.from_arrays(shipped(env, i, medium)[1].arrays) for medium in KINDS for i in range(count)]
 
 
 def shipped(env: str, seed: int, medium: bool = False) -> tuple[int, Kept]:

@@ -4,8 +4,8 @@ which rewards are measured. Each is made once, kept in the cache, and handed to 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, astuple, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.judge.advantage import Replays, replay
-from harness.judge.results import LEARNED, Conditions, Shown
+from harness.judge.ranking import Ranked, ranked
+from harness.judge.results import LEARNED, Conditions, Shown, name_of
 from harness.learn.rl import disturbed
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator
@@ -22,14 +23,16 @@ from harness.learn.world import solver_for, without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator
 from harness.run.artifacts import learned_in
 from harness.run.cache import Kept, as_bytes, from_bytes, kept
-from harness.run.expert_set import shipped
+from harness.run.expert_set import shipped, shipped_policies
 from harness.run.keys import experts_version
 from methods.base import Episodes, Policy
 from methods.network import Network
 
 REPLAYS = {"smoke": 20, "quick": 200, "full": 500}
 """States and actions by which a reward is compared with the true one, for each budget."""
-EXPERT, REPLAYED = "expert", "replays"
+RANKED = {"smoke": 1, "quick": 5, "full": 10}
+"""Episodes of each policy that a reward must rank, for each budget."""
+EXPERT, REPLAYED, RANKING = "expert", "replays", "ranking"
 """Names of what is handed to cells, beside those of demonstrations."""
 NOISE = 0.3
 """Standard deviation of the noise on a noisy demonstrator's actions, in [-1, 1]."""
@@ -77,9 +80,11 @@ def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions)
     expert, spec = expert_for(env, seed, conditions), SPECS[env]
     found = {EXPERT: _as_kept(expert)}
     for one in shown:
-        found[str(one)] = _demonstrations(expert, env, seed, one, conditions)
+        found[name_of(one)] = _demonstrations(expert, env, seed, one, conditions)
     if not spec.tabular:
         found[REPLAYED] = _replays(expert, env, seed, conditions)
+    if policies := [expert.policy] if spec.tabular else shipped_policies(env):
+        found[RANKING] = _ranking(policies, env, seed, conditions)
     return {name: as_bytes(what) for name, what in found.items()}
 
 
@@ -97,7 +102,7 @@ class Shared:
 
     def demonstrations(self, shown: Shown) -> Episodes:
         """What is shown, the same to every method."""
-        return _episodes(from_bytes(self.inputs[str(shown)]))
+        return _episodes(from_bytes(self.inputs[name_of(shown)]))
 
     @cached_property
     def learned(self) -> dict[str, Any]:
@@ -110,8 +115,16 @@ class Shared:
         """The same states and actions for every reward."""
         return Replays(**from_bytes(self.inputs[REPLAYED]).arrays)
 
+    @property
+    def ranked(self) -> Ranked | None:
+        """The same policies for every reward; None where the task has none."""
+        data = self.inputs.get(RANKING)
+        return Ranked(**from_bytes(data).arrays) if data else None
+
 
 def _demonstrations(expert: Expert, env: str, seed: int, shown: Shown, conditions: Conditions) -> Kept:
+    shown = replace(shown, demos=shown.demos or SPECS[env].demo_episodes[conditions.budget])
+
     def draw() -> Kept:
         spec = SPECS[env]
         policy = demonstrator(expert.policy, env, seed, shown.demonstrator, conditions)
@@ -160,6 +173,16 @@ def _replays(expert: Expert, env: str, seed: int, conditions: Conditions) -> Kep
         return Kept(replay(SPECS[env], expert.policy, evaluation_seeds(seed, count), rng).arrays(), {})
 
     return kept(f"replays{seed}", env, _asked(expert, conditions, count), sample)
+
+
+def _ranking(policies: Sequence[Policy], env: str, seed: int, conditions: Conditions) -> Kept:
+    count = RANKED[conditions.budget]
+
+    def sample() -> Kept:
+        rng = rng_for(seed, env, "ranking")
+        return Kept(ranked(SPECS[env], policies, evaluation_seeds(seed, count), rng).arrays(), {})
+
+    return kept(f"ranking{seed}", env, [experts_version(env), count], sample)
 
 
 def _asked(expert: Expert, conditions: Conditions, count: object) -> list[object]:

@@ -116,12 +116,12 @@ def share_lock(handle: int) -> bool:
     return True
 
 
-def read(path: Path) -> bytes:
-    """What is in the regular file at `path`. Raises OSError as `opened` does, and for more than `LARGEST`."""
+def read(path: Path, most: int = LARGEST) -> bytes:
+    """What is in the regular file at `path`. Raises OSError as `opened` does, and for more."""
     with opened(path) as file:
-        data = file.read(LARGEST + 1)
-    if len(data) > LARGEST:
-        raise _too_large(path, LARGEST)
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise _too_large(path, most)
     return data
 
 

@@ -20,6 +20,7 @@ from harness.judge.results import (
     before,
     failed_rows,
     files_of,
+    needs,
 )
 from harness.run.codec import decode
 from harness.run.costs import Costs
@@ -118,7 +119,9 @@ class _Schedule:
         self.progress.started(job.name)
         self.started[job.name] = time.monotonic()
         if not job.shared:
-            inputs, source = dict(self.inputs[_group(job)]), before(job.cells[0])
+            (cell,) = job.cells
+            shared, source = self.inputs[_group(job)], before(cell)
+            inputs = {name: data for name, data in shared.items() if needs(cell, name)}
             if source and (learned := self.grid.sink.learned(source)):
                 inputs[LEARNED] = learned
             job = replace(job, inputs=inputs)

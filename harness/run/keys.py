@@ -98,12 +98,18 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     keys = {}
     for cell in cells:
         if cell.env not in tasks:
-            asked = [dataclasses.asdict(conditions), experts_version(cell.env)]
+            asked = [dataclasses.asdict(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
             tasks[cell.env] = _digest(sources(CELLS, *_module(ENVS, cell.env)), asked, installed)
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)
             settings = settings_for(method, cell.env, conditions.budget)
-            asked = [method, settings, dataclasses.asdict(cell.shown), cell.dynamics]
+            asked = [
+                method,
+                _target(METHODS | VARIANTS, method),
+                settings,
+                dataclasses.asdict(cell.shown),
+                cell.dynamics,
+            ]
             methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, [])
         keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
     return keys
@@ -157,9 +163,14 @@ def _imported(source: bytes) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _target(known: Mapping[str, Entry], name: str) -> str:
+    """What the registry says it is, '' where it is not known."""
+    return known[name].target if name in known else ""
+
+
 def _module(known: Mapping[str, Entry], name: str) -> list[str]:
     """Where it is, if it is known."""
-    return [known[name].target.partition(":")[0]] if name in known else []
+    return [_target(known, name).partition(":")[0]] if name in known else []
 
 
 def _installed() -> list[object]:

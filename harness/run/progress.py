@@ -57,20 +57,22 @@ class _Tally:
     def __init__(self, costs: dict[str, float], workers: int) -> None:
         self.costs = costs
         self.workers = workers
-        self.waiting = set(costs)
+        self.waiting = dict(costs)
         self.running: dict[str, float] = {}
         """When each task started, in seconds of `time.monotonic`."""
         self.failed = 0
+        self._left = sum(costs.values())
+        """What is expected of those that wait."""
         self._spent = self._done = 0.0
         self._start = time.monotonic()
 
     def begin(self, name: str) -> None:
-        self.waiting.discard(name)
+        self._left -= self.waiting.pop(name, 0.0)
         self.running[name] = time.monotonic()
 
     def end(self, name: str, status: str) -> float | None:
         """Seconds that the task took; None if it never ran."""
-        self.waiting.discard(name)
+        self._left -= self.waiting.pop(name, 0.0)
         self.failed += status == "failed"
         if name not in self.running:
             return None
@@ -94,7 +96,7 @@ class _Tally:
             return "?"
         pace = self._spent / self._done
         now = time.monotonic()
-        rest = sum(self.costs[name] * pace for name in self.waiting)
+        rest = max(self._left * pace, 0.0)
         of_running = [max(self.costs[name] * pace - now + start, 0.0) for name, start in self.running.items()]
         return clock(max([(rest + sum(of_running)) / self.workers, *of_running]))
 

@@ -43,6 +43,7 @@ from harness.run.sums import (
     SUMS,
     as_lines,
     in_words,
+    listed_in,
     mend_last_line,
     named,
     readable,
@@ -108,9 +109,11 @@ class RunDirectory:
         append(self.path / SUMS, as_lines(noted).encode())
 
     def learned(self, cell: Cell) -> bytes:
-        """The artifact of a cell, empty where there is none."""
-        with suppress(OSError):
-            return read(self.path / artifact_of(cell))
+        """The artifact of a cell that counts for this run; empty where there is none, or it is damaged."""
+        with suppress(OSError, ValueError):
+            stored = self._load(self.path / "cells" / f"{cell.name}.json")
+            if stored.artifacts:
+                return read(self.path / artifact_of(cell))
         return b""
 
     def log(self, printed: bytes) -> None:
@@ -249,7 +252,7 @@ class RunDirectory:
 
     def _noted(self) -> dict[str, str]:
         """Checksums of files by their names. Raises ValueError for anything but such a list."""
-        data = read(self.path / SUMS)
+        data = listed_in(self.path / SUMS)
         noted = dict(map(named, data.decode().splitlines()))
         if REPORT_KEY in noted and not why_damaged(self.path / REPORT_KEY, noted[REPORT_KEY]):
             _, seal = self._report_key()
@@ -260,7 +263,7 @@ class RunDirectory:
     def _listed(self) -> dict[str, str]:
         """The same, as far as it can be read."""
         try:
-            return readable(read(self.path / SUMS))
+            return readable(listed_in(self.path / SUMS))
         except OSError:
             return {}
 

@@ -12,6 +12,13 @@ from harness.run.files import appending, read, sha256
 
 SUMS = "SHA256SUMS"
 """What such a list is called."""
+LARGEST = 1 << 28
+"""Bytes of one, at most: more than the largest run can list."""
+
+
+def listed_in(path: Path) -> bytes:
+    """What is in such a list. Raises OSError where it cannot be read."""
+    return read(path, LARGEST)
 
 
 def as_lines(noted: Iterable[tuple[str, str]]) -> str:
@@ -60,6 +67,6 @@ def in_words(error: Exception) -> str:
 def mend_last_line(sums: Path) -> None:
     """Ends a list, made if it is not there, with a whole line, where a crash left a part of one."""
     with appending(sums) as file:
-        data = read(sums)
+        data = listed_in(sums)
         if not data.endswith(b"\n"):
             file.truncate(data.rfind(b"\n") + 1)

@@ -113,7 +113,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
     figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
     axes = figure.add_subplot()
-    top = "expert" if entries[0].dynamics == NOMINAL else "RL on the true reward"
+    top = _top(entries)
     for value, name in ((0.0, "random"), (1.0, top)):
         axes.axvline(value, color="#888888", linewidth=1, linestyle="--", zorder=0)
         axes.text(value, 1.01, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
@@ -154,8 +154,13 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     shown += [entry.score_mean for entry in entries if math.isfinite(entry.score_mean)]
     low, high = min([0.0, *shown]), max([1.0, *shown])
     axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
-    alt = f"Mean normalized scores in {env} (0 random, 1 expert): {'; '.join(told)}."
+    alt = f"Mean normalized scores in {env} (0 random, 1 {_top(entries)}): {'; '.join(told)}."
     return picture(f"{file_of(env)}_scores.png", f"{env}: normalized scores", alt, figure)
+
+
+def _top(entries: Sequence[Entry]) -> str:
+    """What scores 1."""
+    return "expert" if entries[0].dynamics == NOMINAL else "RL on the true reward"
 
 
 def file_of(board: str) -> str:
@@ -165,7 +170,7 @@ def file_of(board: str) -> str:
 
 def _why(entry: Entry) -> str:
     """Why there is no score, in a line."""
-    text = " ".join(entry.note.split()) or "no score: it takes an expert better than random"
+    text = " ".join(entry.note.split()) or "no score: what would score 1 is missing, or no better than random"
     return text if len(text) <= 70 else text[:69] + "…"
 
 

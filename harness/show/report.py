@@ -30,6 +30,7 @@ from harness.judge.results import (
     CellResult,
     Request,
     Row,
+    Shown,
     as_seeds,
     command_of,
 )
@@ -38,7 +39,13 @@ from harness.show.axes import draw_axes
 
 HEADINGS = (
     *("Method", "Role", "Policy", "Seeds ok", "Score [95 %]", "Behind the best [95 %]"),
-    *("Above best lower control", "Share of control_true", "Reward: distance", "Reward: rank"),
+    *(
+        "Above best lower control",
+        "Share of control_true",
+        "Reward: distance (floor)",
+        "Reward: rank",
+        "Policies: rank",
+    ),
     *("Return [95 %]", "Note"),
 )
 COST_HEADINGS = ("Method", "Policy", "Seconds", "Env steps", "Check steps", "RL solves", "Discounted return")
@@ -72,7 +79,8 @@ def report_files(
     }
 
     boards = _boards(entries, rows, results)
-    flags = {name: _why_no_result(board.entries[0].env, request, results) for name, board in boards.items()}
+    whys = {env: _why_no_result(env, request, results) for env in dict.fromkeys(e.env for e in entries)}
+    flags = {name: whys[board.entries[0].env] for name, board in boards.items()}
     tables = {
         name: [
             (HEADINGS, [_cells(entry) for entry in board.entries]),
@@ -81,15 +89,18 @@ def report_files(
         ]
         for name, board in boards.items()
     }
-    left_out = indistinct(entries)
+    shown, own = _compared_across(rows)
+    left_out = indistinct([e for e in entries if e.dynamics == NOMINAL and e.shown == shown])
     across = [
         [
             *(x.method, x.policy, str(x.envs), str(x.runs)),
             *(_range(x.score, x.low, x.high, "z.2f"), f"{x.below:.0%}"),
         ]
-        for x in overall(_own_dynamics(rows), tuple(left_out))
+        for x in overall(own, tuple(left_out))
     ]
-    apart = [f"{name} is left out: {why}" for name, why in left_out.items()] if len(boards) > 1 else []
+    several = len({row.env for row in own}) > 1
+    apart = [f"{env} is left out: {why}" for env, why in left_out.items()] if several else []
+    apart += [f"of boards with {shown}"] if several and str(shown) else []
     flag = f"{NO_RESULT}: " if any(flags.values()) else ""
     parts = [f"# {flag}Leaderboard\n", "".join(f"- {_escaped(line)}\n" for line in made)]
     if across or apart:
@@ -97,8 +108,8 @@ def report_files(
         table = _markdown(OVERALL_HEADINGS, across) if across else ""
         parts.append(f"## Across environments\n\n{said}\n{table}")
     for name, its_tables in tables.items():
-        shown = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
-        parts.append(f"## {name}{f': {NO_RESULT}, {flags[name]}' if flags[name] else ''}\n\n{shown}")
+        text = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
+        parts.append(f"## {name}{f': {NO_RESULT}, {flags[name]}' if flags[name] else ''}\n\n{text}")
     origins, spent = _origins(results), _spent(results)
     if spent:
         parts.append(f"## Where the time went\n\n{_markdown(SPENT_HEADINGS, spent)}")
@@ -121,9 +132,9 @@ def report_files(
         env: draw_axes(
             env,
             [e for e in entries if e.env == env],
-            f"{NO_RESULT}: {why}" if (why := _why_no_result(env, request, results)) else "",
+            f"{NO_RESULT}: {why}" if why else "",
         )
-        for env in dict.fromkeys(entry.env for entry in entries)
+        for env, why in whys.items()
     }
     files |= {f"figures/{one.file}": one.png for its in over.values() for one in its}
 
@@ -182,11 +193,12 @@ def _boards(entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[Cel
     return boards
 
 
-def _own_dynamics(rows: Sequence[Row]) -> list[Row]:
-    """Those of envs as they are, on their first boards."""
+def _compared_across(rows: Sequence[Row]) -> tuple[Shown, list[Row]]:
+    """What is shown to those that are compared across envs, the first that is shown anywhere; and their rows,
+    in dynamics as they are."""
     nominal = [row for row in rows if row.dynamics == NOMINAL]
-    first = {env: shown_in([row for row in nominal if row.env == env])[0] for env in {r.env for r in nominal}}
-    return [row for row in nominal if is_on(row, first[row.env])]
+    shown = shown_in(nominal)[0]
+    return shown, [row for row in nominal if is_on(row, shown)]
 
 
 def _seeds(seeds: Sequence[int]) -> str:
@@ -265,6 +277,11 @@ def _range(mean: float, low: float, high: float, spec: str) -> str:
     return _number(mean, spec) + (f" [{low:{spec}}, {high:{spec}}]" if math.isfinite(low) else "")
 
 
+def _with_floor(entry: Entry) -> str:
+    floor = f" ({entry.reward_floor:z.2f})" if math.isfinite(entry.reward_floor) else ""
+    return _number(entry.reward_distance, "z.2f") + floor
+
+
 def _cells(entry: Entry) -> list[str]:
     """The entry for people, in the order of HEADINGS."""
     behind = _range(entry.behind_mean, entry.behind_low, entry.behind_high, "+z.2f")
@@ -287,8 +304,9 @@ def _cells(entry: Entry) -> list[str]:
         behind,
         _number(entry.above_best_lower_control, "+z.2f") if learned else "",
         _number(entry.share_of_true, "z.2f") if learned else "",
-        _number(entry.reward_distance, "z.2f") if learned else "",
+        _with_floor(entry) if learned else "",
         _number(entry.reward_rank, "z.2f") if learned else "",
+        _number(entry.policy_ranking, "z.2f") if learned else "",
         _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
         " ".join("; ".join(note).split()),
     ]
@@ -351,5 +369,7 @@ def _warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
     if len(machines) > 1:
         found.append("the cells were computed on different machines or with different versions, see the end")
     for task, seed in sorted(unscored):
-        found.append(f"{task}, seed {seed}: no normalized scores, for want of an expert better than random")
+        found.append(
+            f"{task}, seed {seed}: no scores: what would score 1 is missing, or no better than random"
+        )
     return found

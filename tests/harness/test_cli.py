@@ -14,9 +14,9 @@ from types import MappingProxyType
 
 import pytest
 
-from harness import cli, registry
+from harness import cli, commands, registry
 from harness.judge.results import CellResult, Request
-from harness.run import engines, grid, isolated, store
+from harness.run import engines, grid, isolated, keys, store
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 
@@ -38,7 +38,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.setattr(engines, "Inline", engines.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
-    monkeypatch.setattr(cli, "_handle_signals", lambda: None)
+    monkeypatch.setattr(commands, "handle_signals", lambda: None)
     fake_cells.install()
 
     def call(*argv: str) -> tuple[int, str, str]:
@@ -280,6 +280,18 @@ def test_inline_cells_take_no_others_with_them(main: Main, tmp_path: Path, behav
     assert code == (behaviour != "changes_its_process")
     assert f"a table of {PER_SEED + 1} cells" in out
     assert Path.cwd() == tmp_path
+
+
+def test_inline_cells_are_computed_again_after_an_edit(
+    main: Main, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = (*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
+    assert main(*asked)[0] == 0
+    edited = {**keys.program(), "harness/learn/rl.py": b"# edited\n"}
+    monkeypatch.setattr(keys, "program", lambda: edited)
+    code, out, _ = main(*asked)
+    assert code == 0
+    assert f"{PER_SEED + 1} cells to run" in out
 
 
 def test_inline_cells_replace_none_of_another_engine(main: Main, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness import cli
+from harness import cli, commands
 from harness.judge.results import Cell, CellResult, Request
 from harness.registry import ENVS, METHODS, VARIANTS
 from harness.run.store import RunDirectory
@@ -81,10 +81,10 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
             contextlib.redirect_stderr(err),
         ):
             patch.chdir(place)
-            patch.setattr(cli, "_compute", compute)
-            patch.setattr(cli, "_write_report", lambda run, results, anew: True)
+            patch.setattr(commands, "_compute", compute)
+            patch.setattr(commands, "_write_report", lambda run, results, anew: True)
             patch.setattr("harness.reproduce.write_study", write_study)
-            patch.setattr(cli, "_handle_signals", lambda: None)
+            patch.setattr(commands, "handle_signals", lambda: None)
             code = cli.main(argv)
         assert code in (0, 1, 2)
         if code == 2:

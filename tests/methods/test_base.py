@@ -25,6 +25,22 @@ def test_pairs_hold_every_step_once_and_never_the_last_observation(lengths: list
         assert not (obs == last).all(axis=1).any()
 
 
+def test_transitions_are_of_steps_that_follow_each_other() -> None:
+    obs = tuple(np.arange(n + 1.0)[:, None] + 100 * n for n in (4, 7))
+    act = tuple(np.linspace(-1, 1, n)[:, None] for n in (4, 7))
+    episodes = Episodes(obs, act, (False, False))
+    before, done, after = episodes.transitions()
+    np.testing.assert_array_equal(done, np.concatenate(act))
+    np.testing.assert_array_equal(after, before + 1)
+    assert len(before) == 11
+    times = (np.array([0, 1, 3]), np.array([2, 5, 6]))
+    some = [tuple(rows[at] for rows, at in zip(column, times, strict=True)) for column in (obs, act)]
+    before, done, after = Episodes(*some, (False, False), times, (4, 7)).transitions()
+    assert before[:, 0].tolist() == [400, 705]
+    assert after[:, 0].tolist() == [401, 706]
+    np.testing.assert_array_equal(done, [act[0][0], act[1][5]])
+
+
 def test_episodes_cannot_be_written_to() -> None:
     demos = episodes([4])
     with pytest.raises(ValueError, match="read-only"):

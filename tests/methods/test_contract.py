@@ -71,6 +71,11 @@ def test_it_returns_a_deterministic_policy_and_a_finite_reward(
     check(method.fit(demos, world, np.random.default_rng(0)))
 
 
+def test_so_it_does_of_steps_that_are_far_apart(method: Method, demos: Episodes, world: Any) -> None:
+    few = demos.every(2, np.random.default_rng(0))
+    check(method.fit(few, world, np.random.default_rng(0)))
+
+
 def test_so_it_does_where_the_model_is_known(method: Method, finite_world: Any) -> None:
     def fit(seed: int) -> Learned:
         world = finite_world(objectworld(4, 3, 2, 0.3, np.random.default_rng(0)))

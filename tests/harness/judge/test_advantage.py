@@ -17,6 +17,7 @@ from envs.spec import Tabular
 from harness.judge.advantage import (
     Comparison,
     compare,
+    epic_distance,
     known_comparison,
     policy_advantage,
     replay,
@@ -26,6 +27,7 @@ from harness.learn.seeds import rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
+from harness.run.expert_set import shipped_policies
 from methods.base import Array, Reward
 from methods.rewards import Constant
 from methods.shaped import Shaped
@@ -59,10 +61,10 @@ class Other:
 
 
 def test_the_true_reward_and_its_equals_have_distance_0_and_its_negative_1(steady: EnvSpec) -> None:
-    assert compared(steady, None) == (0, pytest.approx(1))
-    assert compared(steady, Seek()) == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
-    assert compared(steady, Seek(scale=30.0)) == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
-    assert compared(steady, Seek(scale=-1.0)) == (pytest.approx(1, abs=1e-3), pytest.approx(-1, abs=1e-3))
+    assert compared(steady, None)[:2] == (0, pytest.approx(1))
+    assert compared(steady, Seek())[:2] == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
+    assert compared(steady, Seek(scale=30.0))[:2] == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
+    assert compared(steady, Seek(scale=-1.0))[:2] == (pytest.approx(1, abs=1e-3), pytest.approx(-1, abs=1e-3))
     assert 0.05 < compared(steady, Seek(side=0.0)).distance < 0.9
     shifted = Other(Seek(), lambda paid, *_: 3 * paid + 7, absorbing=7.0)
     assert compared(steady, shifted).distance < 1e-3
@@ -89,7 +91,8 @@ def test_a_reward_that_never_varies_has_no_distance(steady: EnvSpec, level: floa
     assert all(map(math.isnan, compared(steady, Constant(level, absorbing=level))))
     tabular = SPECS["gridworld"].tabular
     assert tabular is not None
-    assert all(map(math.isnan, known_comparison(Constant(level, absorbing=level), tabular, 0.95)))
+    known = known_comparison(Constant(level, absorbing=level), tabular, 0.95)
+    assert all(map(math.isnan, (known.distance, known.rank, known.epic)))
 
 
 def test_replays_differ_in_one_action_and_what_follows(fragile: EnvSpec) -> None:
@@ -162,9 +165,36 @@ class TrulyShaped:
 def test_where_the_model_is_known_so_is_the_distance() -> None:
     spec = SPECS["gridworld"]
     assert spec.tabular is not None
-    assert known_comparison(None, spec.tabular, spec.gamma) == (0, pytest.approx(1))
+    same = pytest.approx(0, abs=1e-6)
+    assert known_comparison(None, spec.tabular, spec.gamma) == (0, pytest.approx(1), 0, same)
     shaped = known_comparison(TrulyShaped(spec.tabular, spec.gamma), spec.tabular, spec.gamma)
-    assert shaped == (pytest.approx(0, abs=1e-6), pytest.approx(1))
+    assert shaped[:3] == (same, pytest.approx(1), 0)
+
+
+def test_the_floor_is_the_distance_of_a_shaped_copy(steady: EnvSpec, fragile: EnvSpec) -> None:
+    assert compared(steady, Seek()).floor == 0  # what is done changes nothing of where it ends
+    (expert, *_), rng = shipped_policies("swingup"), np.random.default_rng(0)
+    soon, late = (
+        sampled_comparison(None, replay(dataclasses.replace(SPECS["swingup"], gamma=g), expert, SEEDS, rng))
+        for g in (0.99, 0.9)
+    )
+    assert 1e-6 < late.floor < 0.02 < soon.floor < 0.5
+    # What ends for good leaves nothing to a potential.
+    replays = replay(fragile, best, SEEDS, rng_for(0, "advantage"))
+    assert replays.terminated.any()
+    dead = dataclasses.replace(replays, terminated=np.ones_like(replays.terminated))
+    np.testing.assert_array_equal(dead.shaped(replays.advantage), replays.advantage)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_epic_is_0_for_equals_but_not_for_advantages(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    P, r = random_mdp(rng)
+    assert epic_distance(2 * r + 5, r, GAMMA) == pytest.approx(0, abs=1e-6)
+    assert epic_distance(-r, r, GAMMA) == pytest.approx(1)
+    assert math.isnan(epic_distance(np.ones_like(r), r, GAMMA))
+    q = value_iteration(P, r, GAMMA)[1]
+    assert epic_distance(q - q.max(axis=1, keepdims=True), r, GAMMA) > 0.25
 
 
 def best_feedback() -> Array:

@@ -69,7 +69,10 @@ def test_a_seed_without_a_reference_is_named() -> None:
     assert shaped
     for entry in shaped:
         assert (entry.seeds_ok, entry.status) == (3, "ok")
-        assert entry.note == "not scored (seed 1): no expert better than a random policy to measure by"
+        assert (
+            entry.note
+            == "not scored (seed 1): what would score 1 is missing, or no better than a random policy"
+        )
 
 
 def test_differences_to_the_best_are_paired_by_seed() -> None:

@@ -30,6 +30,8 @@ from harness.judge.results import (
     before,
     command_of,
     files_of,
+    name_of,
+    needs,
     row_of,
 )
 from harness.learn.seeds import rng_for
@@ -222,6 +224,14 @@ def test_each_board_has_its_own_scale_and_what_nothing_is_shown_to() -> None:
         assert found[board, "control_true", "pi_R"].seeds == 1
 
 
+def test_a_cell_is_handed_what_it_is_shown_and_no_other_demonstrations() -> None:
+    names = [*map(name_of, MANY.shown), "expert", "replays"]
+    for shown in MANY.shown:
+        cell = Cell("swingup", "shaped", 0, shown)
+        assert [n for n in names if needs(cell, n)] == [name_of(shown), "expert", "replays"]
+    assert [n for n in names if needs(Cell("swingup", "control_true", 0), n)] == ["expert", "replays"]
+
+
 @pytest.mark.usefixtures("cache")
 def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -249,6 +259,9 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
             name: read_artifact(out / "artifacts" / f"{name}__shaped__seed0__2_demos__every_7.safetensors")
             for name in ("swingup", "swingup.flipped")
         }
+        flipped = rows[rows["dynamics"] == "flipped"].set_index(["method", "policy"])
+        for method in ("shaped", "bc"):  # which fit nothing there
+            assert flipped.loc[(method, "pi_star"), "fit_seconds"].isna().all()
         obs = rng_for(0, "any").normal(size=(20, 3))
         act = kept["swingup"]["pi_star"](obs)
         assert np.array_equal(act, kept["swingup.flipped"]["pi_star"](obs))
@@ -274,6 +287,11 @@ def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["--demonstrator", "nobody"], "invalid choice"),
         (["--demonstrator", "medium", "--experts", "trained"], "shipped"),
         (["--envs", "gridworld", "--transfer"], "no other dynamics"),
+        (
+            ["--envs", "cartpole,gridworld", "--demonstrator", "medium"],
+            "no medium demonstrators",
+        ),
+        (["--envs", "swingup", "--transfer", "--no-retrain"], "leave out --no-retrain"),
     ):
         assert main([*base, *more]) == 2
         err = capsys.readouterr().err

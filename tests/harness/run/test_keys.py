@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from harness import registry
 from harness.judge.results import Cell, Conditions
 from harness.run import keys
 from harness.run.keys import PROGRAM, ROOT
@@ -67,6 +68,24 @@ def test_an_edit_concerns_the_cells_that_it_can_change(file: str, monkeypatch: p
     edited = {**keys.program(), file: keys.program()[file] + b"# edited\n"}
     monkeypatch.setattr(keys, "program", lambda: edited)
     assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == EDITS[file]
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "changed"),
+    [
+        (registry.METHODS, "bc", {("cartpole", "bc"), ("highway", "bc"), ("cartpole", "control_clone")}),
+        (registry.ENVS, "highway", {("highway", "bc"), ("highway", "reference")}),
+    ],
+)
+def test_another_name_in_the_same_file_is_another_method_or_task(
+    table: dict[str, registry.Entry],
+    name: str,
+    changed: set[tuple[str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = {cell: cell_key(*cell) for cell in KEYED}
+    monkeypatch.setitem(table, name, table[name]._replace(target=f"{table[name].target}Other"))
+    assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == changed
 
 
 def test_settings_concern_the_cells_that_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,8 @@ from harness.registry import BadInput
 from harness.run import marked
 from harness.run.codec import checksum, decode, encode
 from harness.run.files import sha256_of, write_atomic
-from harness.run.store import SUMS, open_for_report, open_for_run, open_to_verify
+from harness.run.store import open_for_report, open_for_run, open_to_verify
+from harness.run.sums import SUMS
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)
@@ -174,6 +175,25 @@ def test_a_cell_whose_artifact_is_damaged_is_computed_again(whole: Path) -> None
         found, unusable = run.load()
         assert found == {}
         assert list(unusable.values()) == ["artifacts/a.safetensors is missing or damaged"]
+
+
+def test_a_cell_goes_on_from_what_this_version_learned_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"{CELL.name}.safetensors"
+    with open_for_run(tmp_path, REQUEST) as run:
+        assert run.learned(CELL) == b""
+        run.save(
+            dataclasses.replace(result(), artifacts={name: sha256_of(b"x")}), {f"artifacts/{name}": b"x"}
+        )
+        assert run.learned(CELL) == b"x"
+        (tmp_path / "artifacts" / name).write_bytes(b"y")
+        assert run.learned(CELL) == b""
+        (tmp_path / "artifacts" / name).write_bytes(b"x")
+        assert run.learned(CELL) == b"x"
+    monkeypatch.setattr(importlib.metadata, "version", lambda package: "0")
+    with open_for_run(tmp_path, REQUEST) as run:
+        assert run.learned(CELL) == b""
 
 
 def test_what_a_cell_had_before_goes_with_its_new_result(tmp_path: Path) -> None:

@@ -15,7 +15,16 @@ from matplotlib.image import imread
 from scipy.stats import norm
 
 from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
-from harness.judge.results import COLUMNS, CONTROLS, Cell, CellResult, Conditions, PolicyName
+from harness.judge.results import (
+    COLUMNS,
+    CONTROLS,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    Shown,
+)
 from harness.run.reporting import write_report
 from harness.show import figures
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
@@ -105,12 +114,12 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
         assert (row["normalized_score"] != "") == known
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
     assert (
-        "| shaped | method | pi_R | 1 of 1 | n/a |  | n/a | n/a | n/a | n/a | 440.0 [439.9, 440.1] |"
+        "| shaped | method | pi_R | 1 of 1 | n/a |  | n/a | n/a | n/a | n/a | n/a | 440.0 [439.9, 440.1] |"
         in cartpole
     )
     assert "nan" not in (tmp_path / "leaderboard.md").read_text()
     text = Page((tmp_path / "report.html").read_text()).text
-    assert "cartpole, seed 0: no normalized scores" in text
+    assert "cartpole, seed 0: no scores" in text
     assert "pendulum, seed 0: no normalized scores" not in text
 
 
@@ -159,6 +168,30 @@ def test_what_an_uninformed_control_wins_is_left_out_of_the_summary_and_said(tmp
         assert "pendulum is left out: control\\_survival" in (text := (tmp_path / name).read_text()) or (
             "pendulum is left out: control_survival" in text
         )
+
+
+def test_across_environments_boards_of_the_same_demonstrations_are_compared(tmp_path: Path) -> None:
+    results = []
+    for result in make_results():
+        cell = result.cell
+        if cell.method == "control_survival":
+            for demos, value in ((5, 500.0 if cell.env == "pendulum" else 100.0), (20, 100.0)):
+                its = replace(cell, method="control_shuffled", shown=Shown(demos))
+                row = make_row(cell.env, its.method, cell.seed, "pi_R", return_mean=value)
+                results.append(replace(result, cell=its, rows=[replace(row, demos=demos)]))
+        elif cell.method in UNSHOWN:
+            results.append(result)
+        else:
+            for demos in (5, 20):
+                rows = [replace(row, demos=demos) for row in result.rows]
+                results.append(replace(result, cell=replace(cell, shown=Shown(demos)), rows=rows))
+    write_report(tmp_path, REQUEST, results)
+    text = (tmp_path / "leaderboard.md").read_text()
+    across = text[text.index("## Across environments") : text.index("## cartpole")]
+    assert "pendulum is left out: control_shuffled scores 1.00" in across
+    assert "cartpole is left out" not in across
+    assert "of boards with 5 demonstrations" in across
+    assert "| shaped |" not in across  # one env is left
 
 
 @pytest.mark.parametrize("why", ["smoke", "below its bar", ""])

@@ -1,0 +1,61 @@
+"""Parts of episodes, to be paid by one reward after another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.learn.simulator import Trajectory
+from methods.base import Array, Reward
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """N of them, one after the other, in 32 bits.
+
+    obs: (M + N, O), what was observed before each of the M steps and, of each stretch, where it ended. act:
+    (M, A). lengths: (N,), steps of each. terminated: (N,), whether the episode did at its end.
+    """
+
+    obs: NDArray[np.float32]
+    act: NDArray[np.float32]
+    lengths: NDArray[np.int64]
+    terminated: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, episodes: Sequence[Trajectory], starts: Sequence[int]) -> Self:
+        """Each episode from its step of that number on."""
+        both = list(zip(episodes, starts, strict=True))
+        return cls(
+            np.concatenate([e.obs[t:] for e, t in both]).astype(np.float32),
+            np.concatenate([e.act[t:] for e, t in both]).astype(np.float32),
+            np.array([len(e.act) - t for e, t in both]),
+            np.array([e.terminated for e, _ in both]),
+        )
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """By name, for storage."""
+        return dict(vars(self))
+
+    def returns(self, reward: Reward, gamma: float) -> Array:
+        """(N,): what the reward pays for each, with nothing to be had once an episode has terminated."""
+        before, after = np.ones((2, len(self.obs)), bool)
+        before[self._ends] = after[self._ends - self.lengths] = False
+        obs, act = self.obs.astype(np.float64), self.act.astype(np.float64)
+        paid = reward(obs[before], act, obs[after]) - reward.absorbing
+        first = np.cumsum(self.lengths) - self.lengths
+        age = np.arange(len(act)) - np.repeat(first, self.lengths)
+        return np.asarray(np.add.reduceat(paid * gamma**age, first))
+
+    @property
+    def last(self) -> Array:
+        """(N, O): what was observed where each ended."""
+        return self.obs[self._ends].astype(np.float64)
+
+    @property
+    def _ends(self) -> NDArray[np.int64]:
+        return np.asarray(np.cumsum(self.lengths + 1) - 1)
