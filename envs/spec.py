@@ -144,6 +144,12 @@ class Shipped(NamedTuple):
     """Share of episodes that terminate early, at most; None is any."""
     checkpoint_every: int | None = None
     """Steps between checkpoints, where with RL's usual number none has about half the return."""
+    count: int = 5
+    """How many."""
+    episodes: int = 1000
+    """That a bar is measured by."""
+    rl: Learner | None = None
+    """What trains them, where that is more than RL is given elsewhere in the task."""
 
 
 @dataclass(frozen=True)

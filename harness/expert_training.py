@@ -17,6 +17,7 @@ import numpy as np
 from pebble.concurrent import process as in_a_process
 
 from envs import EnvSpec
+from envs.spec import Shipped
 from harness.judge.evaluation import evaluate
 from harness.judge.results import thinned
 from harness.learn.rl import Agent, disturbed
@@ -32,15 +33,14 @@ from harness.run.sums import SUMS, as_lines
 from methods.base import Policy
 from methods.network import Network
 
-COUNT, MOST_TRIED = 5, 20
-"""Experts of a task, and agents that are trained for them at most."""
-EPISODES = 1000
-"""An agent must reach its bar on as many tuning episodes, and an expert on as many that nothing else uses. Of
-checkpoints that are near-ties, the first that does counts, in the order of how they bear noise."""
-MORE_EPISODES = 4000
-"""Tuning episodes on which it must end as seldom early once more: the best of several flatters."""
-FIRST_EPISODES = 200
-"""Tuning episodes by which checkpoints of one training are compared."""
+MOST_TRIED = 20
+"""Agents that are trained for a task's experts, at most. An agent must reach its bar on so many tuning
+episodes as the task says, and an expert on as many that nothing else uses. Of checkpoints that are near-ties,
+the first that does counts, in the order of how they bear noise."""
+MORE = 4
+"""So many times as many further tuning episodes must end as seldom early: the best of several flatters."""
+FEWER = 5
+"""Checkpoints of one training are compared by a share of 1 in so many of those episodes."""
 NEAR, MOST_NEAR = 0.01, 12
 """Checkpoints whose returns differ by less, relative to the range from random to best, are near-ties; of more
 than so many, some at equal distances are compared."""
@@ -61,7 +61,7 @@ _EXPERT = re.compile(rf"\w+__\d+({MEDIUM_FILE})?\.safetensors")
 class Candidate(NamedTuple):
     """A line of candidates.csv: an agent trained for `env` from `seed`, judged on tuning episodes.
     number: of the expert that it became, '' where it missed the bar or enough were found before. terminated:
-    share of `EPISODES` that ended early; confirmed: of `MORE_EPISODES`, 1 where that was not measured, for
+    share of episodes that ended early; confirmed: of `MORE` times as many, 1 where that was not measured, for
     something else rules the agent out."""
 
     env: str
@@ -108,21 +108,22 @@ def confirm(spec: EnvSpec, policy: Policy, judged: Measured) -> float:
         return 1.0
     if spec.shipped.terminated is None:
         return judged.terminated
-    return measure(spec, policy, tuning_seeds(EPISODES + MORE_EPISODES)[EPISODES:]).terminated
+    episodes = spec.shipped.episodes
+    return measure(spec, policy, tuning_seeds((1 + MORE) * episodes)[episodes:]).terminated
 
 
 def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     """Trains an agent on the true reward; it, judged on tuning episodes, and the files of the expert and of
     the medium one."""
     spec = SPECS[env]
-    settings = spec.rl
     assert spec.shipped is not None
+    settings = spec.shipped.rl or spec.rl
     started = time.perf_counter()
     if every := spec.shipped.checkpoint_every:
         settings = dataclasses.replace(settings, checkpoint_every=every)
     learner = Agent(spec, "absorbing", rng_for(seed, env, "shipped expert"), "sbx", settings)
     solution = learner.solve(None, spec.shipped.steps)
-    few, rng = tuning_seeds(FIRST_EPISODES), rng_for(seed, env, "random")
+    few, rng = tuning_seeds(spec.shipped.episodes // FEWER), rng_for(seed, env, "random")
     random_return = measure(spec, lambda obs: spec.random_actions(len(obs), rng), few).mean_return
     checked = np.array([value for _, value in solution.true_curve])
     scale = checked.max() - random_return
@@ -136,7 +137,7 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
     }
     ties.sort(key=lambda i: (meets_bar(spec, plain[i], MARGIN), noisy[i], i), reverse=True)
     for chosen in ties:
-        judged = measure(spec, solution.checkpoints[chosen], tuning_seeds(EPISODES))
+        judged = measure(spec, solution.checkpoints[chosen], tuning_seeds(spec.shipped.episodes))
         confirmed = confirm(spec, solution.checkpoints[chosen], judged)
         if meets_bar(spec, judged._replace(terminated=confirmed), MARGIN):
             break
@@ -182,10 +183,11 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     with ours, fresh_processes("harness.run.preload") as context:
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:
+            count = _shipped(env).count
             done = {one.seed: one for one in _set_aside(out, env)}
             running: dict[Future[tuple[Candidate, bytes, bytes]], int] = {}
             while True:
-                missing = COUNT - sum(map(is_good, done.values()))
+                missing = count - sum(map(is_good, done.values()))
                 waiting = [s for s in range(MOST_TRIED) if s not in done and s not in running.values()]
                 for seed in waiting[: max(0, min(workers, missing) - len(running))]:
                     running[launch(env, seed)] = seed
@@ -202,6 +204,13 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
             _number(out, env, list(done.values()))
         names = [CANDIDATES, *sorted(path.name for path in out.iterdir() if _EXPERT.fullmatch(path.name))]
         write_atomic(out / SUMS, as_lines((sha256(out / name), name) for name in names))
+
+
+def _shipped(env: str) -> Shipped:
+    """Raises BadInput where the task has none."""
+    if (shipped := SPECS[env].shipped) is None:
+        raise BadInput(f"{env} has no experts that are shipped")
+    return shipped
 
 
 def _unnumbered(out: Path, env: str, seed: int, kind: str) -> Path:
@@ -226,9 +235,10 @@ def _set_aside(out: Path, env: str) -> list[Candidate]:
 
 def _number(out: Path, env: str, mine: list[Candidate]) -> None:
     """The first that meet the bar, in the order of their seeds, become experts 0, 1, ...; others go."""
-    good = [one for one in sorted(mine, key=lambda one: one.seed) if is_good(one)][:COUNT]
-    if len(good) < COUNT:
-        raise BadInput(f"{env}: {len(good)} of {len(mine)} agents meet the bar, {COUNT} are needed")
+    count = _shipped(env).count
+    good = [one for one in sorted(mine, key=lambda one: one.seed) if is_good(one)][:count]
+    if len(good) < count:
+        raise BadInput(f"{env}: {len(good)} of {len(mine)} agents meet the bar, {count} are needed")
     for number, one in enumerate(good):
         for kind in ("", MEDIUM_FILE):
             _unnumbered(out, env, one.seed, kind).replace(out / f"{env}__{number}{kind}.safetensors")
@@ -252,7 +262,8 @@ def check(envs: tuple[str, ...], where: Path) -> bool:
             found = load(path)
             if found is None:
                 raise BadInput(f"{path} is damaged")
-            measured = measure(spec, Network.from_arrays(found.arrays), held_out_seeds(EPISODES))
+            seeds = held_out_seeds(_shipped(env).episodes)
+            measured = measure(spec, Network.from_arrays(found.arrays), seeds)
             good = found.facts["kind"] == "medium" or meets_bar(spec, measured)
             missed += [] if good else [path.name]
             say(f"{path.name}: {_told(measured)}{'' if good else ' MISSED'}")

@@ -15,7 +15,6 @@ from harness import expert_training
 from harness.cli import main
 from harness.expert_training import (
     CANDIDATES,
-    COUNT,
     Candidate,
     Measured,
     is_good,
@@ -63,7 +62,9 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None:
     lines = (FOLDER / "SHA256SUMS").read_text().splitlines()
     listed = {name: digest for digest, name in (line.split("  ") for line in lines)}
-    for number in range(COUNT):
+    its = SPECS[env].shipped
+    assert its is not None
+    for number in range(its.count):
         for kind in ("expert", "medium"):
             file = FOLDER / f"{env}__{number}{'__medium' * (kind == 'medium')}.safetensors"
             assert listed[file.name] == sha256(file)
@@ -82,9 +83,9 @@ def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None
                 "check_steps",
             } <= facts.keys()
             assert is_good(Candidate(**{field: facts[field] for field in Candidate._fields}))
-    assert {f"{env}__{n}.safetensors" for n in range(COUNT)} <= listed.keys()
-    numbers = [shipped(env, seed)[0] for seed in range(2 * COUNT)]
-    assert numbers == [*range(COUNT)] * 2
+    assert {f"{env}__{n}.safetensors" for n in range(its.count)} <= listed.keys()
+    numbers = [shipped(env, seed)[0] for seed in range(2 * its.count)]
+    assert numbers == [*range(its.count)] * 2
 
 
 @pytest.mark.parametrize("env", TASKS)
