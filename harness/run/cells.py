@@ -214,7 +214,7 @@ def curve(values: Sequence[float]) -> Curve:
 def control(task: Task) -> Reward | None:
     """The reward of a control, None for the true one."""
     known = task.shared.learned
-    if "reward" in known:
+    if known.get("reward"):  # which bc has none of
         return cast(Reward, known["reward"])
 
     def fitted(method: str, demos: Episodes) -> Learned:

@@ -155,9 +155,9 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     if behaviour == "escape":
         return CellResult(cell, _rows(cell, conditions, 1.0), warnings=["\x1b[2J"])
     if behaviour == "slow":
-        time.sleep(1.5)
+        time.sleep(2.0)
     if behaviour == "brief":
-        time.sleep(0.1)
+        time.sleep(0.6)
     score = math.nan if behaviour == "nan" else 100.0 * cell.seed + len(cell.method)
     steps = 1j if behaviour == "unstorable" else 7
     cell = Cell(cell.env, "bc", 99) if behaviour == "other" else cell

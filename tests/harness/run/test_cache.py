@@ -122,7 +122,7 @@ def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.M
     one, demos = expert_for(*asked), demonstrations_for(*asked[:2], Shown(4), conditions)
     shared = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     before = len(list(folder.iterdir()))
-    for name in ("solver_for", "replay", "Simulator"):
+    for name in ("solver_for", "replay", "ranked", "Simulator"):
         monkeypatch.setattr(experts, name, lambda *_: never())
     again = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     for other in (shared, again):
@@ -137,7 +137,7 @@ def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.M
             other.demonstrations(Shown(6))
     for name, array in vars(shared.replays).items():
         np.testing.assert_array_equal(getattr(again.replays, name), array)
-    assert len(list(folder.iterdir())) == before == 4
+    assert len(list(folder.iterdir())) == before == 5
     with pytest.raises(pytest.fail.Exception, match="again"):
         prepare("cartpole", 4, [Shown(4)], conditions)
 
