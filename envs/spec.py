@@ -144,7 +144,7 @@ class Shipped(NamedTuple):
     """Share of episodes that terminate early, at most; None is any."""
     checkpoint_every: int | None = None
     """Steps between checkpoints, where with RL's usual number none has about half the return."""
-    count: int = 5
+    experts: int = 5
     """How many."""
     episodes: int = 1000
     """That a bar is measured by."""

@@ -183,7 +183,7 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     with ours, fresh_processes("harness.run.preload") as context:
         launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
         for env in envs:
-            count = _shipped(env).count
+            count = _shipped(env).experts
             done = {one.seed: one for one in _set_aside(out, env)}
             running: dict[Future[tuple[Candidate, bytes, bytes]], int] = {}
             while True:
@@ -235,7 +235,7 @@ def _set_aside(out: Path, env: str) -> list[Candidate]:
 
 def _number(out: Path, env: str, mine: list[Candidate]) -> None:
     """The first that meet the bar, in the order of their seeds, become experts 0, 1, ...; others go."""
-    count = _shipped(env).count
+    count = _shipped(env).experts
     good = [one for one in sorted(mine, key=lambda one: one.seed) if is_good(one)][:count]
     if len(good) < count:
         raise BadInput(f"{env}: {len(good)} of {len(mine)} agents meet the bar, {count} are needed")

@@ -64,7 +64,7 @@ def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None
     listed = {name: digest for digest, name in (line.split("  ") for line in lines)}
     its = SPECS[env].shipped
     assert its is not None
-    for number in range(its.count):
+    for number in range(its.experts):
         for kind in ("expert", "medium"):
             file = FOLDER / f"{env}__{number}{'__medium' * (kind == 'medium')}.safetensors"
             assert listed[file.name] == sha256(file)
@@ -83,9 +83,9 @@ def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None
                 "check_steps",
             } <= facts.keys()
             assert is_good(Candidate(**{field: facts[field] for field in Candidate._fields}))
-    assert {f"{env}__{n}.safetensors" for n in range(its.count)} <= listed.keys()
-    numbers = [shipped(env, seed)[0] for seed in range(2 * its.count)]
-    assert numbers == [*range(its.count)] * 2
+    assert {f"{env}__{n}.safetensors" for n in range(its.experts)} <= listed.keys()
+    numbers = [shipped(env, seed)[0] for seed in range(2 * its.experts)]
+    assert numbers == [*range(its.experts)] * 2
 
 
 @pytest.mark.parametrize("env", TASKS)
