@@ -183,6 +183,10 @@ def test_a_plotting_library_that_cannot_be_imported_is_one_line(tmp_path: Path) 
     assert "Traceback" not in done.stderr
 
 
+HEARING = ("env", "--default-signal=HUP")
+"""Before a command that must hear of a lost terminal, though the tests be run by nohup."""
+
+
 def on_a_terminal(directory: Path, *before: str) -> tuple[subprocess.Popen[bytes], int]:
     """A run on a terminal, when its cell of bc hangs; the process, and our end of the terminal."""
     ours, theirs = pty.openpty()
@@ -205,7 +209,7 @@ def on_a_terminal(directory: Path, *before: str) -> tuple[subprocess.Popen[bytes
 
 
 def test_a_closed_terminal_stops_a_run_like_ctrl_c(tmp_path: Path) -> None:
-    process, ours = on_a_terminal(tmp_path)
+    process, ours = on_a_terminal(tmp_path, *HEARING)
     os.close(ours)
     process.send_signal(signal.SIGHUP)
     assert process.wait(10) == 130
@@ -244,7 +248,7 @@ def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) ->
 def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path, number: signal.Signals) -> None:
     faults(tmp_path, {"cartpole__bc__seed0": "sleep"})
     process = subprocess.Popen(
-        [sys.executable, str(HERE / "fake_cells.py"), *RUN.split()],
+        [*HEARING, sys.executable, str(HERE / "fake_cells.py"), *RUN.split()],
         cwd=tmp_path,
         env=ENV,
         stdout=subprocess.DEVNULL,
