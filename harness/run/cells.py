@@ -214,8 +214,8 @@ def curve(values: Sequence[float]) -> Curve:
 def control(task: Task) -> Reward | None:
     """The reward of a control, None for the true one."""
     known = task.shared.learned
-    if known.get("reward"):  # which bc has none of
-        return cast(Reward, known["reward"])
+    if (reward := known.get("reward")) is not None:  # which bc has none of
+        return cast(Reward, reward)
 
     def fitted(method: str, demos: Episodes) -> Learned:
         if task.cell.method == "control_clone" and "pi_star" in known:
