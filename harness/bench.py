@@ -26,6 +26,7 @@ from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import WARM_UP, Agent
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
+from harness.run.engines import Engine
 from harness.run.experts import expert_for
 from harness.run.grid import Grid
 from harness.run.isolated import Isolated
@@ -195,14 +196,16 @@ def _loops(count: int) -> int:
 
 
 def _grid(workers: int) -> int:
-    return len(compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, workers))
+    return len(
+        compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, Isolated(workers))
+    )
 
 
 def _beside_the_work() -> list[float]:
     """Of what each cell adds to a run, its process and its evaluation included. What a run computes once for
     all methods is there before; the first cell compiles, and does not count."""
     cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    seconds = [result.seconds for result in compute(cells, CONDITIONS, workers=1)[1:]]
+    seconds = [result.seconds for result in compute(cells, CONDITIONS, Isolated(1))[1:]]
     return [100 * (1 - (its["fit"] + its["retrain"]) / sum(its.values())) for its in seconds]
 
 
@@ -221,11 +224,11 @@ class _Results:
         return b""
 
 
-def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[CellResult]:
+def compute(cells: list[Cell], conditions: Conditions, engine: Engine) -> list[CellResult]:
     """Cells as `run` computes them, in the order in which they came. Raises RuntimeError where one failed."""
     results = _Results()
     with contextlib.redirect_stdout(io.StringIO()):
-        Grid(conditions, results, Isolated(workers)).run(cells)
+        Grid(conditions, results, engine).run(cells)
     reasons = [row.reason for result in results.found for row in result.rows if row.status == "failed"]
     if reasons:
         raise RuntimeError(f"a cell failed: {reasons[0]}")

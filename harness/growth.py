@@ -21,11 +21,11 @@ from harness.judge.results import Cell, CellResult, Conditions, Request, Row, Sh
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ENVS, SPECS
-from harness.run.cells import prepare, run_cell
 from harness.run.codec import encode
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.experts import demonstrations_for
 from harness.run.grid import Grid
+from harness.run.isolated import Isolated
 from harness.run.keys import TEMPLATE, program
 from harness.run.store import open_for_run
 from harness.show.report import report_files
@@ -46,7 +46,7 @@ def growth() -> Iterator[Measure]:
     for env in ("pendulum", "highway"):
         conditions = Conditions("full", "absorbing", "sbx")
         with watch() as peak:
-            compute([Cell(env, "shaped", 1)], conditions, workers=1)
+            compute([Cell(env, "shaped", 1)], conditions, Isolated(1))
         yield Measure(f"{env}, a cell of shaped at full, its process", "MB", [peak.largest], bar=700)
     sizes = apart(_cells_in_a_row, CELLS)
     gained = sizes[-1] - sizes[CELLS // 2 - 1]
@@ -122,10 +122,9 @@ def _fit(count: int) -> float:
 
 def _cells_in_a_row(count: int) -> list[float]:
     """This process's memory after each, in MB."""
-    sizes, cell = [], Cell("cartpole", "shaped", 1)
-    inputs = prepare([cell], SMOKE)
+    sizes, engine = [], Inline()
     for _ in range(count):
-        run_cell(cell, SMOKE, inputs)
+        compute([Cell("cartpole", "shaped", 1)], SMOKE, engine)
         sizes.append(psutil.Process().memory_info().rss / MEGABYTE)
     return sizes
 

@@ -19,8 +19,8 @@ torch.set_num_threads(1)
 ADAM: dict[str, Any] = {"fused": True}
 """Options of torch's Adam. Its default is slower, and takes square roots that each maker's processors round
 otherwise."""
-ROWS = 131_072
-"""That a network answers at a time: of millions, one layer's activations alone are gigabytes."""
+ROWS = 16_384
+"""That a network answers at a time: of a million, one layer's activations alone are half a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Network:
     def __post_init__(self) -> None:
         # Products of other layouts are rounded otherwise, and what is stored has this one.
         for name in ("weights", "biases"):
-            arrays = tuple(np.ascontiguousarray(array) for array in getattr(self, name))
+            arrays = tuple(np.ascontiguousarray(array, np.float64) for array in getattr(self, name))
             object.__setattr__(self, name, arrays)
 
     def __call__(self, x: Array, /) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -57,14 +57,14 @@ class Simulator:
         with, whatever the policy says. most: steps after those at which it is cut, before the horizon."""
         return self._run(lambda obs, episodes: policy(obs), seeds, first, most)
 
-    def run_each(self, policies: Sequence[Policy], seeds: Sequence[int]) -> list[list[Trajectory]]:
+    def run_each(self, policies: Sequence[Policy], seeds: Sequence[int]) -> Iterator[list[Trajectory]]:
         """What `run` gives for each policy, as many of them side by side as there are lanes for."""
-        together, found = max(1, self.lanes // len(seeds)), list[list[Trajectory]]()
+        together = max(1, self.lanes // len(seeds))
         for start in range(0, len(policies), together):
             some = policies[start : start + together]
             episodes = self._run(partial(_each, some, len(seeds)), [*seeds] * len(some))
-            found += [episodes[i : i + len(seeds)] for i in range(0, len(episodes), len(seeds))]
-        return found
+            for i in range(0, len(episodes), len(seeds)):
+                yield episodes[i : i + len(seeds)]
 
     def _run(
         self,

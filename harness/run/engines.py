@@ -3,6 +3,7 @@ and what it computes knows nothing of the run's directory."""
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import sys
@@ -110,10 +111,11 @@ class Inline:
         except (Exception, SystemExit, GeneratorExit) as error:
             traceback.print_exc(file=sys.stderr)
             outcome = Outcome(error=describe(error))
-        finally:  # what a cell does to its process is not for the next one
+        finally:  # what a cell does to its process is not for the next one, nor is what it holds in cycles
             os.environ.clear()
             os.environ.update(variables)
             os.chdir(folder)
+            gc.collect()
         self._ended.append((job, outcome))
 
     def finished(self) -> list[tuple[Job, Outcome]]:
