@@ -22,6 +22,7 @@ from harness.judge.evaluation import evaluate
 from harness.judge.results import thinned
 from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
+from harness.learn.stored import compact
 from harness.registry import SPECS, BadInput
 from harness.run.cache import Kept, as_bytes, load
 from harness.run.files import read, sha256, write_atomic
@@ -171,7 +172,8 @@ def train(env: str, seed: int) -> tuple[Candidate, bytes, bytes]:
         policy = solution.checkpoints[place]
         assert isinstance(policy, Network)
         its = {"kind": kind, "checkpoint": solution.true_curve[place][0]}
-        files.append(as_bytes(Kept(policy.arrays(), facts | its)))
+        arrays = {name: compact(array) for name, array in policy.arrays().items()}
+        files.append(as_bytes(Kept(arrays, facts | its)))
     return candidate, files[0], files[1]
 
 

@@ -44,6 +44,10 @@ METHODS = {
     "shaped_ml": Entry(
         "methods.shaped_ml:ShapedML", "shaped, with L fitted by likelihood and an inverse LQR in the world"
     ),
+    "shaped_ranked": Entry(
+        "methods.shaped_ranked:ShapedRanked",
+        "shaped, with a reward of states learned from rollouts under growing noise (D-REX)",
+    ),
     "maxmargin": Entry(
         "methods.maxmargin:MaxMargin", "max-margin apprenticeship learning (Abbeel & Ng 2004)"
     ),
@@ -52,6 +56,7 @@ METHODS = {
 }
 VARIANTS = {
     "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
+    "maxent_state": Entry("methods.maxent:MaxEnt", "maxent, with a reward of states alone"),
     "maxent_linear": Entry(
         "methods.maxent_linear:MaxEntLinear", "maximum-entropy IRL with a linear reward (Ziebart et al. 2008)"
     ),

@@ -6,12 +6,14 @@ Where the model is known this is the algorithm line by line; the likelihood is t
 up to the horizon (Ziebart, Bagnell & Dey 2010), with the discount that rewards are solved under: one that
 explains the demonstrations without it may be worth another journey with it.
 
-Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is warm-started RL and
-the expected visitations E[mu] come from rollouts of it. They are averaged over the iterations, and a Gaussian
-prior on the reward's values (the paper's is on the weights) keeps it bounded between sparse visitations; the
-optimum then lies within 1 / prior of 0, so the network's output is bounded by that.
-The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
-absorption pays is learned like any state's reward.
+Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is reinforcement
+learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
+expected visitations E[mu] come from rollouts of it. The paper's prior on the network's weights is one on its
+slope here: without it the reward becomes a cliff around the demonstrations, which nothing leads up to. R* is
+the mean of the latest networks, for in the game between reward and policy the players' averages converge, and
+their last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The network sees an absorbing
+indicator, and visitations count absorbing steps up to the horizon, so what absorption pays is learned like
+any state's reward.
 """
 
 from __future__ import annotations
@@ -22,10 +24,13 @@ import numpy as np
 import torch
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, World
 from methods.network import ADAM, Network, mlp, standardiser
-from methods.rewards import NetworkReward, StateReward
+from methods.rewards import MeanReward, NetworkReward, StateReward
 from methods.tabular import finite_soft_value_iteration, state_visitations
+
+NEAR = 0.1
+"""Over which slopes are measured, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +39,27 @@ class MaxEnt:
 
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the reward network."""
-    iterations: int = 5
-    """Reward updates, each followed by a reinforcement-learning solve."""
-    rl_steps: int = 3000
-    """Environment steps of each solve; the first takes twice as many."""
-    reward_steps: int = 500
+    actions: bool = True
+    """Whether the reward sees actions, besides observations. Where the model is known it never does."""
+    iterations: int = 30
+    """Reward updates, each followed by reinforcement learning that goes on."""
+    rl_steps: int = 1000
+    """Environment steps of each iteration; the first takes twice as many."""
+    averaged: int = 15
+    """Latest iterations, of whose networks R* is the mean."""
+    final_steps: int = 5000
+    """Environment steps under R*, from which pi* is the best checkpoint."""
+    reward_steps: int = 100
     """Gradient steps on the reward in each iteration."""
     learning_rate: float = 1e-3
     batch: int = 256
     """Visitations sampled from the demonstrations, and as many from the rollouts."""
     rollouts: int = 10
     """Episodes that estimate a policy's visitations."""
-    prior: float = 0.5
-    """Inverse variance of the Gaussian prior on reward values."""
+    remembered: int = 3
+    """Latest iterations whose rollouts stand for E[mu]."""
+    slope_prior: float = 1.0
+    """Inverse variance of the Gaussian prior on the reward's slope, observations being standardised."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Ascend the likelihood of the demonstrations."""
@@ -76,38 +89,51 @@ class MaxEnt:
 
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
-        policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
-        rollouts = world.rollout(policy, self.rollouts, rng)
+        rollouts = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
         # Where an expert hardly moves, its own spread would make outliers of all states but its own.
         visited = rollouts.pairs()[0]
         mean, std = standardiser(np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited]))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
-        network = mlp(world.obs_size + world.act_size + 1, *self.layers, 1, generator=generator)
+        inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
+        network = mlp(inputs, *self.layers, 1, generator=generator)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
-        visits_demo = visitations(demos, world.horizon, mean, std)
+        visits_demo = visitations(demos, world.horizon, mean, std, self.actions)
         visits_policy: list[Array] = []
+        rewards: list[NetworkReward] = []
         gaps: list[float] = []
         agent = world.agent(rng)
         for i in range(self.iterations):
             if i > 0:
-                rollouts = world.rollout(policy, self.rollouts, rng)
-            visits_policy.append(visitations(rollouts, world.horizon, mean, std))
+                rollouts = world.rollout(agent.policy, self.rollouts, rng)
+            visits = visitations(rollouts, world.horizon, mean, std, self.actions)
+            visits_policy = [*visits_policy, visits][-self.remembered :]
             for _ in range(self.reward_steps):
                 expected = visits_policy[int(rng.integers(len(visits_policy)))]
-                d, e = (
-                    torch.tanh(network(sample(v, self.batch, rng))) / self.prior
-                    for v in (visits_demo, expected)
-                )
-                prior = 0.5 * self.prior * (d.square().mean() + e.square().mean())
-                loss = e.mean() - d.mean() + prior
+                d, e = (sample(v, self.batch, rng) for v in (visits_demo, expected))
+                gap = network(d).mean() - network(e).mean()
+                loss = 0.5 * self.slope_prior * squared_slope(network, d, e, generator) - gap
                 optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
+                loss.backward()
                 optimizer.step()
-            gaps.append((d.mean() - e.mean()).item())
-            reward = NetworkReward.of(network, mean, std, 1 / self.prior)
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
-            policy = agent.best(reward)
-        return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
+            gaps.append(gap.item())
+            rewards.append(NetworkReward.of(network, mean, std, actions=self.actions))
+            agent.learn(self.rl_steps * (2 if i == 0 else 1), rewards[-1])
+        reward = MeanReward(tuple(rewards[-self.averaged :]))
+        agent.learn(self.final_steps, reward)
+        return Learned(agent.best(reward), reward, {"mean reward, demonstrations minus rollouts": gaps})
+
+
+def squared_slope(
+    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
+) -> torch.Tensor:
+    """The network's mean squared slope between rows of a (B, K) and of b (B, K), |gradient|^2 on average over
+    places there, by differences over `NEAR` in random directions (Gulrajani et al. 2017 penalise what it is
+    more than 1)."""
+    share = torch.rand(len(a), 1, generator=generator)
+    middle, step = share * a + (1 - share) * b, NEAR * torch.randn(a.shape, generator=generator)
+    before, after = network(torch.cat([middle - step / 2, middle + step / 2])).chunk(2)
+    slopes: torch.Tensor = (after - before) / NEAR
+    return slopes.square().mean()
 
 
 def demonstrated(demos: Episodes, model: Model) -> Array:
@@ -141,11 +167,14 @@ def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tupl
     return likelihood / horizon, (gradient if r.ndim == 2 else gradient.sum(axis=1)) / horizon
 
 
-def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array) -> Array:
+def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array, actions: bool = True) -> Array:
     """(N, O + A + 1): every visited (observation, action, absorbing indicator), observations standardised;
-    an episode that terminated visits the absorbing state, all zeros and 1, up to the horizon."""
+    an episode that terminated visits the absorbing state, all zeros and 1, up to the horizon. (N, O + 1)
+    without actions."""
     obs, act = episodes.pairs()
-    return with_absorbing_steps(np.concatenate([(obs - mean) / std, act], axis=1), episodes, horizon)
+    scaled = (obs - mean) / std
+    steps = np.concatenate([scaled, act], axis=1) if actions else scaled
+    return with_absorbing_steps(steps, episodes, horizon)
 
 
 def with_absorbing_steps(steps: Array, episodes: Episodes, horizon: int) -> Array:

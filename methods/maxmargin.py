@@ -17,6 +17,7 @@ found under.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,53 +26,71 @@ import numpy as np
 
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, Policy, World
+from methods.fourier import FourierFeatures
 from methods.rewards import LinearReward
 from methods.tabular import state_visitations
+
+Phi = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
 class MaxMargin:
     """Its hyper-parameters."""
 
-    iterations: int = 5
-    """At most as many reinforcement-learning solves."""
-    rl_steps: int = 3000
-    """Environment steps of each solve; the first takes twice as many."""
+    iterations: int = 20
+    """At most as many times the learner goes on under new weights."""
+    rl_steps: int = 1600
+    """Environment steps of each; the first takes twice as many."""
+    averaged: int = 10
+    """Latest iterations of whose weights R* has the mean."""
+    final_steps: int = 5000
+    """Environment steps under R*."""
     epsilon: float = 0.01
     """Stops where the margin t is at most this. Feature expectations are scaled to sums of 1."""
     rollouts: int = 10
     """Episodes that estimate a policy's feature expectations."""
+    waves: int = 200
+    """Random Fourier features beside the environment's, where the model is not known."""
+    width: float = 1.0
+    """Of their kernel, in standard deviations of what a random policy and the expert observe."""
     projection: bool = False
     """Whether weights come from the projection method instead of the margin problem."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate the margin problem and reinforcement learning on its reward."""
-        expert = feature_expectations(demos, world)
-        found = [self._expectations(lambda obs: world.random_actions(len(obs), rng), world, rng)]
+        random: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
+        phi: Phi = world.phi
+        if world.model is None and self.waves:
+            visited = world.rollout(random, self.rollouts, rng).pairs()[0]
+            both = np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
+            phi = FourierFeatures.drawn(phi, both, world.act_size, self.waves, self.width, rng)
+        expert = feature_expectations(demos, world, phi)
+        found = [self._expectations(random, world, phi, rng)]
         separate = projection if self.projection else max_margin
         w, margin = separate(expert, found)
-        margins, policies, weights = [margin], [], []
+        margins, policies, weights = [margin], list[Policy](), list[Array]()
         agent = world.agent(rng)
         for i in range(self.iterations):
-            reward = LinearReward(world.phi, w)
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
-            policy = agent.best(reward)
-            policies.append(policy)
+            agent.learn(self.rl_steps * (2 if i == 0 else 1), LinearReward(phi, w))
+            policies.append(agent.policy)
             weights.append(w)
-            found.append(self._expectations(policy, world, rng))
+            found.append(self._expectations(policies[-1], world, phi, rng))
             w, margin = separate(expert, found)
             margins.append(margin)
             if margin <= self.epsilon:
                 break
+        reward = LinearReward(phi, np.mean(weights[-self.averaged :], axis=0))
+        agent.learn(self.final_steps, reward)
+        policies.append(agent.best(reward))
+        found.append(self._expectations(policies[-1], world, phi, rng))
         distances = [float(np.linalg.norm(expert - mu)) for mu in found[1:]]
         best = int(np.argmin(distances))
-        curves = {"margin": margins, "distance": distances}
-        return Learned(policies[best], LinearReward(world.phi, weights[best]), curves)
+        return Learned(policies[best], reward, {"margin": margins, "distance": distances})
 
-    def _expectations(self, policy: Policy, world: World, rng: np.random.Generator) -> Array:
+    def _expectations(self, policy: Policy, world: World, phi: Phi, rng: np.random.Generator) -> Array:
         """mu of a policy: exact where the model is known, else from rollouts."""
         if world.model is None:
-            return feature_expectations(world.rollout(policy, self.rollouts, rng), world)
+            return feature_expectations(world.rollout(policy, self.rollouts, rng), world, phi)
         return exact_feature_expectations(policy, world, world.model)
 
 
@@ -112,7 +131,7 @@ def discounts(world: World) -> Array:
     return weights
 
 
-def feature_expectations(episodes: Episodes, world: World) -> Array:
+def feature_expectations(episodes: Episodes, world: World, phi: Phi) -> Array:
     """(K + 1,): the mean over episodes of the discounted sum of features up to the horizon, the last being
     the absorbing indicator, scaled such that the discounts sum to 1."""
     weights = discounts(world)
@@ -122,7 +141,7 @@ def feature_expectations(episodes: Episodes, world: World) -> Array:
         if episodes.times is not None:  # those that are shown stand for all
             shown = weights[episodes.times[i]]
             alive = shown * (alive.sum() / shown.sum())
-        mean = alive @ world.phi(obs[: len(act)], act)
+        mean = alive @ phi(obs[: len(act)], act)
         absorbed = weights[steps:].sum() if episodes.terminated[i] else 0.0
         each.append(np.append(mean, absorbed))
     return np.asarray(np.mean(each, axis=0))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from methods.base import Array
+from methods.base import Array, Reward
 from methods.network import Network
 
 
@@ -51,24 +51,49 @@ class StateReward:
 
 @dataclass(frozen=True)
 class NetworkReward:
-    """`bound` times the tanh of a network of (observation, action, absorbing indicator)."""
+    """`size` times a network of (observation, action, absorbing indicator), or, where it sees no `actions`,
+    of (observation, absorbing indicator)."""
 
     network: Network
-    bound: float
+    size: float
     absorbing: float
+    actions: bool = True
 
     @classmethod
-    def of(cls, layers: torch.nn.Module, mean: Array, std: Array, bound: float) -> NetworkReward:
-        """From torch layers, before the tanh, on standardised observations (`mean`, `std`), actions and the
-        indicator."""
+    def of(
+        cls,
+        layers: torch.nn.Module,
+        mean: Array,
+        std: Array,
+        *,
+        bound: float | None = None,
+        actions: bool = True,
+    ) -> NetworkReward:
+        """From torch layers on standardised observations (`mean`, `std`), actions and the indicator. bound:
+        what it is times the layers' tanh; None where it is what they give."""
         linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
         rest = linear[0].in_features - len(mean)
         shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
-        network = Network.from_torch(layers, shift, scale, tanh=True)
-        absorbed = np.append(mean, np.zeros(rest))
+        network = Network.from_torch(layers, shift, scale, tanh=bound is not None)
+        absorbed, size = np.append(mean, np.zeros(rest)), 1.0 if bound is None else bound
         absorbed[-1] = 1
-        return cls(network, bound, bound * float(network(absorbed[None])[0, 0]))
+        return cls(network, size, size * float(network(absorbed[None])[0, 0]), actions)
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        inputs = np.concatenate([obs, act, np.zeros((len(obs), 1))], axis=1)
-        return self.bound * self.network(inputs)[:, 0]
+        seen = [obs, act] if self.actions else [obs]
+        inputs = np.concatenate([*seen, np.zeros((len(obs), 1))], axis=1)
+        return self.size * self.network(inputs)[:, 0]
+
+
+@dataclass(frozen=True)
+class MeanReward:
+    """The mean of several rewards."""
+
+    rewards: tuple[Reward, ...]
+
+    @property
+    def absorbing(self) -> float:
+        return float(np.mean([reward.absorbing for reward in self.rewards]))
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.asarray(np.mean([reward(obs, act, next_obs) for reward in self.rewards], axis=0))

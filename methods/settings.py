@@ -6,19 +6,35 @@ from typing import Any
 
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
+    ("maxent_state", "*", "*"): {"actions": False},
+    **{
+        (name, "*", "quick"): {"iterations": 10, "averaged": 5, "final_steps": 3000}
+        for name in ("maxmargin", "maxmargin_projection")
+    },
+    **{
+        (name, "*", "quick"): {"iterations": 15, "averaged": 8, "final_steps": 3000}
+        for name in ("maxent", "maxent_state")
+    },
     ("maxmargin_projection", "gridworld", "*"): {"iterations": 30},
     ("maxmargin", "gridworld", "*"): {"iterations": 30},
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
-    ("maxmargin", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
-    ("maxent", "highway", "full"): {"iterations": 10, "rl_steps": 5000},
+    ("maxent_state", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
+    ("maxmargin", "highway", "full"): {"rl_steps": 2000, "final_steps": 10_000},
+    ("maxent", "highway", "full"): {"rl_steps": 1600, "final_steps": 10_000},
+    ("maxent_state", "highway", "full"): {"rl_steps": 1600, "final_steps": 10_000},
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_decay", "*", "*"): {"weight_decay": 1e-3},
     ("shaped_decay", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
+    ("shaped_ranked", "*", "smoke"): {
+        **{"steps": 300, "iterations": 10, "rollouts": 2},
+        **{"comparisons": 200, "reward_steps": 50, "networks": 2},
+    },
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
-    ("maxmargin", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
-    ("maxmargin_projection", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
-    ("maxent", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3, "reward_steps": 100},
+    **{
+        (name, "*", "smoke"): {"iterations": 1, "rl_steps": 320, "final_steps": 320, "rollouts": 3}
+        for name in ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
+    },
     ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""

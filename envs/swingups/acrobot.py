@@ -38,6 +38,8 @@ class Physics:
     """Of each link [m]."""
     max_torque: float = 50.0
     """On the second link, and against the first, at an action of 1 [N m]."""
+    max_rate: float = 50 * np.pi
+    """Where rates are cut [rad/s]: as Box2D does, at a quarter of a turn in one of its steps, of 0.01 s."""
     time_step: float = 0.02
     """[s]"""
     parts: int = 4
@@ -46,14 +48,16 @@ class Physics:
 
     @property
     def bounds(self) -> Sequence[float]:
-        return 1.0, 1.0, 1.0, 1.0, np.inf, np.inf
+        return 1.0, 1.0, 1.0, 1.0, self.max_rate, self.max_rate
 
     def start(self, rng: np.random.Generator) -> Array:
         return np.asarray(rng.standard_normal(4) * np.array([0.1, 0.1, 0.01, 0.01]))
 
     def advance(self, state: Array, act: Array) -> Array:
         torque = self.max_torque * act[0]
-        return runge_kutta(partial(self.rates, torque=torque), state, self.time_step, self.parts)
+        after = runge_kutta(partial(self.rates, torque=torque), state, self.time_step, self.parts)
+        after[2:] = np.clip(after[2:], -self.max_rate, self.max_rate)
+        return after
 
     def rates(self, state: Array, torque: Array) -> Array:
         """The state's derivative, by Lagrange: with mass m, length l and d = first - second,

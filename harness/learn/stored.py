@@ -40,7 +40,7 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     if type(thing) is np.ndarray:
-        arrays[name] = _compact(thing)
+        arrays[name] = compact(thing)
         return {"array": name}
     if type(thing) is tuple:
         return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
@@ -76,8 +76,9 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
     raise ValueError(f"{str(described)[:40]!r} is nothing that was stored here")
 
 
-def _compact(array: NDArray[Any]) -> NDArray[Any]:
-    """It in 32 bits where that loses nothing, as in what was fitted in 32 bits."""
+def compact(array: NDArray[Any]) -> NDArray[Any]:
+    """It in 32 bits where that loses nothing, as in what was fitted in 32 bits. Raises TypeError for what
+    cannot be stored."""
     if array.dtype != np.float64:
         if array.dtype.kind not in "biu" or not array.dtype.isnative:
             raise TypeError(f"an array of {array.dtype} cannot be stored")

@@ -18,10 +18,12 @@ MARGINS = {"iterations": 2, "rollouts": 3, "epsilon": -1.0}
 BRIEF: dict[str, dict[str, Any]] = {
     "shaped": FITS,
     "shaped_ml": FITS,
+    "shaped_ranked": FITS | {"rollouts": 2, "comparisons": 20, "reward_steps": 20},
     "bc": FITS,
     "maxmargin": MARGINS,
     "maxmargin_projection": MARGINS,
     "maxent": {"iterations": 2, "rollouts": 3, "reward_steps": 20},
+    "maxent_state": {"iterations": 2, "rollouts": 3, "reward_steps": 20},
     "maxent_linear": {"iterations": 2, "rollouts": 3},
 }
 """Settings that save time; the others are those of `smoke`."""

@@ -1,5 +1,6 @@
 """Maximum-entropy IRL raises the reward where demonstrations go and lowers it where the learner goes."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -8,12 +9,12 @@ import pytest
 import torch
 
 from methods.base import Array, Episodes
-from methods.maxent import MaxEnt, sample, visitations
+from methods.maxent import MaxEnt, sample, squared_slope, visitations
 from methods.network import mlp
 from methods.rewards import NetworkReward
 
 MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
-METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20)
+METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
 
 
 def constant(*action: float) -> Callable[[Array], Array]:
@@ -46,7 +47,7 @@ def test_minibatches_are_rows_of_the_visitations() -> None:
 
 def test_the_reward_is_the_torch_network_on_standardised_observations_and_bounded() -> None:
     layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(0))
-    reward = NetworkReward.of(layers, MEAN, STD, 1.5)
+    reward = NetworkReward.of(layers, MEAN, STD, bound=1.5)
     rng = np.random.default_rng(0)
     obs, act = rng.normal(size=(20, 3)), rng.uniform(-1, 1, (20, 2))
     inputs = np.concatenate([(obs - MEAN) / STD, act, np.zeros((20, 1))], axis=1)
@@ -91,18 +92,35 @@ def test_what_absorption_pays_is_learned(
     assert reward.absorbing > 0.5
 
 
-def test_the_prior_bounds_the_reward(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    # At the optimum it is (p_D - p) / (prior (p_D + p)), for densities p_D and p of visitations.
-    method = MaxEnt(iterations=1, reward_steps=400, rollouts=20, prior=2.0)
-    learned = method.fit(demonstrate(constant(0.9, 0.9)), world, np.random.default_rng(0))
+def test_slopes_are_those_of_the_network() -> None:
+    slope = torch.tensor([[3.0, -4.0, 1.0]])
+    a, b = torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0))
+    found = squared_slope(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))
+    assert float(found) == pytest.approx(26, rel=0.1)
+
+
+def test_the_prior_bounds_the_slope(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    # Between two actions, all else alike, the best reward rises evenly, by 1 / prior for each unit.
+    world.random_actions = lambda count, rng: constant(-0.5, 0.0)(np.zeros((count, 3)))
     obs = np.random.default_rng(1).uniform(-1, 1, (300, 3))
-    shown = learned.reward(obs, constant(0.9, 0.9)(obs), obs)
-    absent = learned.reward(obs, constant(-0.9, -0.9)(obs), obs)
-    assert shown.max() < 0.75
-    assert shown.mean() > 0.2
-    assert absent.mean() == pytest.approx(-0.5, abs=0.15)
-    far = 100 * obs
-    assert np.abs(learned.reward(far, constant(0.9, 0.9)(far), far)).max() <= 0.5
+    rises = []
+    for prior in (1.0, 4.0):
+        method = MaxEnt(iterations=1, averaged=1, reward_steps=600, rollouts=20, slope_prior=prior)
+        learned = method.fit(demonstrate(constant(0.5, 0.0)), world, np.random.default_rng(0))
+        values = [learned.reward(obs, constant(x, 0.0)(obs), obs).mean() for x in (-0.4, 0.0, 0.4)]
+        rises.append(np.diff(values))
+    np.testing.assert_allclose(rises[0], rises[0].mean(), rtol=0.25)
+    assert 0.4 * 0.8 < rises[0].mean() < 0.4 * 2
+    np.testing.assert_allclose(rises[0], 4 * rises[1], rtol=0.4)
+
+
+def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    method = dataclasses.replace(METHOD, actions=False)
+    reward = method.fit(demonstrate(constant(0.5, 0.0)), world, np.random.default_rng(0)).reward
+    obs = np.random.default_rng(1).uniform(-1, 1, (30, 3))
+    one, other = (reward(obs, constant(x, -x)(obs), obs) for x in (-0.4, 0.4))
+    np.testing.assert_array_equal(one, other)
+    assert np.ptp(one) > 0
 
 
 def test_an_expert_that_hardly_moves_does_not_make_cliffs_of_its_reward(
@@ -118,9 +136,17 @@ def test_an_expert_that_hardly_moves_does_not_make_cliffs_of_its_reward(
     assert jump.mean() < 0.1
 
 
-def test_it_warms_every_solve_but_the_first(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    method = MaxEnt(iterations=3, rl_steps=7, reward_steps=1)
+def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    method = MaxEnt(iterations=3, rl_steps=7, final_steps=9, averaged=2, reward_steps=1)
     learned = method.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
-    assert [(steps, warm) for _, steps, warm in world.solves] == [(14, False), (7, True), (7, True)]
-    # R* is the reward that pi* was found under.
+    found = [(steps, warm) for _, steps, warm in world.solves]
+    assert found == [(14, False), (7, True), (7, True), (9, True)]
     assert learned.reward is world.solves[-1][0]
+    obs, act = np.random.default_rng(1).uniform(-1, 1, (2, 30, 3))
+    of = [reward(obs, act[:, :2], obs) for reward, *_ in world.solves]
+    np.testing.assert_allclose(of[3], (of[1] + of[2]) / 2)
+    assert learned.reward.absorbing == pytest.approx(
+        (world.solves[1][0].absorbing + world.solves[2][0].absorbing) / 2
+    )

@@ -133,10 +133,12 @@ def test_feature_expectations_weigh_steps_by_discounts_that_sum_to_1(
     alive = weights[:length]
     expected = [*(alive @ act), alive.sum(), weights[length:].sum() if terminated else 0.0]
     one = Episodes((np.zeros((length + 1, 3)),), (act,), (terminated,))
-    np.testing.assert_allclose(feature_expectations(one, world), expected)
+    np.testing.assert_allclose(feature_expectations(one, world, world.phi), expected)
     # And the mean over episodes, of any length.
     still = Episodes((*one.obs, np.zeros((11, 3))), (act, np.zeros((10, 2))), (terminated, False))
-    np.testing.assert_allclose(feature_expectations(still, world), np.add(expected, [0, 0, 1, 0]) / 2)
+    np.testing.assert_allclose(
+        feature_expectations(still, world, world.phi), np.add(expected, [0, 0, 1, 0]) / 2
+    )
 
 
 def test_the_reward_is_linear_and_its_last_weight_is_absorption(world: Any) -> None:
@@ -150,7 +152,7 @@ def test_the_reward_is_linear_and_its_last_weight_is_absorption(world: Any) -> N
 def test_it_finds_the_demonstrated_action(
     world: Any, demonstrate: Callable[..., Episodes], corner: tuple[float, float]
 ) -> None:
-    learned = MaxMargin(iterations=4, epsilon=-1.0).fit(
+    learned = MaxMargin(iterations=4, epsilon=-1.0, waves=0).fit(
         demonstrate(constant(*corner)), world, np.random.default_rng(0)
     )
     obs = np.zeros((5, 3))
@@ -163,11 +165,12 @@ def test_it_finds_the_demonstrated_action(
 def test_the_margin_never_rises_and_the_closest_policy_is_chosen(
     world: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
-    learned = MaxMargin(iterations=5, epsilon=-1.0).fit(
+    learned = MaxMargin(iterations=5, epsilon=-1.0, waves=0).fit(
         demonstrate(constant(0.3, -0.6)), world, np.random.default_rng(0)
     )
     margins, distances = learned.curves["margin"], learned.curves["distance"]
-    assert len(margins) == len(distances) + 1 == 6
+    # The last is of R*, the mean weights.
+    assert len(margins) == len(distances) == 6
     assert (np.diff(margins) <= 1e-6).all()
     assert margins[-1] < 0.5 * margins[0]
     # Here phi is the action itself and a constant.
@@ -175,11 +178,11 @@ def test_the_margin_never_rises_and_the_closest_policy_is_chosen(
     assert np.linalg.norm(action - [0.3, -0.6]) == pytest.approx(min(distances))
 
 
-@pytest.mark.parametrize("best", range(3))
-def test_the_closest_policy_is_returned_with_the_reward_it_was_found_under(
+@pytest.mark.parametrize("best", range(4))
+def test_the_closest_policy_is_returned_with_the_mean_of_the_latest_rewards(
     world: Any, demonstrate: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch, best: int
 ) -> None:
-    actions = [(0.9, -0.9), (0.9, -0.8), (0.8, -0.9)]
+    actions = [(0.9, -0.9), (0.9, -0.8), (0.8, -0.9), (0.8, -0.8)]
     actions[best] = (0.4, -0.5)
     rewards: list[Any] = []
 
@@ -188,23 +191,28 @@ def test_the_closest_policy_is_returned_with_the_reward_it_was_found_under(
         return constant(*actions[len(rewards) - 1])
 
     monkeypatch.setattr(world, "solved", solve)
-    learned: Any = MaxMargin(iterations=3, epsilon=-1.0).fit(
+    learned: Any = MaxMargin(iterations=3, averaged=2, epsilon=-1.0).fit(
         demonstrate(constant(0.3, -0.6)), world, np.random.default_rng(0)
     )
     np.testing.assert_array_equal(learned.policy(np.zeros((1, 3))), [[0.4, -0.5]])
-    np.testing.assert_array_equal(learned.reward.w, rewards[best].w)
-    assert np.abs(rewards[0].w - rewards[-1].w).max() > 0.1
+    first, second, third, last = (reward.w for reward in rewards)
+    np.testing.assert_array_equal(learned.reward.w, last)
+    np.testing.assert_allclose(last, (second + third) / 2)
+    assert np.abs(first - third).max() > 0.1
 
 
 def test_it_stops_at_a_small_margin_and_warms_every_solve_but_the_first(
     world: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
     demos = demonstrate(constant(0.95, -0.95))
-    MaxMargin(iterations=3, rl_steps=7, epsilon=-1.0).fit(demos, world, np.random.default_rng(0))
-    assert [(steps, warm) for _, steps, warm in world.solves] == [(14, False), (7, True), (7, True)]
+    MaxMargin(iterations=3, rl_steps=7, final_steps=9, epsilon=-1.0).fit(
+        demos, world, np.random.default_rng(0)
+    )
+    found = [(steps, warm) for _, steps, warm in world.solves]
+    assert found == [(14, False), (7, True), (7, True), (9, True)]
     world.solves.clear()
     learned = MaxMargin(iterations=3, epsilon=10.0).fit(demos, world, np.random.default_rng(0))
-    assert len(world.solves) == 1
+    assert len(world.solves) == 2
     assert len(learned.curves["margin"]) == 2
 
 
@@ -241,7 +249,9 @@ def from_every_state(world: Any) -> Episodes:
 def test_exact_feature_expectations_are_those_of_every_episode(finite_world: MakeWorld) -> None:
     world = finite_world(grid(3, 0.0))
     exact = exact_feature_expectations(world.optimal(), world, world.model)
-    np.testing.assert_allclose(exact, feature_expectations(from_every_state(world), world), atol=1e-12)
+    np.testing.assert_allclose(
+        exact, feature_expectations(from_every_state(world), world, world.phi), atol=1e-12
+    )
     assert exact[-1] == 0
     assert exact.sum() == pytest.approx(1)
 
@@ -252,7 +262,7 @@ def test_exact_feature_expectations_are_the_limit_of_rollouts(finite_world: Make
     # One episode's features differ by at most 1.
     np.testing.assert_allclose(
         exact_feature_expectations(world.optimal(), world, world.model),
-        feature_expectations(rollouts, world),
+        feature_expectations(rollouts, world, world.phi),
         atol=4 * 0.5 / np.sqrt(1000),
     )
 
@@ -285,7 +295,7 @@ def test_it_stops_where_a_mixture_of_what_it_found_is_as_good_as_the_expert(
     tabular, count, epsilon = tasks()[name]
     world, rng = finite_world(tabular, horizon=50), np.random.default_rng(0)
     demos = world.rollout(world.optimal(), count, rng) if count else from_every_state(world)
-    expert = feature_expectations(demos, world)
+    expert = feature_expectations(demos, world, world.phi)
     error = np.linalg.norm(expert - exact_feature_expectations(world.optimal(), world, world.model))
     assert error < epsilon
 
@@ -301,11 +311,11 @@ def test_it_stops_where_a_mixture_of_what_it_found_is_as_good_as_the_expert(
     assert margins[-1] <= epsilon < margins[-2]
 
     found = [exact_feature_expectations(world.policy(its), world, world.model) for its in world.found]
-    assert len(found) == len(margins) > 2
+    assert len(found) == len(margins) + 1 > 3
     separate = projection if by_projection else max_margin
-    its_margins = [separate(expert, found[: i + 1])[1] for i in range(len(found))]
+    its_margins = [separate(expert, found[: i + 1])[1] for i in range(len(margins))]
     np.testing.assert_allclose(margins, its_margins, atol=1e-6)
-    assert distance_to_mixtures(expert, found) <= epsilon + 1e-6
+    assert distance_to_mixtures(expert, found[:-1]) <= epsilon + 1e-6
     # For a while, none of these did.
     assert distance_to_mixtures(expert, found[:2]) > epsilon
     # The one returned is the nearest by itself.
