@@ -1,0 +1,86 @@
+"""Its policy is that of `shaped`; its reward ranks what is like demonstrations above what is like noise."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harness.registry import load_method
+from methods.base import Array, Episodes
+from methods.shaped import Shaped
+from methods.shaped_ranked import ShapedRanked, noisy
+
+FITS: dict[str, Any] = {"steps": 40, "iterations": 10}
+METHOD = ShapedRanked(**FITS, levels=(0.0, 0.5, 1.0), rollouts=10, reward_steps=200)
+
+
+class Line:
+    """A world whose observation (3,) begins with the last action's first entry."""
+
+    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
+
+    def __init__(self, lifetime: int = 10) -> None:
+        self.lifetime = lifetime
+
+    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+        return rng.uniform(-1, 1, (count, 2))
+
+    def rollout(self, policy: Callable[[Array], Array], episodes: int, rng: np.random.Generator) -> Episodes:
+        obs, act = [], []
+        for _ in range(episodes):
+            seen, done = [rng.normal(0, 0.1, 3)], []
+            for _ in range(self.lifetime):
+                done.append(policy(seen[-1][None])[0])
+                seen.append(np.append(done[-1][0], rng.normal(0, 0.1, 2)))
+            obs.append(np.array(seen))
+            act.append(np.array(done))
+        return Episodes(tuple(obs), tuple(act), (self.lifetime < self.horizon,) * episodes)
+
+
+def expert(obs: Array) -> Array:
+    return np.tile([0.7, 0.0], (len(obs), 1))
+
+
+def at(x: float) -> tuple[Array, Array, Array]:
+    obs = np.tile([x, 0.0, 0.0], (1, 1))
+    return obs, np.zeros((1, 2)), obs
+
+
+def test_its_policy_is_that_of_shaped() -> None:
+    world: Any = Line()
+    demos = world.rollout(expert, 5, np.random.default_rng(0))
+    obs = np.random.default_rng(1).normal(size=(20, 3))
+    ranked = METHOD.fit(demos, world, np.random.default_rng(2))
+    shaped = Shaped(**FITS).fit(demos, world, np.random.default_rng(2))
+    np.testing.assert_array_equal(ranked.policy(obs), shaped.policy(obs))
+
+
+def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
+    world: Any = Line()
+    demos = world.rollout(expert, 5, np.random.default_rng(0))
+    reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
+    values = [reward(*at(x))[0] for x in (0.7, 0.0, -0.7)]
+    assert values[0] > values[1] + 0.2
+    assert values[0] > values[2] + 0.5
+    obs, act, after = at(0.7)
+    assert reward(obs, act + 0.9, after) == reward(obs, act, after)
+    assert -1 <= min(values) <= max(values) <= 1
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_where_demonstrations_live_death_pays_less(every: int) -> None:
+    demos = Line().rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
+    reward: Any = METHOD.fit(demos, Line(lifetime=3), np.random.default_rng(2)).reward
+    assert reward.absorbing < reward(*at(0.7))[0] - 0.2
+
+
+def test_noise_replaces_the_share_of_actions_that_was_asked_for() -> None:
+    world: Any = Line()
+    act = noisy(expert, 0.3, world, np.random.default_rng(0))(np.zeros((5000, 3)))
+    assert (act != expert(act)).any(axis=1).mean() == pytest.approx(0.3, abs=0.03)
+    np.testing.assert_array_equal(noisy(expert, 0.0, world, np.random.default_rng(0))(act), expert(act))
+
+
+def test_it_is_registered() -> None:
+    assert load_method("shaped_ranked") is ShapedRanked
