@@ -19,9 +19,10 @@ from harness.learn.world import Features
 from harness.registry import SPECS, BadInput
 from harness.run.artifacts import artifact, read_artifact
 from harness.run.cache import Kept, as_bytes
+from methods.fourier import FourierFeatures
 from methods.gaussian import SquashedGaussian
 from methods.network import Network
-from methods.rewards import Constant, LinearReward, NetworkReward, StateReward
+from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward
 from methods.shaped import ShapedReward
 
 CELL, CONDITIONS = Cell("cartpole", "shaped", 0), Conditions("smoke", "absorbing", "sbx")
@@ -36,16 +37,21 @@ def network(inputs: int, outputs: int, half: bool = True) -> Network:
     return Network(np.zeros(inputs), np.ones(inputs), tuple(weights), (np.zeros(7), np.zeros(outputs)), True)
 
 
-def linear() -> LinearReward:
-    spec = SPECS["cartpole"]
-    size = spec.features(np.zeros((1, 4)), np.zeros((1, 1))).shape[1]
-    return LinearReward(Features(spec), RNG.standard_normal(size + 1))
+def linear(waves: int = 0) -> LinearReward:
+    phi: Any = Features(SPECS["cartpole"])
+    if waves:
+        phi = FourierFeatures.drawn(phi, RNG.standard_normal((9, 4)), 1, waves, 1.0, RNG)
+    size = phi(np.zeros((1, 4)), np.zeros((1, 1))).shape[1]
+    return LinearReward(phi, RNG.standard_normal(size + 1))
 
 
 REWARDS = {
     "shaped": ShapedReward(network(4, 1), network(4, 1), absorbing=-0.1),
     "linear": linear(),
+    "waves": linear(waves=8),
     "network": NetworkReward(network(6, 1, half=False), 2.0, -1.5),
+    "of states": NetworkReward(network(5, 1), 1.0, 0.25, actions=False),
+    "mean": MeanReward((NetworkReward(network(6, 1), 2.0, -1.5), StateReward(network(4, 1), 0.3))),
     "state": StateReward(network(4, 1), 0.3),
     "constant": Constant(1.0, absorbing=-0.0),
     "distance": Distance(network(4, 1), absorbing=1e-300),
