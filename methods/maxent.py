@@ -8,12 +8,12 @@ explains the demonstrations without it may be worth another journey with it.
 
 Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is reinforcement
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
-expected visitations E[mu] come from rollouts of it. The paper's prior on the network's weights is one on its
-slope here: without it the reward becomes a cliff around the demonstrations, which nothing leads up to. R* is
-the mean of the latest networks, for in the game between reward and policy the players' averages converge, and
-their last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The network sees an absorbing
-indicator, and visitations count absorbing steps up to the horizon, so what absorption pays is learned like
-any state's reward.
+expected visitations E[mu] come from rollouts of what the agent would do, without what it explores. The
+paper's prior on the network's weights is one on its slope here: without it the reward becomes a cliff around
+the demonstrations, which nothing leads up to. R* is the mean of the latest networks, for in the game between
+reward and policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire
+2007). The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so
+what absorption pays is learned like any state's reward.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ Where the model is known the likelihood is that of maximum causal entropy up to 
 
 Deviates from the paper: a Gaussian prior on w keeps it finite where demonstrations leave no doubt. Elsewhere
 "solve the MDP" is warm-started RL, and E[phi] comes from rollouts of it, averaged over the iterations. Each
-iteration's weights solve a linear system, for the prior on the reward's values of `methods.maxent` is
-quadratic in them. Features get an absorbing indicator, and visitations count absorbing steps up to the
-horizon, so what absorption pays is learned like any state's reward.
+iteration's weights solve a linear system, for a Gaussian prior on the reward's values is quadratic in them.
+Features get an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
+absorption pays is learned like any state's reward.
 """
 
 from __future__ import annotations

@@ -5,14 +5,16 @@ t(i) = max over |w| <= 1 of min over j < i of w^T (mu_E - mu(j))     (thesis, eq
 or, as `maxmargin_projection`, w from the paper's simpler projection method (its section 3.1).
 
 The reward is w^T phi. mu(j) are discounted feature expectations of the policies found so far, mu_E those
-of the demonstrations. Features are the environment's, and one more for the absorbing state, where all
-others are 0; every episode is counted up to the horizon, so what absorption pays is learned as well.
+of the demonstrations. Features are the environment's, random Fourier features beside them where the model
+is not known, and one for the absorbing state, where all others are 0; every episode is counted up to the
+horizon, so what absorption pays is learned as well.
 
-Deviates from the paper: where the model is not known, "solve the MDP" is RL warm-started from the last
-iteration, and feature expectations come from a few rollouts, so a later policy may be further from the
-expert. pi* is not chosen by hand from the collection: it is the policy that the margin problem, given it
-alone, separates least from the expert, the one with the smallest |mu_E - mu(j)|. R* is the reward it was
-found under.
+Deviates from the paper: where the model is not known, "solve the MDP" is reinforcement learning that goes on
+a little under each new w, and feature expectations come from a few rollouts, so a later policy may be further
+from the expert. The paper ends with a mixture of all policies found, or one chosen by hand. Here R* has the
+mean of the latest w, each counting by its margin, and the agent learns under that last; pi* is the policy, of
+all found, that the margin problem, given it alone, separates least from the expert: the one with the smallest
+|mu_E - mu(j)|.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ from methods.fourier import FourierFeatures
 from methods.rewards import LinearReward
 from methods.tabular import state_visitations
 
+TINY = 1e-9
+"""A margin at least, of w that separate nothing."""
 Phi = Callable[[Array, Array], Array]
 
 
@@ -42,7 +46,7 @@ class MaxMargin:
     rl_steps: int = 1600
     """Environment steps of each; the first takes twice as many."""
     averaged: int = 10
-    """Latest iterations of whose weights R* has the mean."""
+    """Latest iterations, of whose weights R* has the mean, each by the margin that it left."""
     final_steps: int = 5000
     """Environment steps under R*."""
     epsilon: float = 0.01
@@ -51,8 +55,8 @@ class MaxMargin:
     """Episodes that estimate a policy's feature expectations."""
     waves: int = 200
     """Random Fourier features beside the environment's, where the model is not known."""
-    width: float = 1.0
-    """Of their kernel, in standard deviations of what a random policy and the expert observe."""
+    width: float = 0.5
+    """Of their kernel: times the root of how many inputs it has, in standard deviations of these."""
     projection: bool = False
     """Whether weights come from the projection method instead of the margin problem."""
 
@@ -63,7 +67,8 @@ class MaxMargin:
         if world.model is None and self.waves:
             visited = world.rollout(random, self.rollouts, rng).pairs()[0]
             both = np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
-            phi = FourierFeatures.drawn(phi, both, world.act_size, self.waves, self.width, rng)
+            width = self.width * np.sqrt(world.obs_size + world.act_size)
+            phi = FourierFeatures.drawn(phi, both, world.act_size, self.waves, width, rng)
         expert = feature_expectations(demos, world, phi)
         found = [self._expectations(random, world, phi, rng)]
         separate = projection if self.projection else max_margin
@@ -79,7 +84,9 @@ class MaxMargin:
             margins.append(margin)
             if margin <= self.epsilon:
                 break
-        reward = LinearReward(phi, np.mean(weights[-self.averaged :], axis=0))
+        latest = slice(-self.averaged, None)
+        separated = np.maximum(margins[: len(weights)][latest], TINY)
+        reward = LinearReward(phi, np.average(weights[latest], axis=0, weights=separated))
         agent.learn(self.final_steps, reward)
         policies.append(agent.best(reward))
         found.append(self._expectations(policies[-1], world, phi, rng))

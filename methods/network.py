@@ -35,6 +35,8 @@ class Network:
 
     def __post_init__(self) -> None:
         # Products of other layouts are rounded otherwise, and what is stored has this one.
+        for name in ("mean", "std"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
         for name in ("weights", "biases"):
             arrays = tuple(np.ascontiguousarray(array, np.float64) for array in getattr(self, name))
             object.__setattr__(self, name, arrays)

@@ -8,11 +8,11 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
     ("maxent_state", "*", "*"): {"actions": False},
     **{
-        (name, "*", "quick"): {"iterations": 10, "averaged": 5, "final_steps": 3000}
+        (name, "*", "quick"): {"iterations": 10, "averaged": 5, "final_steps": 4000}
         for name in ("maxmargin", "maxmargin_projection")
     },
     **{
-        (name, "*", "quick"): {"iterations": 15, "averaged": 8, "final_steps": 3000}
+        (name, "*", "quick"): {"iterations": 15, "averaged": 8, "final_steps": 4000}
         for name in ("maxent", "maxent_state")
     },
     ("maxmargin_projection", "gridworld", "*"): {"iterations": 30},
@@ -20,6 +20,7 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxent", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
     ("maxent_state", "gridworld", "*"): {"iterations": 300, "learning_rate": 1e-2},
     ("maxmargin", "highway", "full"): {"rl_steps": 2000, "final_steps": 10_000},
+    ("maxmargin_projection", "highway", "full"): {"rl_steps": 2000, "final_steps": 10_000},
     ("maxent", "highway", "full"): {"rl_steps": 1600, "final_steps": 10_000},
     ("maxent_state", "highway", "full"): {"rl_steps": 1600, "final_steps": 10_000},
     ("shaped", "*", "smoke"): {"steps": 300, "iterations": 10},

@@ -2,14 +2,13 @@
 
 R of eq. 4.3 is 0, its best, wherever the action is f(s): it says how to act in a state, and nothing about
 which state to be in. Here the policy is f, fitted as in `methods.shaped`, and the reward is one of states
-alone, by which demonstrations are better than f, and f the better the fewer of its actions are replaced by
-random ones. It is learned from these comparisons by logistic regression (Bradley & Terry 1952) on sums of
-rewards, and touches the environment for the rollouts alone: there is no reinforcement learning.
+alone, by which f is the better the fewer of its actions are replaced by random ones. It is learned from these
+comparisons by logistic regression (Bradley & Terry 1952) on sums of rewards, and touches the environment for
+the rollouts alone: there is no reinforcement learning.
 
 Deviates from the paper: states that are compared are drawn from all of a level's episodes, where the paper
-compares stretches of two of them, so that demonstrations of which few steps are shown will do; they are a
-level of their own; rewards are bounded. The networks see an absorbing indicator, and episodes that terminated
-count absorbing steps up to the horizon, so what absorption pays is learned as well.
+compares stretches of two of them; rewards are bounded. The networks see an absorbing indicator, and episodes
+that terminated count absorbing steps up to the horizon, so what absorption pays is learned as well.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class ShapedRanked(Shaped):
         """Fit f as `Shaped` does, then the reward by comparisons."""
         learned = super().fit(demos, world, rng)
         policies = [noisy(learned.policy, share, world, rng) for share in self.levels]
-        ladder = [demos, *(world.rollout(policy, self.rollouts, rng) for policy in policies)]
+        ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in ladder]))
         visits = [visitations(e, world.horizon, mean, std, actions=False) for e in ladder]
         pairs = np.sort([rng.choice(len(visits), 2, replace=False) for _ in range(self.comparisons)])

@@ -11,18 +11,20 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.learn.simulator import Simulator, Trajectory
-from methods.base import Array, Policy
+from methods.base import Array, Policy, Reward
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths (N,) of N episodes, how many ended why, and the first one."""
+    """True returns and lengths (N,) of N episodes, how many ended why, the first one, and their returns under
+    another reward (None: there is none), counted from what absorption pays."""
 
     returns: Array
     discounted: Array
     lengths: Array
     endings: dict[str, int]
     first: Trajectory
+    own: Array | None = None
 
     def columns(self) -> dict[str, Any]:
         """The columns of scores.csv that it fills."""
@@ -30,11 +32,13 @@ class Evaluation:
         measures = {"return": self.returns, "discounted": self.discounted, "length": self.lengths}
         for name, values in measures.items():
             columns |= {f"{name}_mean": float(values.mean()), f"{name}_std": float(values.std())}
+        if self.own is not None and np.isfinite(self.own).all():
+            columns["own_return"] = float(self.own.mean())
         return columns
 
 
-def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int]) -> Evaluation:
-    """Native episodes of the policy, one for each seed."""
+def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward | None = None) -> Evaluation:
+    """Native episodes of the policy, one for each seed. reward: another one."""
     episodes = Simulator(spec).run(policy, seeds)
     return Evaluation(
         returns=np.array([e.rewards.sum() for e in episodes]),
@@ -42,4 +46,10 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int]) -> Evaluation:
         lengths=np.array([float(len(e.act)) for e in episodes]),
         endings=dict(sorted(Counter(e.ending for e in episodes).items())),
         first=episodes[0],
+        own=None if reward is None else np.array([total(reward, e.obs, e.act) for e in episodes]),
     )
+
+
+def total(reward: Reward, obs: Array, act: Array) -> float:
+    """What the reward pays for an episode, obs (T+1, O) and act (T, A), counted from what absorption pays."""
+    return float((reward(obs[:-1], act, obs[1:]) - reward.absorbing).sum())

@@ -94,6 +94,8 @@ class Entry:
     reward_floor: float
     reward_rank: float
     policy_ranking: float
+    own_return: float
+    own_return_shown: float
     return_mean: float
     return_low: float
     return_high: float
@@ -296,6 +298,8 @@ def _entry(
         reward_floor=_mean([row.reward_floor for row in ok]),
         reward_rank=_mean([row.reward_rank for row in ok]),
         policy_ranking=_mean([row.policy_ranking for row in ok]),
+        own_return=_mean([row.own_return for row in ok]),
+        own_return_shown=_mean([row.own_return_shown for row in ok]),
         return_mean=_mean([row.return_mean for row in ok]),
         return_low=returns[0],
         return_high=returns[1],

@@ -173,6 +173,11 @@ class Row:
     """Of pi_R rows, where the model is known: the EPIC distance, for comparison with other work."""
     policy_ranking: float = math.nan
     """Of pi_R rows: that of policies' mean returns under the two (`harness.judge.ranking`)."""
+    own_return: float = math.nan
+    """Of pi_star and pi_R rows: mean undiscounted return under R* over the evaluation episodes, counted from
+    what absorption pays."""
+    own_return_shown: float = math.nan
+    """Of the same rows of methods: that of the demonstrations, where every step of theirs is shown."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0

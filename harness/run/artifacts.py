@@ -16,7 +16,7 @@ from harness.run.codec import printable
 from harness.run.files import opened
 from methods.base import Policy, Reward
 
-FORMAT = 1
+FORMAT = 2
 KIND = "safetensors"
 LARGEST = 1 << 28
 """Bytes of a file that is read, at most."""

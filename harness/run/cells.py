@@ -14,7 +14,7 @@ import numpy as np
 from envs import EnvSpec
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.controls import control_reward
-from harness.judge.evaluation import Evaluation, evaluate
+from harness.judge.evaluation import Evaluation, evaluate, total
 from harness.judge.results import (
     CONTROLS,
     MOST_CURVES,
@@ -51,7 +51,7 @@ def run_cell(
     `prepare`. Raises what its method raises."""
     task = Task(cell, conditions, Shared(inputs))
     made = policies(task)
-    scored = {one.name: score(task, one.policy) for one in made if one.policy}
+    scored = {one.name: score(task, one.policy, one.reward) for one in made if one.policy}
     missed = [missed_bar(task, scored["expert"])] if cell.method == REFERENCE else []
     artifacts, lost = kept(task, made)
     recordings = {
@@ -88,7 +88,7 @@ class Task:
     shared: Shared
     seconds: dict[str, float] = field(default_factory=dict)
     """That each stage took so far."""
-    noted: dict[str, int] = field(default_factory=dict)
+    noted: dict[str, float] = field(default_factory=dict)
     """Columns of all its rows that became known so far."""
 
     @contextmanager
@@ -197,6 +197,10 @@ def fit(task: Task, demos: Episodes) -> Made:
     world = task.world()
     with task.during("fit"):
         learned = learned_by(task, task.cell.method, demos, world)
+    if learned.reward is not None and demos.whole:
+        both = zip(demos.obs, demos.act, strict=True)
+        paid = [total(learned.reward, obs, act) for obs, act in both]
+        task.noted["own_return_shown"] = float(np.mean(paid))
     took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
     most = MOST_CURVES - len(("pi_R", "pi_R_true"))
@@ -253,10 +257,11 @@ def measured(task: Task, reward: Reward | None) -> dict[str, float]:
     return found
 
 
-def score(task: Task, policy: Policy) -> Evaluation:
-    """In the original environment, by the true reward."""
+def score(task: Task, policy: Policy, reward: Reward | None) -> Evaluation:
+    """In the original environment, by the true reward, and by the one that it was trained on or found
+    with."""
     with task.during("score"):
-        return evaluate(task.place, policy, task.seeds)
+        return evaluate(task.place, policy, task.seeds, reward)
 
 
 def row(task: Task, made: Made, scored: Evaluation | None) -> Row:

@@ -13,6 +13,7 @@ from envs.driving.fast import FastHighwayEnv
 from harness import bench, cli, growth
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
+from harness.run.engines import Engine
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -42,8 +43,8 @@ def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_share_is_of_what_a_cell_took(monkeypatch: pytest.MonkeyPatch) -> None:
-    def compute(cells: list[Cell], conditions: Conditions, workers: int) -> list[CellResult]:
-        assert workers == 1
+    def compute(cells: list[Cell], conditions: Conditions, engine: Engine) -> list[CellResult]:
+        assert engine.workers == 1
         row = Row("cartpole", "shaped", 0, "pi_star", "absorbing")
         seconds = [{"start": 1.0, "fit": 5.0 - i, "retrain": 2.0 + i, "score": 1.0 + i} for i in range(3)]
         return [CellResult(cell, [row], seconds=its) for cell, its in zip(cells, seconds, strict=True)]

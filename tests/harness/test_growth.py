@@ -9,6 +9,7 @@ import pytest
 from harness import growth
 from harness.bench import compute
 from harness.judge.results import Cell
+from harness.run.isolated import Isolated
 
 
 def hold(megabytes: int) -> int:
@@ -45,4 +46,4 @@ def test_what_a_driver_and_a_report_take_is_of_whole_runs() -> None:
 
 def test_a_cell_that_fails_is_not_measured() -> None:
     with pytest.raises(RuntimeError, match="no method named 'nothing'"):
-        compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, workers=1)
+        compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, Isolated(1))

@@ -20,8 +20,9 @@ class Line:
 
     obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
 
-    def __init__(self, lifetime: int = 10) -> None:
-        self.lifetime = lifetime
+    def __init__(self, mortal: bool = False) -> None:
+        self.mortal = mortal
+        """Whether a negative first entry of an action ends the episode."""
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -29,13 +30,14 @@ class Line:
     def rollout(self, policy: Callable[[Array], Array], episodes: int, rng: np.random.Generator) -> Episodes:
         obs, act = [], []
         for _ in range(episodes):
-            seen, done = [rng.normal(0, 0.1, 3)], []
-            for _ in range(self.lifetime):
+            seen, done = [rng.normal(0, 0.1, 3)], list[Array]()
+            while len(done) < self.horizon and not (self.mortal and done and done[-1][0] < 0):
                 done.append(policy(seen[-1][None])[0])
                 seen.append(np.append(done[-1][0], rng.normal(0, 0.1, 2)))
             obs.append(np.array(seen))
             act.append(np.array(done))
-        return Episodes(tuple(obs), tuple(act), (self.lifetime < self.horizon,) * episodes)
+        died = tuple(self.mortal and bool(its[-1, 0] < 0) for its in act)
+        return Episodes(tuple(obs), tuple(act), died)
 
 
 def expert(obs: Array) -> Array:
@@ -69,9 +71,10 @@ def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
 
 
 @pytest.mark.parametrize("every", [1, 4])
-def test_where_demonstrations_live_death_pays_less(every: int) -> None:
-    demos = Line().rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
-    reward: Any = METHOD.fit(demos, Line(lifetime=3), np.random.default_rng(2)).reward
+def test_where_noise_kills_death_pays_less(every: int) -> None:
+    world: Any = Line(mortal=True)
+    demos = world.rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
+    reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
     assert reward.absorbing < reward(*at(0.7))[0] - 0.2
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,7 +90,7 @@ def test_every_solve_that_runs_ask_for_suits_the_copies(spec: EnvSpec) -> None:
     for name in METHODS | VARIANTS:
         for budget in BUDGETS:
             method = load_method(name)(**settings_for(name, spec.name, budget))
-            asked.append(getattr(method, "rl_steps", settings.checkpoint_every))
+            asked += [getattr(method, field, 2 * settings.copies) for field in ("rl_steps", "final_steps")]
     assert all(steps >= 2 * settings.copies and steps % settings.copies == 0 for steps in asked)
 
 
@@ -255,7 +255,9 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
     trained: list[int] = []
     check, begin = Simulator.run_each, TrainingEnv._reset
 
-    def run_each(self: Simulator, policies: Sequence[Policy], seeds: Sequence[int]) -> list[list[Trajectory]]:
+    def run_each(
+        self: Simulator, policies: Sequence[Policy], seeds: Sequence[int]
+    ) -> Iterator[list[Trajectory]]:
         checked.extend([*seeds] * len(policies))
         return check(self, policies, seeds)
 

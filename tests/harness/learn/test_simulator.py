@@ -122,7 +122,7 @@ def test_policies_side_by_side_see_what_they_would_see_alone(fragile: EnvSpec, l
     policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
     simulator = Simulator(fragile, lanes)
     expected = [simulator.run(policy, SEEDS) for policy in policies]
-    found = simulator.run_each(policies, SEEDS)
+    found = list(simulator.run_each(policies, SEEDS))
     for one, other in zip(found, expected, strict=True):
         assert_equal(one, other)
     assert len({len(episode.act) for episodes in found for episode in episodes}) > 3

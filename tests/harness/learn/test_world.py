@@ -380,6 +380,14 @@ def test_later_rewards_are_discounted_more(steady: EnvSpec) -> None:
     assert scored.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
 
 
+def test_returns_under_another_reward_are_counted_from_what_absorption_pays(fragile: EnvSpec) -> None:
+    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30), Constant(2.0, absorbing=0.5))
+    np.testing.assert_allclose(scored.own, 1.5 * scored.lengths)
+    assert scored.columns()["own_return"] == pytest.approx(1.5 * scored.lengths.mean())
+    endless = evaluate(fragile, lambda obs: -0.2 * obs, range(3), Constant(np.inf, absorbing=0.5))
+    assert "own_return" not in endless.columns()
+
+
 def test_endings_are_counted(fragile: EnvSpec) -> None:
     scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30))
     assert set(scored.endings) <= {"missed", "time limit"}

@@ -143,14 +143,15 @@ def test_times_that_cannot_be_are_refused(wrong: dict, message: str) -> None:
 
 def test_features_of_few_steps_stand_for_all() -> None:
     world: Any = SimpleNamespace(horizon=60, gamma=0.95, phi=lambda obs, act: np.column_stack([act, act**2]))
-    every = feature_expectations(whole(50), world)
-    some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world)
+    every = feature_expectations(whole(50), world, world.phi)
+    some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world, world.phi)
     np.testing.assert_allclose(some, every, atol=0.03)
     constant: Any = SimpleNamespace(**{**vars(world), "phi": lambda obs, act: np.ones((len(act), 1))})
     for episodes in (whole(2), whole(2).every(7, np.random.default_rng(0))):
         dead = dataclasses.replace(episodes, terminated=(True, False))
         alive = (1 - 0.95**45) / (1 - 0.95**60)
-        np.testing.assert_allclose(feature_expectations(dead, constant).sum(), (1 + alive) / 2)
+        found = feature_expectations(dead, constant, constant.phi)
+        np.testing.assert_allclose(found.sum(), (1 + alive) / 2)
 
 
 @pytest.fixture

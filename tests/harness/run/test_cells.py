@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness.judge.evaluation import evaluate
+from harness.judge.evaluation import evaluate, total
 from harness.judge.results import (
     CONTROLS,
     LEARNED,
@@ -34,7 +34,7 @@ from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.codec import decode, encode
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.experts import expert_for
+from harness.run.experts import demonstrations_for, expert_for
 from harness.run.files import sha256_of
 from methods.base import Array, Episodes, Learned, Policy, Reward, World
 
@@ -228,8 +228,13 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     learned = read_artifact(tmp_path / f"artifacts/{cell.name}.safetensors")
     assert set(learned) == {"pi_star", "pi_R", "reward"}
     for row in result.rows:
-        scored = evaluate(SPECS["cartpole"], learned[row.policy], evaluation_seeds(1, row.episodes))
+        seeds = evaluation_seeds(1, row.episodes)
+        scored = evaluate(SPECS["cartpole"], learned[row.policy], seeds, learned["reward"])
         assert scored.columns() == {name: getattr(row, name) for name in scored.columns()}
+        assert "own_return" in scored.columns()
+        demos = demonstrations_for("cartpole", 1, cell.shown, SMOKE)
+        shown = [total(learned["reward"], *pair) for pair in zip(demos.obs, demos.act, strict=True)]
+        assert row.own_return_shown == pytest.approx(np.mean(shown))
     solver = solver_for(SPECS["cartpole"], "absorbing", rng_for(1, "cartpole", "shaped", "pi_R"), "sb3")
     again = solver.solve(learned["reward"], SPECS["cartpole"].rl_steps["smoke"])
     obs = np.random.default_rng(0).standard_normal((20, 4))
