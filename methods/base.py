@@ -238,6 +238,25 @@ class Method(Protocol):
         """Learn from the demonstrations alone, in a world without its reward."""
 
 
+def roughened(
+    policy: Policy, share: float, random_actions: RandomActions, rng: np.random.Generator
+) -> Policy:
+    """The policy with this share of its actions replaced by random ones."""
+
+    def act(obs: Array) -> Array:
+        replaced = rng.random((len(obs), 1)) < share
+        return np.where(replaced, random_actions(len(obs), rng), policy(obs))
+
+    return act
+
+
+def seen_by_both(demos: Episodes, rollouts: Episodes, rng: np.random.Generator) -> Array:
+    """(2N, O): what was observed in N steps of rollouts, and as much of demonstrations. By its spread inputs
+    are standardised: where an expert hardly moves, its own would make outliers of all states but its own."""
+    visited = rollouts.pairs()[0]
+    return np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
+
+
 def default_absorbing(
     reward: Reward, demos: Episodes, random_actions: RandomActions, rng: np.random.Generator
 ) -> float:

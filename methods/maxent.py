@@ -9,11 +9,11 @@ explains the demonstrations without it may be worth another journey with it.
 Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is reinforcement
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
 expected visitations E[mu] come from rollouts of what the agent would do, without what it explores. The
-paper's prior on the network's weights is one on its slope here: without it the reward becomes a cliff around
-the demonstrations, which nothing leads up to. R* is the mean of the latest networks, for in the game between
-reward and policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire
-2007). The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so
-what absorption pays is learned like any state's reward.
+paper's prior on the network's weights is one on its slope here; with one on its values RL from scratch failed
+on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between reward and
+policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The
+network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
+absorption pays is learned like any state's reward.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, World, seen_by_both
 from methods.network import ADAM, Network, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, StateReward
 from methods.tabular import finite_soft_value_iteration, state_visitations
@@ -90,9 +90,7 @@ class MaxEnt:
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
         rollouts = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
-        # Where an expert hardly moves, its own spread would make outliers of all states but its own.
-        visited = rollouts.pairs()[0]
-        mean, std = standardiser(np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited]))
+        mean, std = standardiser(seen_by_both(demos, rollouts, rng))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
         network = mlp(inputs, *self.layers, 1, generator=generator)

@@ -27,7 +27,7 @@ import cvxpy as cp
 import numpy as np
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, World, seen_by_both
 from methods.fourier import FourierFeatures
 from methods.rewards import LinearReward
 from methods.tabular import state_visitations
@@ -46,7 +46,7 @@ class MaxMargin:
     rl_steps: int = 1600
     """Environment steps of each; the first takes twice as many."""
     averaged: int = 10
-    """Latest iterations, of whose weights R* has the mean, each by the margin that it left."""
+    """Latest iterations, of whose weights R* has the mean, each counting by its margin."""
     final_steps: int = 5000
     """Environment steps under R*."""
     epsilon: float = 0.01
@@ -65,8 +65,7 @@ class MaxMargin:
         random: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         phi: Phi = world.phi
         if world.model is None and self.waves:
-            visited = world.rollout(random, self.rollouts, rng).pairs()[0]
-            both = np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
+            both = seen_by_both(demos, world.rollout(random, self.rollouts, rng), rng)
             width = self.width * np.sqrt(world.obs_size + world.act_size)
             phi = FourierFeatures.drawn(phi, both, world.act_size, self.waves, width, rng)
         expert = feature_expectations(demos, world, phi)

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from methods.base import Array, Episodes, Learned, Policy, Reward, World
+from methods.base import Episodes, Learned, Reward, World, roughened
 from methods.maxent import visitations
 from methods.network import descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward
@@ -54,7 +54,7 @@ class ShapedRanked(Shaped):
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
         learned = super().fit(demos, world, rng)
-        policies = [noisy(learned.policy, share, world, rng) for share in self.levels]
+        policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in ladder]))
         visits = [visitations(e, world.horizon, mean, std, actions=False) for e in ladder]
@@ -76,13 +76,3 @@ class ShapedRanked(Shaped):
             )
             rewards.append(NetworkReward.of(network, mean, std, bound=1.0, actions=False))
         return Learned(learned.policy, MeanReward(tuple(rewards)), curves)
-
-
-def noisy(policy: Policy, share: float, world: World, rng: np.random.Generator) -> Policy:
-    """The policy with this share of its actions replaced by random ones."""
-
-    def act(obs: Array) -> Array:
-        replaced = rng.random((len(obs), 1)) < share
-        return np.where(replaced, world.random_actions(len(obs), rng), policy(obs))
-
-    return act

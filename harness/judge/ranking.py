@@ -13,7 +13,7 @@ from scipy.stats import spearmanr
 from envs import EnvSpec
 from harness.judge.stretches import Stretches
 from harness.learn.simulator import Simulator
-from methods.base import Array, Policy, Reward
+from methods.base import Array, Policy, Reward, roughened
 
 POLICIES = 20
 """That a reward must rank."""
@@ -40,17 +40,8 @@ def ranked(
 ) -> Ranked:
     """Each policy as it is and, so that there are `POLICIES`, with shares of random actions."""
     shares = np.linspace(0, ROUGHEST, POLICIES // len(policies))
-    rough = [roughened(policy, spec, share, rng) for policy in policies for share in shares]
+    executed = [lambda obs, its=policy: spec.executed(its(obs)) for policy in policies]
+    rough = [roughened(policy, share, spec.random_actions, rng) for policy in executed for share in shares]
     episodes = [e for its in Simulator(spec).run_each(rough, seeds) for e in its]
     true = np.array([e.rewards.sum() for e in episodes]).reshape(len(rough), -1).mean(axis=1)
     return Ranked(**vars(Stretches.of(episodes, [0] * len(episodes))), true=true)
-
-
-def roughened(policy: Policy, spec: EnvSpec, share: float, rng: np.random.Generator) -> Policy:
-    """The policy with this share of its actions replaced by random ones."""
-
-    def act(obs: Array) -> Array:
-        replaced = rng.random((len(obs), 1)) < share
-        return np.where(replaced, spec.random_actions(len(obs), rng), spec.executed(policy(obs)))
-
-    return act

@@ -115,3 +115,11 @@ def test_the_acrobots_motor_pushes_both_links() -> None:
     assert first < 0 < second
     momentum = 4 / 3 * first + second / 3 + (first + second) / 2  # about the hinge, of links in line
     assert momentum == pytest.approx(0, abs=1e-12)
+
+
+def test_the_acrobots_rates_are_cut() -> None:
+    state = np.array([0.3, -0.2, 100.0, 150.0])
+    for _ in range(500):
+        state = acrobot.NOMINAL.advance(state, np.ones(1))
+        assert np.isfinite(state).all()
+        assert np.abs(state[2:]).max() <= acrobot.NOMINAL.max_rate

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from methods.base import Episodes, Transitions, default_absorbing
+from methods.base import Episodes, Transitions, default_absorbing, roughened, seen_by_both
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -100,3 +100,19 @@ def test_absorption_pays_what_the_demonstrations_got_where_they_terminate_themse
     demos = episodes([50, 7], terminated=True)
     expected = -(demos.pairs()[1] ** 2).sum(1).mean()
     assert default_absorbing(Quadratic(), demos, uniform, np.random.default_rng(1)) == pytest.approx(expected)
+
+
+def test_noise_replaces_the_share_of_actions_that_was_asked_for() -> None:
+    obs = np.zeros((5000, 3))
+    still = lambda obs: np.zeros((len(obs), 2))  # noqa: E731
+    act = roughened(still, 0.3, uniform, np.random.default_rng(0))(obs)
+    assert act.any(axis=1).mean() == pytest.approx(0.3, abs=0.03)
+    assert (act.any(axis=1) == act.all(axis=1)).all()
+    assert not roughened(still, 0.0, uniform, np.random.default_rng(0))(obs).any()
+
+
+def test_rollouts_and_demonstrations_are_seen_alike() -> None:
+    demos, rollouts = episodes([3]), episodes([50, 20])
+    both = seen_by_both(demos, rollouts, np.random.default_rng(0))
+    np.testing.assert_array_equal(both[70:], rollouts.pairs()[0])
+    assert {tuple(row) for row in both[:70]} == {tuple(row) for row in demos.pairs()[0]}

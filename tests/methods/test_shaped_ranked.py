@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.registry import load_method
 from methods.base import Array, Episodes
 from methods.shaped import Shaped
-from methods.shaped_ranked import ShapedRanked, noisy
+from methods.shaped_ranked import ShapedRanked
 
 FITS: dict[str, Any] = {"steps": 40, "iterations": 10}
 METHOD = ShapedRanked(**FITS, levels=(0.0, 0.5, 1.0), rollouts=10, reward_steps=200)
@@ -76,14 +75,3 @@ def test_where_noise_kills_death_pays_less(every: int) -> None:
     demos = world.rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
     reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
     assert reward.absorbing < reward(*at(0.7))[0] - 0.2
-
-
-def test_noise_replaces_the_share_of_actions_that_was_asked_for() -> None:
-    world: Any = Line()
-    act = noisy(expert, 0.3, world, np.random.default_rng(0))(np.zeros((5000, 3)))
-    assert (act != expert(act)).any(axis=1).mean() == pytest.approx(0.3, abs=0.03)
-    np.testing.assert_array_equal(noisy(expert, 0.0, world, np.random.default_rng(0))(act), expert(act))
-
-
-def test_it_is_registered() -> None:
-    assert load_method("shaped_ranked") is ShapedRanked

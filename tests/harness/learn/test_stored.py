@@ -14,7 +14,7 @@ from envs import EnvSpec, Quantity
 from harness.judge.controls import Distance
 from harness.judge.results import Cell, Conditions
 from harness.learn.exact import ExactSolver
-from harness.learn.stored import from_arrays, to_arrays
+from harness.learn.stored import compact, from_arrays, to_arrays
 from harness.learn.world import Features
 from harness.registry import SPECS, BadInput
 from harness.run.artifacts import artifact, read_artifact
@@ -207,3 +207,13 @@ def test_a_damaged_artifact_is_told_in_a_line(tmp_path: Path) -> None:
             read_artifact(file)
     with pytest.raises(BadInput, match="No such file"):
         read_artifact(tmp_path / "absent")
+
+
+def test_a_network_kept_in_32_bits_is_the_same_and_can_be_kept_again(tmp_path: Path) -> None:
+    before = network(4, 1)
+    small = {name: compact(array) for name, array in before.arrays().items()}
+    assert {array.dtype for array in small.values()} == {np.dtype(np.float32)}
+    after = Network.from_arrays(small)
+    assert np.array_equal(after(batch()[0]), before(batch()[0]))
+    found = kept(tmp_path / "a.safetensors", pi_star=after)["pi_star"]
+    assert np.array_equal(found(batch()[0]), before(batch()[0]))
