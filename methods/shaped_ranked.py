@@ -8,12 +8,15 @@ the rollouts alone: there is no reinforcement learning.
 
 Deviates from the paper: states that are compared are drawn from all of a level's episodes, where the paper
 compares stretches of two of them; rewards are bounded. The networks see an absorbing indicator, and episodes
-that terminated count absorbing steps up to the horizon, so what absorption pays is learned as well.
+that terminated count absorbing steps up to the horizon, so what absorption pays is learned as well. Where
+demonstrations terminate less often than random actions it pays at most the least that a visited state does:
+states just before an end and the end itself are seen under the same noise, so comparisons hardly tell which
+of them is worse.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -60,6 +63,7 @@ class ShapedRanked(Shaped):
         visits = [visitations(e, world.horizon, mean, std, actions=False) for e in ladder]
         pairs = np.sort([rng.choice(len(visits), 2, replace=False) for _ in range(self.comparisons)])
         both = [np.stack([rng.choice(visits[i], self.compared) for i in side]) for side in pairs.T]
+        visited = np.concatenate([e.pairs()[0] for e in ladder])
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         rewards, curves = list[Reward](), dict(learned.curves)
         for i in range(self.networks):
@@ -74,5 +78,9 @@ class ShapedRanked(Shaped):
             curves[f"ranking loss, network {i}"] = descend(
                 loss, [network], both, self.reward_rate, self.reward_steps, self.reward_batch, rng
             )
-            rewards.append(NetworkReward.of(network, mean, std, bound=1.0, actions=False))
+            reward = NetworkReward.of(network, mean, std, bound=1.0, actions=False)
+            if np.mean(demos.terminated) < np.mean(ladder[-1].terminated):
+                least = float(reward(visited, visited, visited).min())
+                reward = replace(reward, absorbing=min(reward.absorbing, least))
+            rewards.append(reward)
         return Learned(learned.policy, MeanReward(tuple(rewards)), curves)

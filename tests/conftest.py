@@ -9,20 +9,23 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import pytest
+
+from harness.run.environment import FIXED
+
+os.environ.update(FIXED)  # before numpy, which decides how many threads it has as it is imported
+
 import gymnasium as gym
 import numpy as np
-import pytest
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from harness.run.environment import FIXED
 
 HORIZON = 10
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One thread a process, and what JAX compiles, much of the time of many tests, compiled once for all."""
-    os.environ.update(FIXED)
+    """What JAX compiles, much of the time of many tests, is compiled once for all."""
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
