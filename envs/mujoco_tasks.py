@@ -188,9 +188,9 @@ DOUBLE_PENDULUM = task(
     ),
     obs_scale=(0.3, 0.1, 0.1, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0),
     bar=9300.0,
-    shipped=Shipped(steps=200_000, bar=9300.0),
-    rl=SAC(),
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    shipped=Shipped(steps=80_000, bar=9300.0, checkpoint_every=1000),
+    rl=SAC(checkpoint_every=2000),
+    rl_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     variants={"heavy": Physics(mass=1.5), "gravity": Physics(gravity=1.4), "flipped": Physics(gear=-1.0)},
     ends="tip fell below 1 m",
 )
@@ -206,11 +206,12 @@ REACHER = task(
     ),
     obs_scale=(0.7, 0.7, 0.7, 0.7, 0.1, 0.1, 3.0, 3.0, 0.1, 0.1),
     bar=-6.0,
-    shipped=Shipped(steps=200_000, bar=-5.0),
-    rl=SAC(),
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    shipped=Shipped(steps=60_000, bar=-5.0, checkpoint_every=100),
+    rl=SAC(n_steps=1, checkpoint_every=1000),
+    rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     variants={"heavy": Physics(mass=2.0), "flipped": Physics(gear=-1.0)},
     axes=TOP,
+    gamma=0.95,
 )
 HALFCHEETAH = task(
     "halfcheetah",
