@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
 from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta, why_ended
+from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 500
@@ -138,14 +139,15 @@ SPEC = EnvSpec(
     gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 400.0,
-    rl_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
+    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=120_000, bar=400.0),
+    shipped=Shipped(steps=120_000, bar=400.0, checkpoint_every=200),
+    rl=DDPG(critics=2, final_learning_rate=1e-4, checkpoint_every=1000),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5)},
         "heavy": {"physics": Physics(pole_mass=0.5)},
