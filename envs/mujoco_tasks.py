@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -213,15 +213,31 @@ REACHER = task(
     axes=TOP,
     gamma=0.95,
 )
+RUNNING = SAC(
+    net=(128, 128),
+    batch=256,
+    n_steps=1,
+    tau=0.01,
+    final_learning_rate=3e-4,
+    checkpoint_every=5000,
+    check_episodes=5,
+)
 HALFCHEETAH = task(
     "halfcheetah",
     "HalfCheetah-v5",
     "MuJoCo HalfCheetah-v5: run, 1000 steps",
     obs_scale=(0.2, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 3.0, 1.0, 2.0, 8.0, 8.0, 8.0, 8.0, 8.0, 8.0),
     bar=8000.0,
-    shipped=Shipped(steps=1_000_000, bar=8000.0),
-    rl=SAC(),
-    rl_steps={"smoke": 600, "quick": 60_000, "full": 200_000},
+    shipped=Shipped(
+        steps=450_000,
+        bar=8000.0,
+        checkpoint_every=2500,
+        experts=3,
+        episodes=100,
+        rl=replace(RUNNING, buffer=450_000),
+    ),
+    rl=RUNNING,
+    rl_steps={"smoke": 600, "quick": 50_000, "full": 100_000},
     variants={
         "weak_leg": Physics(weak=("fthigh", "fshin", "ffoot")),
         "heavy": Physics(mass=1.5),

@@ -100,6 +100,7 @@ ENVS = {
         "envs.mujoco_tasks:DOUBLE_PENDULUM",
         "MuJoCo InvertedDoublePendulum-v5: balance two poles on a cart for 1000 steps",
     ),
+    "halfcheetah": Entry("envs.mujoco_tasks:HALFCHEETAH", "MuJoCo HalfCheetah-v5: run, 1000 steps"),
     "gridworld": Entry(
         "envs.gridworld:SPEC",
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
@@ -110,6 +111,7 @@ ENVS = {
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup"),
+    "locomotion": ("halfcheetah",),
     "tabular": ("gridworld",),
 }
 """Names that stand for several environments."""
