@@ -89,16 +89,8 @@ ENVS = {
         "envs.swingups.cartpole_swingup:SPEC",
         "RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
     ),
-    "point_maze": Entry(
-        "envs.point_maze:SPEC",
-        "AIRL's maze: push a ball around the end of a wall to a target, 100 steps",
-    ),
     "reacher": Entry(
         "envs.mujoco_tasks:REACHER", "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps"
-    ),
-    "double_pendulum": Entry(
-        "envs.mujoco_tasks:DOUBLE_PENDULUM",
-        "MuJoCo InvertedDoublePendulum-v5: balance two poles on a cart for 1000 steps",
     ),
     "halfcheetah": Entry("envs.mujoco_tasks:HALFCHEETAH", "MuJoCo HalfCheetah-v5: run, 1000 steps"),
     "gridworld": Entry(
