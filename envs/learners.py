@@ -37,7 +37,8 @@ class OffPolicy:
 
 @dataclass(frozen=True)
 class DDPG(OffPolicy):
-    """Lillicrap et al. 2015. noise: scale of its Ornstein-Uhlenbeck noise, of actions in [-1, 1]."""
+    """Lillicrap et al. 2015. noise: scale of its Ornstein-Uhlenbeck noise, of actions in [-1, 1]; it
+    drifts over hundreds of steps."""
 
     critics: int = 1
     """Of several, the smallest value counts (Fujimoto et al. 2018, TD3)."""
@@ -45,7 +46,7 @@ class DDPG(OffPolicy):
 
 @dataclass(frozen=True)
 class TD3(OffPolicy):
-    """Fujimoto et al. 2018. noise: as of `DDPG`."""
+    """Fujimoto et al. 2018. noise: standard deviation of its white noise, of actions in [-1, 1]."""
 
     critics: int = 2
     """At least 1; the smallest value counts."""

@@ -18,7 +18,7 @@ import sbx
 import stable_baselines3 as sb3
 import torch
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
 
 from envs import EnvSpec
 from envs.learners import DDPG, DQN, SAC, TD3, Learner
@@ -96,11 +96,11 @@ def _particulars(s: DDPG | TD3 | SAC, size: int) -> dict[str, Any]:
     if isinstance(s, SAC):
         # It begins with the size of rewards.
         return {"ent_coef": f"auto_{REWARD_SIZE}" if s.entropy is None else float(s.entropy)}
-    noise = OrnsteinUhlenbeckActionNoise(np.zeros(size), np.full(size, s.noise))
+    noise = np.zeros(size), np.full(size, s.noise)
     if isinstance(s, DDPG):
-        return {"action_noise": noise}
+        return {"action_noise": OrnsteinUhlenbeckActionNoise(*noise)}
     return {
-        "action_noise": noise,
+        "action_noise": NormalActionNoise(*noise),
         "policy_delay": s.policy_delay,
         "target_policy_noise": s.target_noise,
         "target_noise_clip": s.target_noise_clip,

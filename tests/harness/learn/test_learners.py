@@ -47,6 +47,20 @@ def test_it_learns_the_task_and_another_after_it(
         assert solution.env_steps == 1500
 
 
+@both_libraries
+def test_noise_drifts_in_ddpg_and_is_white_in_td3(steady: EnvSpec, library: Library) -> None:
+    drawn = {}
+    for settings in (DDPG(noise=0.4), TD3(noise=0.4)):
+        agent = Agent(dataclasses.replace(steady, rl=settings), "absorbing", rng(), library)
+        agent.learn(40, Seek(1.0))
+        noise: Any = agent._built.action_noise
+        drawn[type(settings)] = np.array([noise()[0, 0] for _ in range(3000)])
+    ddpg, td3 = drawn[DDPG], drawn[TD3]
+    assert np.corrcoef(ddpg[1:], ddpg[:-1])[0, 1] > 0.95
+    assert abs(np.corrcoef(td3[1:], td3[:-1])[0, 1]) < 0.1
+    assert td3.std() == pytest.approx(0.4, rel=0.1)
+
+
 @dataclasses.dataclass(frozen=True)
 class Miss:
     """Pays minus the squared distance to the observation."""
