@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
 from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta, why_ended
-from envs.learners import DDPG
+from envs.learners import SAC
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 500
@@ -139,20 +139,22 @@ SPEC = EnvSpec(
     gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 430.0,
-    rl_steps={"smoke": 600, "quick": 80_000, "full": 120_000},
+    rl_steps={"smoke": 600, "quick": 50_000, "full": 80_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=160_000, bar=450.0, checkpoint_every=400),
-    rl=DDPG(
-        critics=2,
+    shipped=Shipped(steps=100_000, bar=450.0, checkpoint_every=400),
+    rl=SAC(
+        net=(128, 128),
         batch=256,
-        copies=40,
-        gradient_steps=20,
-        final_learning_rate=1e-4,
+        n_steps=1,
+        tau=0.01,
+        copies=20,
+        gradient_steps=10,
+        final_learning_rate=3e-4,
         checkpoint_every=2000,
     ),
     variants={
