@@ -232,7 +232,7 @@ HALFCHEETAH = task(
         steps=450_000,
         bar=8000.0,
         checkpoint_every=2500,
-        experts=3,
+        experts=2,
         episodes=100,
         rl=replace(RUNNING, buffer=450_000),
     ),

@@ -85,10 +85,6 @@ ENVS = {
         "envs.swingups.swingup:SPEC",
         "Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
     ),
-    "cartpole_swingup": Entry(
-        "envs.swingups.cartpole_swingup:SPEC",
-        "RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
-    ),
     "reacher": Entry(
         "envs.mujoco_tasks:REACHER", "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps"
     ),
@@ -102,7 +98,7 @@ ENVS = {
 
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
-    "swingups": ("swingup", "cartpole_swingup"),
+    "swingups": ("swingup",),
     "locomotion": ("halfcheetah",),
     "tabular": ("gridworld",),
 }
