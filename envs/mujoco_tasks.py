@@ -222,6 +222,7 @@ RUNNING = SAC(
     checkpoint_every=5000,
     check_episodes=5,
 )
+"""RL where a body runs."""
 HALFCHEETAH = task(
     "halfcheetah",
     "HalfCheetah-v5",

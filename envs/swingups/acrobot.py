@@ -144,7 +144,7 @@ SPEC = EnvSpec(
         Quantity("second rate", "rad/s"),
     ),
     act_names=(Quantity("motor", "50 N m"),),
-    obs_scale=(0.7, 0.7, 0.7, 0.7, 5.0, 10.0),
+    obs_scale=(0.7, 0.7, 0.7, 0.7, 15.0, 30.0),
     horizon=HORIZON,
     gamma=0.99,
     time_step=NOMINAL.time_step,
