@@ -167,8 +167,8 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
 ) -> None:
     faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
     command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
-    # As a full disk does, the system refuses to write on, here after 50 KiB a file.
-    limited = ["bash", "-c", 'ulimit -f 50; exec "$@"', "-", *command]
+    # As a full disk does, the system refuses to write on, here after 200 KiB a file.
+    limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command]
     full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
     assert full.returncode == 2
     assert re.fullmatch(r"irl-bench: error: .*: '.*/cells/cartpole__\w+\.json'\n", full.stderr)
