@@ -33,6 +33,7 @@ def test_everything_runs_and_scores_do_not_depend_on_what_runs_beside(tmp_path: 
     every = scores(tmp_path / "every", "--methods", "all", "--envs", others)
     assert set(every["status"]) == {"ok", "skipped"}
     bodies = scores(tmp_path / "bodies", "--methods", "maxent,bc", "--envs", "locomotion", "--no-retrain")
+    assert set(bodies.loc[bodies["policy"] == "pi_star", "status"]) == {"ok"}
     assert set(bodies["status"]) <= {"ok", "skipped"}
     alone = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole", "--workers", "1")
     same = every[(every["env"] == "cartpole") & every["method"].isin(alone["method"])]
