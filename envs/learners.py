@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class OffPolicy:
-    """Of every learner with a replay buffer: the same for the expert, inner loops and pi_R in one task."""
+class Common:
+    """Of every learner: the same for the expert, inner loops and pi_R in one task."""
 
     net: tuple[int, ...] = (64, 64)
     """Units of each hidden layer, of actor and critics alike."""
@@ -15,24 +15,35 @@ class OffPolicy:
     """Of Adam, above 0; of actor and critics alike."""
     final_learning_rate: float = 1e-3
     """Reached linearly at the end of each solve."""
-    tau: float = 0.02
-    """Share, in (0, 1], by which target networks move towards their own with each gradient step."""
     batch: int = 128
     """Steps that a gradient is the mean of."""
-    n_steps: int = 3
-    """Rewards summed before a critic is asked, at least 1."""
     noise: float = 0.3
     """How much it explores, and how much equal checkpoints are disturbed."""
     copies: int = 10
     """Environments that an agent acts in side by side."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints; a multiple of `unit`."""
+    check_episodes: int = 20
+    """Episodes that a checkpoint is judged by, at most."""
+
+    @property
+    def unit(self) -> int:
+        """Solves take a multiple of so many steps, and twice as many at least."""
+        return self.copies
+
+
+@dataclass(frozen=True)
+class OffPolicy(Common):
+    """Of every learner with a replay buffer."""
+
+    tau: float = 0.02
+    """Share, in (0, 1], by which target networks move towards their own with each gradient step."""
+    n_steps: int = 3
+    """Rewards summed before a critic is asked, at least 1."""
     gradient_steps: int = 10
     """Gradient steps after each step of all copies."""
     buffer: int = 100_000
     """Latest steps that it keeps."""
-    checkpoint_every: int = 500
-    """Steps between checkpoints; a multiple of `copies`."""
-    check_episodes: int = 20
-    """Episodes that a checkpoint is judged by, at most."""
 
 
 @dataclass(frozen=True)
@@ -75,4 +86,26 @@ class DQN(OffPolicy):
     """Mnih et al. 2013, where actions are choices. noise: share of random actions."""
 
 
-Learner = DDPG | TD3 | SAC | DQN
+@dataclass(frozen=True)
+class PPO(Common):
+    """Schulman et al. 2017: it learns from its latest steps alone, and takes many. It explores by its own
+    policy; noise: standard deviation, of actions in [-1, 1], by which equal checkpoints are disturbed."""
+
+    learning_rate: float = 3e-4
+    final_learning_rate: float = 3e-4
+    batch: int = 500
+    copies: int = 50
+    checkpoint_every: int = 25_000
+    steps: int = 50
+    """Of each copy, between bouts of learning."""
+    epochs: int = 10
+    """How often each bout goes through those steps, at least 1."""
+    gae_lambda: float = 0.95
+    """Of generalised advantage estimation (Schulman et al. 2016), in [0, 1]."""
+
+    @property
+    def unit(self) -> int:
+        return self.copies * self.steps
+
+
+Learner = DDPG | TD3 | SAC | DQN | PPO

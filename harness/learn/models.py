@@ -1,8 +1,8 @@
 """The models of RL libraries: built from a task's settings, begun with a policy, their actors read. DDPG
-(Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX, which is
-Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; DQN (Mnih et al. 2013; thesis, figure 3.2), where
-actions are discrete, is the latter's. All have n-step returns; SAC's leave out the entropy of the steps
-between.
+(Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018), SAC (Haarnoja et al. 2018) and PPO (Schulman et al. 2017)
+are those of SBX, which is Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; DQN (Mnih et al. 2013;
+thesis, figure 3.2), where actions are discrete, is the latter's. All but PPO have n-step returns; SAC's leave
+out the entropy of the steps between.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
 
 from envs import EnvSpec
-from envs.learners import DDPG, DQN, SAC, TD3, Learner
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
+from harness.learn import on_policy
 from harness.learn.training_env import REWARD_SIZE, Replay, TrainingEnv
 from harness.registry import Library
 from methods.base import Array, Episodes, Policy, StochasticPolicy
 from methods.gaussian import SquashedGaussian
 from methods.network import ADAM, Network
 
-Model = sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.DQN
+Model = sbx.TD3 | sbx.SAC | sbx.PPO | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN
 """DDPG is a TD3 in both libraries."""
 Layers = Sequence[tuple[Array, Array]]
 """Weights (I, K) and biases (K,), the last two of SAC's being its heads: mean and logarithm of the standard
@@ -51,43 +52,54 @@ def build(
 ) -> Model:
     """An untrained model, which begins to learn after `warm_up` steps, at the rate that is told each time."""
     spec = env.spec
-    network: dict[str, Any] = {"net_arch": list(s.net)}
     common: dict[str, Any] = {
         "policy": "MlpPolicy",
-        "env": env,
         # Of the library's own progress a warm start would begin in the middle.
         "learning_rate": lambda _: learning_rate(),
-        "buffer_size": s.buffer,
-        "learning_starts": warm_up,
         "batch_size": s.batch,
-        "tau": s.tau,
         "gamma": spec.gamma,
-        "replay_buffer_class": Replay,
-        "replay_buffer_kwargs": {
-            "n_steps": s.n_steps,
-            "gamma": spec.gamma,
-            "source": env,
-            "demonstrations": demonstrations,
-        },
-        "train_freq": 1,
-        "gradient_steps": s.gradient_steps,
         "seed": seed,
         "device": "cpu",
     }
     model: Model
-    if isinstance(s, DQN):
-        model = sb3.DQN(
-            # It moves its target network with every bout of learning, not with every gradient step.
-            **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
-            target_update_interval=s.copies,
-            exploration_initial_eps=s.noise,
-            exploration_final_eps=s.noise,
-            policy_kwargs=network | {"optimizer_kwargs": ADAM},
-        )
+    if isinstance(s, PPO):
+        if demonstrations is not None:
+            raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
+        model = on_policy.ppo(s, library, env, common)
+        if isinstance(model, sbx.PPO):
+            _share(s, spec.act_size, [(model.policy, "actor_state"), (model.policy, "vf_state")])
     else:
-        network["n_critics"] = s.critics
-        common |= _particulars(s, spec.act_size)
-        model = _torch(s, common, network) if library == "sb3" else _jax(s, common, network, spec.act_size)
+        network: dict[str, Any] = {"net_arch": list(s.net)}
+        common |= {
+            "env": env,
+            "buffer_size": s.buffer,
+            "learning_starts": warm_up,
+            "tau": s.tau,
+            "replay_buffer_class": Replay,
+            "replay_buffer_kwargs": {
+                "n_steps": s.n_steps,
+                "gamma": spec.gamma,
+                "source": env,
+                "demonstrations": demonstrations,
+            },
+            "train_freq": 1,
+            "gradient_steps": s.gradient_steps,
+        }
+        if isinstance(s, DQN):
+            model = sb3.DQN(
+                # It moves its target network with every bout of learning, not with every gradient step.
+                **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
+                target_update_interval=s.copies,
+                exploration_initial_eps=s.noise,
+                exploration_final_eps=s.noise,
+                policy_kwargs=network | {"optimizer_kwargs": ADAM},
+            )
+        else:
+            network["n_critics"] = s.critics
+            common |= _particulars(s, spec.act_size)
+            model = (
+                _torch(s, common, network) if library == "sb3" else _jax(s, common, network, spec.act_size)
+            )
     model.set_logger(Logger(None, []))  # its own would leave a folder behind
     return model
 
@@ -123,9 +135,7 @@ def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], s
     states = [(model.policy, "actor_state"), (model.policy, "qf_state")]
     if isinstance(s, SAC):
         states.append((model, "ent_coef_state"))
-    own = [(getattr(of, name).apply_fn, getattr(of, name).tx) for of, name in states]
-    for (of, name), (apply, optimizer) in zip(states, _FUNCTIONS.setdefault((s, size), own), strict=True):
-        setattr(of, name, getattr(of, name).replace(apply_fn=apply, tx=optimizer))
+    _share(s, size, states)
     # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.
     layers = {**model.policy.actor_state.params["params"]}
     last = f"Dense_{len(s.net)}"
@@ -134,11 +144,35 @@ def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], s
     return model
 
 
+def _share(s: Learner, size: int, states: list[tuple[Any, str]]) -> None:
+    """Gives the states, each an attribute, the functions of the first agent with these settings."""
+    own = [(getattr(of, name).apply_fn, getattr(of, name).tx) for of, name in states]
+    for (of, name), (apply, optimizer) in zip(states, _FUNCTIONS.setdefault((s, size), own), strict=True):
+        setattr(of, name, getattr(of, name).replace(apply_fn=apply, tx=optimizer))
+
+
 def _put(model: Any, layers: Mapping[str, Mapping[str, Any]]) -> None:
     """Gives an actor in JAX these parameters, and its target, where it has one."""
     params = {"params": layers}
     fields = ("params",) if isinstance(model, sbx.SAC) else ("params", "target_params")
     model.policy.actor_state = model.policy.actor_state.replace(**dict.fromkeys(fields, params))
+
+
+def follow_reward(model: Model, noise: float) -> None:
+    """Has it go on under what its environment pays now; what it has seen is paid by that, too."""
+    if isinstance(model, sbx.PPO | sb3.PPO):
+        on_policy.forget_rewards(model)
+        on_policy.explore(model, noise)
+    else:
+        replay(model).relabel()
+
+
+def replay(model: Model) -> Replay:
+    """Raises ValueError where it has none."""
+    if isinstance(model, sbx.PPO | sb3.PPO):
+        raise ValueError("PPO keeps no steps")
+    assert isinstance(model.replay_buffer, Replay)
+    return model.replay_buffer
 
 
 def follow_learning_rate(model: Model, rate: float) -> None:
@@ -153,8 +187,12 @@ def actor(model: Model, spec: EnvSpec) -> Network:
     0): (B, A); of SAC (B, 2A), as `SquashedGaussian` has it; of DQN, which has none, values."""
     size = spec.obs_size
     zeros, scale = np.zeros(size), np.array(spec.obs_scale)
-    if isinstance(model, sbx.TD3 | sbx.SAC):
-        net = Network.from_flax(model.policy.actor_state.params["params"], zeros, scale)
+    if isinstance(model, sbx.TD3 | sbx.SAC | sbx.PPO):
+        layers = {**model.policy.actor_state.params["params"]}
+        layers.pop("log_std", None)
+        net = Network.from_flax(layers, zeros, scale)
+    elif isinstance(model, sb3.PPO):
+        net = Network.from_torch(on_policy.layers(model), zeros, scale)
     else:
         net = Network.from_torch(model.q_net if isinstance(model, sb3.DQN) else model.actor, zeros, scale)
     weights, biases = [*net.weights], [*net.biases]
@@ -170,7 +208,7 @@ def actor_layers(init: Policy | StochasticPolicy, spec: EnvSpec, settings: Learn
     policy has none, SAC's standard deviation is 1, about what it is untrained. Raises ValueError where the
     actor cannot be that policy."""
     net = init.network if isinstance(init, SquashedGaussian) and isinstance(settings, SAC) else init
-    if not isinstance(net, Network) or isinstance(settings, DQN):
+    if not isinstance(net, Network) or isinstance(settings, DQN | PPO):
         raise ValueError(f"{type(settings).__name__} cannot begin with a {type(init).__name__}")
     stochastic = net is not init
     sizes = (*map(len, net.weights), len(net.biases[-1]))
@@ -198,7 +236,7 @@ def begin(model: Model, layers: Layers) -> None:
         named = [{"kernel": w.astype(np.float32), "bias": b.astype(np.float32)} for w, b in layers]
         _put(model, {f"Dense_{i}": layer for i, layer in enumerate(named)})
         return
-    assert not isinstance(model, sb3.DQN)
+    assert isinstance(model, sb3.TD3 | sb3.SAC)
     linear = [m for m in model.actor.modules() if isinstance(m, torch.nn.Linear)]
     with torch.no_grad():
         for layer, (weight, bias) in zip(linear, layers, strict=True):

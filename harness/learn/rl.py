@@ -17,7 +17,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from envs import EnvSpec
-from envs.learners import SAC, Learner
+from envs.learners import PPO, SAC, Learner
 from harness.learn import models
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator
@@ -87,27 +87,27 @@ class Agent:
         """Learns for `steps` environment steps under the reward; None is the environment's own, for the
         expert and the control that learns from the truth.
 
-        Raises ValueError unless `steps` is a multiple of the settings' copies, twice that at least, and for
+        Raises ValueError unless `steps` is a multiple of the settings' unit, twice that at least, and for
         None where there are demonstrations; FloatingPointError on rewards that are not finite.
         """
-        copies = self.settings.copies
-        if steps < 2 * copies or steps % copies:
-            raise ValueError(
-                f"a solve takes a multiple of {copies} steps, at least {2 * copies}, not {steps}"
-            )
+        unit = self.settings.unit
+        if steps < 2 * unit or steps % unit:
+            raise ValueError(f"a solve takes a multiple of {unit} steps, at least {2 * unit}, not {steps}")
         if reward is None and self._demonstrations is not None:
             raise ValueError("what the environment paid for demonstrations is not known")
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
         warm_up = 0
         if self._model is None:
-            warm_up = min(WARM_UP, steps // 2) // copies * copies
+            if not isinstance(self.settings, PPO):
+                warm_up = min(WARM_UP, steps // 2) // unit * unit
             model = self._build(warm_up, seed)
-            model.learn(warm_up)
+            if warm_up:
+                model.learn(warm_up)
             self._model = model
         else:
             self._model.set_random_seed(seed)
-        self._replay.relabel()
+        models.follow_reward(self._model, self.settings.noise)
         episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
         self._check_seeds = training_seeds(self._rng, episodes)
         self._checkpoints = [(warm_up, self.policy)]
@@ -116,6 +116,7 @@ class Agent:
         else:
             keeper = _Keeper(self, warm_up, steps)
             self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
+            self.keep(steps)
         self.env_steps += steps
 
     def best(self, reward: Reward | None) -> Solution:
@@ -151,13 +152,12 @@ class Agent:
         return replace(self.best(reward), env_steps=self.env_steps - before)
 
     def replay(self) -> Transitions:
-        """The latest steps. Raises ValueError where nothing was learned yet."""
+        """The latest steps. Raises ValueError where nothing was learned yet, and of PPO, which keeps none."""
         return self._replay.steps()
 
     @property
     def _replay(self) -> Replay:
-        assert isinstance(self._built.replay_buffer, Replay)
-        return self._built.replay_buffer
+        return models.replay(self._built)
 
     @property
     def _built(self) -> models.Model:
@@ -243,6 +243,6 @@ class _Keeper(BaseCallback):
         settings = self.agent.settings
         self.done_steps += settings.copies
         self.agent.advance(self.done_steps / self.steps)
-        if self.done_steps % settings.checkpoint_every == 0 or self.done_steps == self.steps:
+        if self.done_steps % settings.checkpoint_every == 0 and self.done_steps < self.steps:
             self.agent.keep(self.done_steps)
         return True

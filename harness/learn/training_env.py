@@ -136,7 +136,7 @@ class TrainingEnv(VecEnv):
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[Any]]:
+    def step_wait(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], list[Any]]:
         spec, obs = self.spec, self._obs
         act = np.eye(spec.act_size)[self._actions] if spec.discrete else self._actions.astype(np.float64)
         alive = self._absorbed_for == NOT_ABSORBED
@@ -162,7 +162,7 @@ class TrainingEnv(VecEnv):
                 "TimeLimit.truncated": bool(truncated[place]),
             }
             self._reset(place)
-        rewards = ((raw - self._centre) / self._size).astype(np.float32)
+        rewards = (raw - self._centre) / self._size
         return self._seen() if done.any() else seen, rewards, done, infos
 
     def _reset(self, place: int) -> None:

@@ -13,10 +13,10 @@ import torch
 from gymnasium import spaces
 
 from envs import EnvSpec
-from envs.learners import DDPG, DQN, SAC, TD3, Learner
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn.rl import Agent
 from harness.registry import LIBRARIES, SPECS, Library
-from methods.base import Array
+from methods.base import Array, Episodes
 from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant
@@ -33,18 +33,23 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+ON_POLICY = PPO(copies=10, steps=10, batch=50, learning_rate=3e-3, checkpoint_every=1000)
+
+
 @both_libraries
-@pytest.mark.parametrize("settings", [TD3(), SAC()], ids=["TD3", "SAC"])
+@pytest.mark.parametrize(
+    ("settings", "steps"), [(TD3(), 1500), (SAC(), 1500), (ON_POLICY, 8000)], ids=["TD3", "SAC", "PPO"]
+)
 def test_it_learns_the_task_and_another_after_it(
-    steady: EnvSpec, settings: Learner, library: Library
+    steady: EnvSpec, settings: Learner, steps: int, library: Library
 ) -> None:
     agent = Agent(dataclasses.replace(steady, rl=settings), "absorbing", rng(), library)
     for side in (1.0, -1.0):
-        solution = agent.solve(Seek(side), 1500)
+        solution = agent.solve(Seek(side), steps)
         assert np.abs(solution.policy(OBS) - side * OBS).mean() < 0.15
         returns = [value for _, value in solution.curve]
         assert max(returns) > 8.5 > 7 > returns[0]
-        assert solution.env_steps == 1500
+        assert solution.env_steps == steps
 
 
 @both_libraries
@@ -192,7 +197,9 @@ def test_its_behaviour_is_what_the_library_explores_with(library: Library, steps
     np.testing.assert_array_equal(agent.behaviour.mean(SHOWN), agent.policy(SHOWN))
 
 
-@pytest.mark.parametrize("settings", [DDPG(), TD3()], ids=["DDPG", "TD3"])
+@pytest.mark.parametrize(
+    "settings", [DDPG(), TD3(), PPO(copies=2, steps=5, batch=5)], ids=["DDPG", "TD3", "PPO"]
+)
 def test_others_have_no_behaviour(steady: EnvSpec, settings: Learner) -> None:
     agent = Agent(steady, "absorbing", rng(), "sb3", settings)
     agent.learn(20, NOTHING)
@@ -222,6 +229,7 @@ def test_an_agent_that_has_not_learned_has_no_policy(steady: EnvSpec) -> None:
         (SAC(net=(16,)), SquashedGaussian(network(3, 16, 4)), "must not"),
         (TD3(), SquashedGaussian(network(3, 64, 64, 4, tanh=False)), "TD3 cannot begin with a Squashed"),
         (SAC(), lambda obs: obs[:, :2], "SAC cannot begin with a function"),
+        (PPO(), network(3, 64, 64, 2), "PPO cannot begin with a Network"),
     ],
 )
 def test_a_policy_that_the_actor_cannot_be_is_refused(settings: Learner, init: Any, why: str) -> None:
@@ -233,3 +241,13 @@ def test_values_of_choices_do_not_begin_with_a_policy() -> None:
     assert isinstance(SPECS["cartpole_discrete"].rl, DQN)
     with pytest.raises(ValueError, match="DQN cannot begin with a Network"):
         Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", init=network(4, 64, 64, 2))
+
+
+def test_ppo_keeps_no_steps_and_learns_from_no_others(steady: EnvSpec) -> None:
+    agent = Agent(steady, "absorbing", rng(), "sb3", ON_POLICY)
+    agent.learn(200, NOTHING)
+    with pytest.raises(ValueError, match="keeps no steps"):
+        agent.replay()
+    shown = Episodes((np.zeros((3, 1)),), (np.zeros((2, 1)),), (False,))
+    with pytest.raises(ValueError, match="not from demonstrations"):
+        Agent(steady, "absorbing", rng(), "sb3", ON_POLICY, demonstrations=shown).learn(200, NOTHING)

@@ -16,7 +16,7 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
-from envs.learners import DDPG, DQN, SAC, TD3, Learner
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn import rl
 from harness.learn.rl import Agent, Solution
 from harness.learn.seeds import TRAINING, evaluation_seeds
@@ -47,7 +47,8 @@ def solve(
 
 
 both_libraries = pytest.mark.parametrize("library", LIBRARIES)
-learners = pytest.mark.parametrize("learner", [DDPG, TD3, SAC])
+LEARNERS = [DDPG(), TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
+learners = pytest.mark.parametrize("settings", LEARNERS, ids=lambda settings: type(settings).__name__)
 
 
 def same(one: Network, other: Network) -> bool:
@@ -150,8 +151,8 @@ def test_it_learns_to_choose(steady: EnvSpec) -> None:
 
 @both_libraries
 @learners
-def test_the_generator_decides_everything(steady: EnvSpec, library: Library, learner: type[Learner]) -> None:
-    steady = dataclasses.replace(steady, rl=learner())
+def test_the_generator_decides_everything(steady: EnvSpec, library: Library, settings: Learner) -> None:
+    steady = dataclasses.replace(steady, rl=settings)
     # The library draws from the global generators, whose state must not matter.
     np.random.seed(1)  # noqa: NPY002
     one = solve(steady, Seek(), steps=400, library=library)
@@ -287,20 +288,23 @@ def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) ->
 @both_libraries
 @learners
 def test_the_learning_rate_falls_within_each_solve(
-    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library, learner: type[Learner]
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library, settings: Learner
 ) -> None:
-    spec = dataclasses.replace(steady, rl=learner(learning_rate=1e-3, final_learning_rate=1e-4))
+    falling = dataclasses.replace(settings, learning_rate=1e-3, final_learning_rate=1e-4)
+    spec = dataclasses.replace(steady, rl=falling)
     rates: list[float] = []
-    solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, learner.__name__)
-    train = solver.train
+    solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, type(settings).__name__)
+    train, on_policy = solver.train, isinstance(settings, PPO)
 
-    def spy(self: Any, gradient_steps: int, batch_size: int = 100) -> None:
-        train(self, gradient_steps, batch_size)
+    def spy(self: Any, *given: Any, **named: Any) -> None:
+        train(self, *given, **named)
         if library == "sbx":
-            states = self.policy.actor_state, self.policy.qf_state
-            both = {float(state.opt_state.hyperparams["learning_rate"]) for state in states}
+            states = self.policy.actor_state, self.policy.vf_state if on_policy else self.policy.qf_state
+            optimizers = [state.opt_state[1] if on_policy else state.opt_state for state in states]
+            both = {float(optimizer.hyperparams["learning_rate"]) for optimizer in optimizers}
         else:
-            both = {net.optimizer.param_groups[0]["lr"] for net in (self.actor, self.critic)}
+            nets = [self.policy] if on_policy else [self.actor, self.critic]
+            both = {net.optimizer.param_groups[0]["lr"] for net in nets}
         rates.append(*both)
 
     monkeypatch.setattr(solver, "train", spy)
@@ -343,15 +347,16 @@ def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
 
 @learners
 def test_what_one_agent_compiled_serves_the_next(
-    steady: EnvSpec, caplog: pytest.LogCaptureFixture, learner: type[Learner]
+    steady: EnvSpec, caplog: pytest.LogCaptureFixture, settings: Learner
 ) -> None:
-    spec = dataclasses.replace(steady, rl=learner())
+    spec = dataclasses.replace(steady, rl=settings)
+    update = "_one_update" if isinstance(settings, PPO) else "_train"
 
     def compiled() -> int:
         caplog.clear()
         with jax.log_compiles():
             solve(spec, Seek(), steps=200, library="sbx")
-        return caplog.text.count("Compiling jit(_train)")
+        return caplog.text.count(f"Compiling jit({update})")
 
     jax.clear_caches()
     assert [compiled() > 0, compiled()] == [True, 0]
