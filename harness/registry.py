@@ -85,10 +85,29 @@ ENVS = {
         "envs.swingups.swingup:SPEC",
         "Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
     ),
+    "cartpole_swingup": Entry(
+        "envs.swingups.cartpole_swingup:SPEC",
+        "RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
+    ),
+    "acrobot": Entry(
+        "envs.swingups.acrobot:SPEC",
+        "RLLab's Acrobot: lift two links upright by a motor between them, and hold them, within 10 s",
+    ),
+    "point_maze": Entry(
+        "envs.point_maze:SPEC", "AIRL's maze: push a ball around the end of a wall to a target, 100 steps"
+    ),
+    "double_pendulum": Entry(
+        "envs.mujoco_tasks:DOUBLE_PENDULUM",
+        "MuJoCo InvertedDoublePendulum-v5: balance two poles on a cart for 1000 steps",
+    ),
     "reacher": Entry(
         "envs.mujoco_tasks:REACHER", "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps"
     ),
     "halfcheetah": Entry("envs.mujoco_tasks:HALFCHEETAH", "MuJoCo HalfCheetah-v5: run, 1000 steps"),
+    "hopper": Entry("envs.mujoco_tasks:HOPPER", "MuJoCo Hopper-v5: hop without falling, up to 1000 steps"),
+    "walker2d": Entry(
+        "envs.mujoco_tasks:WALKER2D", "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps"
+    ),
     "gridworld": Entry(
         "envs.gridworld:SPEC",
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
@@ -98,8 +117,8 @@ ENVS = {
 
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
-    "swingups": ("swingup",),
-    "locomotion": ("halfcheetah",),
+    "swingups": ("swingup", "cartpole_swingup", "acrobot"),
+    "locomotion": ("halfcheetah", "hopper", "walker2d"),
     "tabular": ("gridworld",),
 }
 """Names that stand for several environments."""

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+ITERATIVE = ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
+"""Methods in which reinforcement learning goes on between updates of the reward."""
+MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
+"""Environments where RL is PPO, which takes many steps."""
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
     ("maxent_state", "*", "*"): {"actions": False},
@@ -34,9 +38,17 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
     **{
         (name, "*", "smoke"): {"iterations": 1, "rl_steps": 320, "final_steps": 320, "rollouts": 3}
-        for name in ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
+        for name in ITERATIVE
     },
     ("maxent_linear", "*", "smoke"): {"iterations": 1, "rl_steps": 320, "rollouts": 3},
+    **{
+        (name, env, budget): {"rl_steps": 20_000, "final_steps": final_steps}
+        for name in ITERATIVE
+        for env in MANY_STEPS
+        for budget, final_steps in (("smoke", 20_000), ("quick", 100_000), ("full", 100_000))
+    },
+    **{(name, "acrobot", "full"): {"rl_steps": 60_000, "final_steps": 200_000} for name in ITERATIVE},
+    **{("maxent_linear", env, "*"): {"rl_steps": 100_000} for env in MANY_STEPS},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
 

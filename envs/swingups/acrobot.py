@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta
+from envs.learners import PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 HORIZON = 500
@@ -146,16 +147,17 @@ SPEC = EnvSpec(
     act_names=(Quantity("motor", "50 N m"),),
     obs_scale=(0.7, 0.7, 0.7, 0.7, 15.0, 30.0),
     horizon=HORIZON,
-    gamma=0.99,
+    gamma=0.98,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: -250.0,
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    rl_steps={"smoke": 20_000, "quick": 1_000_000, "full": 2_000_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=160_000, bar=-223.6),
+    shipped=Shipped(steps=3_000_000, bar=-223.6),
+    rl=PPO(copies=100, steps=100, batch=1000, checkpoint_every=50_000),
     variants={
         "long": {"physics": Physics(length=1.5)},
         "heavy": {"physics": Physics(mass=1.0)},
