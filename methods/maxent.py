@@ -26,7 +26,7 @@ import torch
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, World, seen_by_both
 from methods.network import ADAM, Network, mlp, standardiser
-from methods.rewards import MeanReward, NetworkReward, StateReward
+from methods.rewards import MeanReward, NetworkReward, StateReward, deterred
 from methods.tabular import finite_soft_value_iteration, state_visitations
 
 NEAR = 0.1
@@ -89,8 +89,8 @@ class MaxEnt:
 
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
-        rollouts = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
-        mean, std = standardiser(seen_by_both(demos, rollouts, rng))
+        random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
+        mean, std = standardiser(seen_by_both(demos, random, rng))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
         network = mlp(inputs, *self.layers, 1, generator=generator)
@@ -101,8 +101,7 @@ class MaxEnt:
         gaps: list[float] = []
         agent = world.agent(rng)
         for i in range(self.iterations):
-            if i > 0:
-                rollouts = world.rollout(agent.policy, self.rollouts, rng)
+            rollouts = random if i == 0 else world.rollout(agent.policy, self.rollouts, rng)
             visits = visitations(rollouts, world.horizon, mean, std, self.actions)
             visits_policy = [*visits_policy, visits][-self.remembered :]
             for _ in range(self.reward_steps):
@@ -114,11 +113,14 @@ class MaxEnt:
                 loss.backward()
                 optimizer.step()
             gaps.append(gap.item())
-            rewards.append(NetworkReward.of(network, mean, std, actions=self.actions))
+            reward = NetworkReward.of(network, mean, std, actions=self.actions)
+            rewards.append(deterred(reward, demos, [random]))
             agent.learn(self.rl_steps * (2 if i == 0 else 1), rewards[-1])
-        reward = MeanReward(tuple(rewards[-self.averaged :]))
-        agent.learn(self.final_steps, reward)
-        return Learned(agent.best(reward), reward, {"mean reward, demonstrations minus rollouts": gaps})
+        mean_reward = MeanReward(tuple(rewards[-self.averaged :]))
+        agent.learn(self.final_steps, mean_reward)
+        return Learned(
+            agent.best(mean_reward), mean_reward, {"mean reward, demonstrations minus rollouts": gaps}
+        )
 
 
 def squared_slope(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from methods.base import Array, Reward
+from methods.base import Array, Episodes, Reward
 from methods.network import ROWS, Network
 
 
@@ -84,6 +84,15 @@ class NetworkReward:
         seen = [obs, act] if self.actions else [obs]
         inputs = np.concatenate([*seen, np.zeros((len(obs), 1))], axis=1)
         return self.size * self.network(inputs)[:, 0]
+
+
+def deterred(reward: NetworkReward, demos: Episodes, others: Sequence[Episodes]) -> NetworkReward:
+    """The reward, whose absorption pays at most the least that a step of the others does, where
+    demonstrations terminate less often than the last of these: an end that nobody shows is worth no more."""
+    if np.mean(demos.terminated) >= np.mean(others[-1].terminated):
+        return reward
+    least = min(float(reward(obs, act, obs).min()) for obs, act in (episodes.pairs() for episodes in others))
+    return replace(reward, absorbing=min(reward.absorbing, least))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ without this RL on cart-pole failed once (`docs/tuning.md`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from torch.nn.functional import softplus
 from methods.base import Episodes, Learned, Reward, World, roughened
 from methods.maxent import visitations
 from methods.network import descend, mlp, standardiser
-from methods.rewards import MeanReward, NetworkReward
+from methods.rewards import MeanReward, NetworkReward, deterred
 from methods.shaped import Shaped
 
 SEEN = 1000
@@ -62,7 +62,6 @@ class ShapedRanked(Shaped):
         visits = [visitations(e, world.horizon, mean, std, actions=False) for e in ladder]
         pairs = np.sort([rng.choice(len(visits), 2, replace=False) for _ in range(self.comparisons)])
         both = [np.stack([rng.choice(visits[i], self.compared) for i in side]) for side in pairs.T]
-        visited = np.concatenate([e.pairs()[0] for e in ladder])
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         rewards, curves = list[Reward](), dict(learned.curves)
         for i in range(self.networks):
@@ -78,8 +77,5 @@ class ShapedRanked(Shaped):
                 loss, [network], both, self.reward_rate, self.reward_steps, self.reward_batch, rng
             )
             reward = NetworkReward.of(network, mean, std, bound=1.0, actions=False)
-            if np.mean(demos.terminated) < np.mean(ladder[-1].terminated):
-                least = float(reward(visited, visited, visited).min())
-                reward = replace(reward, absorbing=min(reward.absorbing, least))
-            rewards.append(reward)
+            rewards.append(deterred(reward, demos, ladder))
         return Learned(learned.policy, MeanReward(tuple(rewards)), curves)
