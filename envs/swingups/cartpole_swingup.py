@@ -146,7 +146,7 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=1_000_000, bar=450.0, terminated=0.01, checkpoint_every=10_000),
+    shipped=Shipped(steps=1_000_000, bar=455.0, terminated=0.01, checkpoint_every=10_000),
     rl=PPO(final_learning_rate=5e-5),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5)},

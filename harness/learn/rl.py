@@ -73,7 +73,9 @@ class Agent:
         self._rng = rng
         self._library = library
         self.settings = settings or spec.rl
-        self._env = TrainingEnv(spec, protocol, rng, self.settings.copies)
+        # Bouts of learning shorter than an episode would each see one part of it.
+        staggered = isinstance(self.settings, PPO)
+        self._env = TrainingEnv(spec, protocol, rng, self.settings.copies, staggered)
         self._checks = Simulator(spec)
         self._demonstrations = demonstrations
         self._init = None if init is None else models.actor_layers(init, spec, self.settings)

@@ -40,9 +40,12 @@ REWARD_SIZE = 0.1
 
 
 class TrainingEnv(VecEnv):
-    """Copies of the environment as the agent sees them."""
+    """Copies of the environment as the agent sees them. staggered: whether first episodes are cut at even
+    intervals, so that copies are at all times of an episode at once."""
 
-    def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, copies: int) -> None:
+    def __init__(
+        self, spec: EnvSpec, protocol: str, rng: np.random.Generator, copies: int, staggered: bool = False
+    ) -> None:
         actions: spaces.Space[Any] = (
             spaces.Discrete(spec.act_size)
             if spec.discrete
@@ -56,6 +59,7 @@ class TrainingEnv(VecEnv):
         self._state = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
         self._rng = rng
+        self._staggered = staggered
         self._obs = np.zeros((copies, spec.obs_size))
         self._age = np.zeros(copies, np.int64)
         self._absorbed_for = np.full(copies, NOT_ABSORBED)
@@ -131,6 +135,8 @@ class TrainingEnv(VecEnv):
     def reset(self) -> NDArray[np.float32]:
         for place in range(self.num_envs):
             self._reset(place)
+        if self._staggered:
+            self._age = np.arange(self.num_envs) * self.spec.horizon // self.num_envs
         return self._seen()
 
     def step_async(self, actions: NDArray[Any]) -> None:

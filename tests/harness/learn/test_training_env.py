@@ -25,6 +25,17 @@ def training_env(spec: EnvSpec, protocol: str) -> Any:
     return TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
 
 
+def test_staggered_copies_are_at_all_times_of_an_episode(steady: EnvSpec) -> None:
+    ended = []
+    for staggered in (False, True):
+        env: Any = TrainingEnv(steady, "absorbing", np.random.default_rng(0), COPIES, staggered)
+        env.reward = Seek()
+        env.reset()
+        dones = np.stack([env.step(np.zeros((COPIES, 1)))[2] for _ in range(2 * steady.horizon)])
+        ended.append([(1 + np.flatnonzero(done)).tolist() for done in dones.T])
+    assert ended == [[[10, 20]] * COPIES, [[10, 20], [8, 18], [5, 15], [3, 13]]]
+
+
 def some_miss(seen: np.ndarray) -> np.ndarray:
     """Right for even copies; for odd ones a miss of at least 1, which ends a fragile episode."""
     action = seen[:, :1] * 0.5  # obs_scale
