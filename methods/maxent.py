@@ -13,8 +13,9 @@ paper's prior on the network's weights is one on its slope here; with one on its
 on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between reward and
 policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The
 network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
-absorption pays is learned like any state's reward. But where demonstrations end less often than random actions,
-an end pays at most the least that a step of these does: a policy that no longer ends says nothing of it.
+absorption pays is learned like any state's reward. But where demonstrations end less often than random
+actions, an end pays at most the least that a step of these does: once the policy no longer ends, nothing else
+says so.
 """
 
 from __future__ import annotations
