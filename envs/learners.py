@@ -102,8 +102,6 @@ class PPO(Common):
     """How often each bout goes through those steps, at least 1."""
     gae_lambda: float = 0.95
     """Of generalised advantage estimation (Schulman et al. 2016), in [0, 1]."""
-    entropy: float = 0.0
-    """What a nat of an action's entropy is worth, where advantages have a standard deviation of 1."""
 
     @property
     def unit(self) -> int:

@@ -271,7 +271,7 @@ WALKER2D = task(
     "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps",
     obs_scale=(1.0, 0.2, 0.4, 0.5, 0.4, 0.4, 0.5, 0.4, 2.0, 1.0, 1.5, 3.0, 4.0, 4.0, 3.0, 4.0, 4.0),
     bar=3500.0,
-    shipped=Shipped(steps=3_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100),
+    shipped=Shipped(steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100),
     rl=MANY,
     rl_steps={"smoke": 8000, "quick": 200_000, "full": 500_000},
     variants={

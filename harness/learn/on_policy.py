@@ -46,7 +46,6 @@ def ppo(s: PPO, library: Library, env: TrainingEnv, common: dict[str, Any]) -> s
         "n_steps": s.steps,
         "n_epochs": s.epochs,
         "gae_lambda": s.gae_lambda,
-        "ent_coef": s.entropy,
     }
     network: dict[str, Any] = {"net_arch": list(s.net)}
     if library == "sbx":
