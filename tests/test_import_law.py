@@ -64,9 +64,9 @@ def test_every_package_is_installed() -> None:
 
 def test_each_heavy_library_has_one_home() -> None:
     # The benchmark of our own speed compares with it.
-    at_home = [f"harness/learn/{name}.py" for name in ("models", "rl", "training_env")]
+    at_home = [f"harness/learn/{name}.py" for name in ("models", "on_policy", "rl", "training_env")]
     assert importers("stable_baselines3") == ["harness/bench.py", *at_home]
-    assert importers("sbx") == ["harness/learn/models.py"]
+    assert importers("sbx") == ["harness/learn/models.py", "harness/learn/on_policy.py"]
     assert importers("rerun") == ["harness/show/recordings.py"]
     (home,) = importers("cvxpy")
     assert home.startswith("methods/")
