@@ -6,7 +6,7 @@ from typing import Any
 
 ITERATIVE = ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
 """Methods in which reinforcement learning goes on between updates of the reward."""
-MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
+MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper")
 """Environments where RL is PPO, which takes many steps."""
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
