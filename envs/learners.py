@@ -89,7 +89,8 @@ class DQN(OffPolicy):
 @dataclass(frozen=True)
 class PPO(Common):
     """Schulman et al. 2017: it learns from its latest steps alone, and takes many. It explores by its own
-    policy; noise: standard deviation, of actions in [-1, 1], by which equal checkpoints are disturbed."""
+    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least (the
+    first has 1), and by which equal checkpoints are disturbed."""
 
     learning_rate: float = 3e-4
     final_learning_rate: float = 3e-4

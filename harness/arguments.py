@@ -51,7 +51,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
-    add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose DDPG: SB3 in JAX, or SB3")
+    add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose learners: SB3 in JAX, or SB3")
     add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
     add.add_argument(
         "--demos",

@@ -179,7 +179,7 @@ class Agent(Protocol):
 
     def replay(self) -> Transitions:
         """The latest steps that it has seen, of all that it learned. Where the model is known there are
-        none, and this raises ValueError; and where nothing was learned yet."""
+        none, and this raises ValueError; where it learns by PPO, too, and where nothing was learned yet."""
 
 
 class World(Protocol):

@@ -75,7 +75,7 @@ class Conditions:
     budget: Name
     protocol: Name
     rl: Library
-    """Whose DDPG learns."""
+    """Whose learners learn."""
     deterministic: bool = True
     """Whether libraries are kept from choosing their instructions by the processor."""
     experts: Experts = "shipped"
