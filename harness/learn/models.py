@@ -69,39 +69,42 @@ def build(
         if isinstance(model, sbx.PPO):
             _share(s, spec.act_size, [(model.policy, "actor_state"), (model.policy, "vf_state")])
     else:
-        network: dict[str, Any] = {"net_arch": list(s.net)}
-        common |= {
-            "env": env,
-            "buffer_size": s.buffer,
-            "learning_starts": warm_up,
-            "tau": s.tau,
-            "replay_buffer_class": Replay,
-            "replay_buffer_kwargs": {
-                "n_steps": s.n_steps,
-                "gamma": spec.gamma,
-                "source": env,
-                "demonstrations": demonstrations,
-            },
-            "train_freq": 1,
-            "gradient_steps": s.gradient_steps,
-        }
-        if isinstance(s, DQN):
-            model = sb3.DQN(
-                # It moves its target network with every bout of learning, not with every gradient step.
-                **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
-                target_update_interval=s.copies,
-                exploration_initial_eps=s.noise,
-                exploration_final_eps=s.noise,
-                policy_kwargs=network | {"optimizer_kwargs": ADAM},
-            )
-        else:
-            network["n_critics"] = s.critics
-            common |= _particulars(s, spec.act_size)
-            model = (
-                _torch(s, common, network) if library == "sb3" else _jax(s, common, network, spec.act_size)
-            )
+        model = _off_policy(s, library, env, demonstrations, common | {"learning_starts": warm_up})
     model.set_logger(Logger(None, []))  # its own would leave a folder behind
     return model
+
+
+def _off_policy(
+    s: DDPG | TD3 | SAC | DQN,
+    library: Library,
+    env: TrainingEnv,
+    demonstrations: Episodes | None,
+    common: dict[str, Any],
+) -> Model:
+    size, gamma = env.spec.act_size, env.spec.gamma
+    network: dict[str, Any] = {"net_arch": list(s.net)}
+    kept = {"n_steps": s.n_steps, "gamma": gamma, "source": env, "demonstrations": demonstrations}
+    common |= {
+        "env": env,
+        "buffer_size": s.buffer,
+        "tau": s.tau,
+        "replay_buffer_class": Replay,
+        "replay_buffer_kwargs": kept,
+        "train_freq": 1,
+        "gradient_steps": s.gradient_steps,
+    }
+    if isinstance(s, DQN):
+        return sb3.DQN(
+            # It moves its target network with every bout of learning, not with every gradient step.
+            **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
+            target_update_interval=s.copies,
+            exploration_initial_eps=s.noise,
+            exploration_final_eps=s.noise,
+            policy_kwargs=network | {"optimizer_kwargs": ADAM},
+        )
+    network["n_critics"] = s.critics
+    common |= _particulars(s, size)
+    return _torch(s, common, network) if library == "sb3" else _jax(s, common, network, size)
 
 
 def _particulars(s: DDPG | TD3 | SAC, size: int) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""The real thing: every method where actions are one or two, or choices, and where the model is known; two
-methods everywhere else; and the same seed gives the same scores."""
+"""The real thing: every method with every learner, and where the model is known; two methods everywhere else;
+and the same seed gives the same scores."""
 
 import os
 import subprocess
@@ -11,7 +11,16 @@ import pandas as pd
 from harness.registry import ENVS
 
 ROOT = Path(__file__).parents[2]
-EVERY_METHOD = ("cartpole", "highway", "cartpole_discrete", "gridworld")
+EVERY_METHOD = (
+    "cartpole",
+    "pendulum",
+    "highway",
+    "cartpole_discrete",
+    "swingup",
+    "point_maze",
+    "reacher",
+    "gridworld",
+)
 
 
 def harness(directory: Path, *arguments: str) -> str:

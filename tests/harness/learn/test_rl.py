@@ -17,43 +17,24 @@ from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
-from harness.learn import rl
-from harness.learn.rl import Agent, Solution
+from harness.learn.rl import Agent
 from harness.learn.seeds import TRAINING, evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
 from methods.base import Array, Policy
-from methods.network import Network
 from methods.rewards import Constant
 from methods.settings import settings_for
+from tests.harness.learn.solving import STEPS, same, solve
 from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
-STEPS = 1500
 OBS = np.linspace(-0.8, 0.8, 33)[:, None]
-
-
-def solve(
-    spec: EnvSpec,
-    reward: Any,
-    protocol: str = "absorbing",
-    steps: int = STEPS,
-    seed: int = 0,
-    library: Library = "sb3",
-) -> Solution:
-    """By default with Stable-Baselines3, whose first step takes no seconds of compiling."""
-    return Agent(spec, protocol, np.random.default_rng(seed), library).solve(reward, steps)
 
 
 both_libraries = pytest.mark.parametrize("library", LIBRARIES)
 LEARNERS = [DDPG(), TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
 learners = pytest.mark.parametrize("settings", LEARNERS, ids=lambda settings: type(settings).__name__)
-
-
-def same(one: Network, other: Network) -> bool:
-    a, b = one.arrays(), other.arrays()
-    return all(np.array_equal(a[name], b[name]) for name in a)
 
 
 @both_libraries
@@ -167,91 +148,6 @@ def test_the_generator_decides_everything(steady: EnvSpec, library: Library, set
     assert one.curve != other.curve
 
 
-@pytest.fixture
-def actors(monkeypatch: pytest.MonkeyPatch) -> list[Network]:
-    """The actor at every checkpoint, the untrained one first."""
-    seen: list[Network] = []
-    policy = Agent.policy.fget
-    assert policy is not None
-
-    def spy(self: Agent) -> Network:
-        seen.append(policy(self))
-        return seen[-1]
-
-    monkeypatch.setattr(Agent, "policy", property(spy))
-    return seen
-
-
-def test_a_reward_that_pays_nothing_teaches_nothing(fragile: EnvSpec, actors: list[Network]) -> None:
-    solution = solve(fragile, Seek(scale=0.0), steps=400)
-    assert [y for _, y in solution.curve] == [0.0, 0.0]
-    assert solution.env_steps == 400
-    assert len(actors) == 2
-    assert same(solution.policy, actors[0])
-
-
-@pytest.mark.parametrize("value", [1.0, -1.0, 0.3])
-@pytest.mark.parametrize("protocol", ["absorbing", "offset"])
-def test_a_constant_that_is_nothing_by_the_offset_is_not_trained_on(
-    fragile: EnvSpec, value: float, protocol: str
-) -> None:
-    trained = solve(fragile, Seek(scale=0.0), protocol, steps=400)
-    solution = solve(fragile, Constant(value, absorbing=value), protocol, steps=400)
-    assert same(solution.policy, trained.policy)
-    assert (solution.curve, solution.env_steps) == (trained.curve[:1], 200)
-
-
-@pytest.mark.parametrize(
-    ("reward", "protocol"), [(Constant(1.0, 1.0), "state"), (Constant(0.0, -1.0), "absorbing")]
-)
-def test_other_constants_are_trained_on(fragile: EnvSpec, reward: Constant, protocol: str) -> None:
-    assert solve(fragile, reward, protocol, steps=400).env_steps == 400
-
-
-def test_the_best_checkpoint_is_kept(steady: EnvSpec, actors: list[Network]) -> None:
-    solution = solve(steady, Seek(), steps=1100)
-    returns = [value for _, value in solution.curve]
-    assert len(actors) == len(returns) == 3
-    assert same(solution.policy, actors[int(np.argmax(returns))])
-    assert not same(actors[0], actors[-1])
-
-
-@pytest.mark.parametrize(
-    ("returns", "disturbed", "kept"),
-    [
-        ([1, 5, 3, 5, 4], [2, 1], 1),
-        ([1, 5, 3, 5, 5], [2, 3, 1], 3),
-        ([1, 5, 3, 5, 4], [2, 2], 3),
-        ([1, 5, 5, 6, 2], [], 3),
-        ([5, 5, 4, 5, 5], [], 0),
-        ([5, 1, 2, 3, 4], [], 0),
-    ],
-)
-def test_equal_checkpoints_are_told_apart_by_how_they_bear_disturbance(
-    steady: EnvSpec,
-    actors: list[Network],
-    monkeypatch: pytest.MonkeyPatch,
-    returns: list[float],
-    disturbed: list[float],
-    kept: int,
-) -> None:
-    spec = dataclasses.replace(steady, rl=DDPG(checkpoint_every=100))
-    scores = iter(returns + disturbed)
-
-    def check(self: Agent, policies: Sequence[Policy]) -> list[tuple[float, float]]:
-        self.check_steps += len(policies)
-        return [((score := next(scores)), -score) for _ in policies]
-
-    monkeypatch.setattr(Agent, "check", check)
-    solution = solve(spec, Seek(), steps=800)
-    assert [value for _, value in solution.curve] == returns
-    assert [value for _, value in solution.true_curve] == [-value for value in returns]
-    assert (solution.env_steps, solution.check_steps) == (800, len(returns + disturbed))
-    assert all(map(same, solution.checkpoints, actors))
-    assert same(solution.policy, actors[kept])
-    assert next(scores, None) is None
-
-
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     checked: list[int] = []
     trained: list[int] = []
@@ -275,15 +171,6 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
     assert len(checked) > 20
     assert len(trained) > 100
     assert min(checked + trained) >= TRAINING > evaluation_seeds(999, 1000).stop
-
-
-def test_a_disturbed_policy_errs_as_much_as_exploration_does(steady: EnvSpec) -> None:
-    obs = np.zeros((10_000, 1))
-    noise = rl.disturbed(lambda obs: obs, steady, DDPG().noise)(obs)
-    assert noise.mean() == pytest.approx(0, abs=0.01)
-    assert noise.std() == pytest.approx(DDPG().noise, rel=0.05)
-    assert np.abs(noise).max() <= 1
-    assert np.array_equal(noise, rl.disturbed(lambda obs: obs, steady, DDPG().noise)(obs))
 
 
 @both_libraries
