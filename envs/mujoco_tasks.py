@@ -190,7 +190,7 @@ DOUBLE_PENDULUM = task(
     ),
     obs_scale=(0.3, 0.1, 0.1, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0),
     bar=9300.0,
-    shipped=Shipped(steps=500_000, bar=9300.0, checkpoint_every=4000, experts=3),
+    shipped=Shipped(steps=500_000, bar=9300.0, checkpoint_every=4000),
     rl=MANY,
     rl_steps={"smoke": 8000, "quick": 200_000, "full": 300_000},
     variants={"heavy": Physics(mass=1.5), "gravity": Physics(gravity=1.4), "flipped": Physics(gear=-1.0)},

@@ -105,6 +105,9 @@ ENVS = {
     ),
     "halfcheetah": Entry("envs.mujoco_tasks:HALFCHEETAH", "MuJoCo HalfCheetah-v5: run, 1000 steps"),
     "hopper": Entry("envs.mujoco_tasks:HOPPER", "MuJoCo Hopper-v5: hop without falling, up to 1000 steps"),
+    "walker2d": Entry(
+        "envs.mujoco_tasks:WALKER2D", "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps"
+    ),
     "gridworld": Entry(
         "envs.gridworld:SPEC",
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
@@ -115,7 +118,7 @@ ENVS = {
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
-    "locomotion": ("halfcheetah", "hopper"),
+    "locomotion": ("halfcheetah", "hopper", "walker2d"),
     "tabular": ("gridworld",),
 }
 """Names that stand for several environments."""
