@@ -6,7 +6,7 @@ from typing import Any
 
 ITERATIVE = ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
 """Methods in which reinforcement learning goes on between updates of the reward."""
-MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper")
+MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
 """Environments where RL is PPO, which takes many steps."""
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
@@ -48,6 +48,13 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
         for budget, final_steps in (("smoke", 20_000), ("quick", 100_000), ("full", 100_000))
     },
     **{(name, "acrobot", "full"): {"rl_steps": 60_000, "final_steps": 200_000} for name in ITERATIVE},
+    **{
+        (name, "hopper", "full"): {
+            **{"iterations": 200, "rl_steps": 8000, "final_steps": 100_000},
+            **{"reward_steps": 20, "averaged": 100, "remembered": 8},
+        }
+        for name in ("maxent", "maxent_state")
+    },
     **{("maxent_linear", env, "*"): {"rl_steps": 100_000} for env in MANY_STEPS},
 }
 """(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
