@@ -13,9 +13,9 @@ paper's prior on the network's weights is one on its slope here; with one on its
 on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between reward and
 policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The
 network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
-absorption pays is learned like any state's reward. But where demonstrations end less often than random
-actions, an end pays at most the least that a step of these does: once the policy no longer ends, nothing else
-says so.
+absorption pays is learned like any state's reward. But once the policy no longer ends, nothing says that an
+end is bad. So where demonstrations end less often than random actions, an end pays at most the mean of what
+steps of these do.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import torch
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, World, seen_by_both
 from methods.network import ADAM, Network, mlp, standardiser
-from methods.rewards import MeanReward, NetworkReward, StateReward, deterred
+from methods.rewards import MeanReward, NetworkReward, StateReward, deterred, paid
 from methods.tabular import finite_soft_value_iteration, state_visitations
 
 NEAR = 0.1
@@ -46,7 +46,10 @@ class MaxEnt:
     iterations: int = 30
     """Reward updates, each followed by reinforcement learning that goes on."""
     rl_steps: int = 1000
-    """Environment steps of each iteration; the first takes twice as many."""
+    """Environment steps of each iteration; where reinforcement learning begins, twice as many."""
+    restart_every: int | None = None
+    """Iterations after which reinforcement learning begins anew, so that R* is one that it finds its way by
+    from the start, and not only from where the policy was; None is never."""
     averaged: int = 15
     """Latest iterations, of whose networks R* is the mean."""
     final_steps: int = 5000
@@ -116,8 +119,11 @@ class MaxEnt:
                 optimizer.step()
             gaps.append(gap.item())
             reward = NetworkReward.of(network, mean, std, actions=self.actions)
-            rewards.append(deterred(reward, demos, [random]))
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), rewards[-1])
+            rewards.append(deterred(reward, demos, random, float(paid(reward, random).mean())))
+            begins = i % (self.restart_every or self.iterations) == 0
+            if begins and i > 0:
+                agent = world.agent(rng)
+            agent.learn(self.rl_steps * (2 if begins else 1), rewards[-1])
         mean_reward = MeanReward(tuple(rewards[-self.averaged :]))
         agent.learn(self.final_steps, mean_reward)
         return Learned(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,13 +86,18 @@ class NetworkReward:
         return self.size * self.network(inputs)[:, 0]
 
 
-def deterred(reward: NetworkReward, demos: Episodes, others: Sequence[Episodes]) -> NetworkReward:
-    """The reward, whose absorption pays at most the least that a step of the others does, where
-    demonstrations terminate less often than the last of these: an end that nobody shows is worth no more."""
-    if np.mean(demos.terminated) >= np.mean(others[-1].terminated):
+def deterred(reward: NetworkReward, demos: Episodes, random: Episodes, most: float) -> NetworkReward:
+    """The reward, whose absorption pays at most `most` where demonstrations terminate less often than random
+    actions do: an end that nobody shows is worth no more."""
+    if np.mean(demos.terminated) >= np.mean(random.terminated):
         return reward
-    least = min(float(reward(obs, act, obs).min()) for obs, act in (episodes.pairs() for episodes in others))
-    return replace(reward, absorbing=min(reward.absorbing, least))
+    return replace(reward, absorbing=min(reward.absorbing, most))
+
+
+def paid(reward: Reward, episodes: Episodes) -> Array:
+    """(N,): what a reward that does not see the next observation pays each step that is shown."""
+    obs, act = episodes.pairs()
+    return reward(obs, act, obs)
 
 
 @dataclass(frozen=True)

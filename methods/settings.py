@@ -6,8 +6,13 @@ from typing import Any
 
 ITERATIVE = ("maxmargin", "maxmargin_projection", "maxent", "maxent_state")
 """Methods in which reinforcement learning goes on between updates of the reward."""
-MANY_STEPS = ("cartpole_swingup", "acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
+SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
+"""Methods whose policy is the f of the thesis's model."""
+MANY_STEPS = ("acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
 """Environments where RL is PPO, which takes many steps."""
+LARGE = ("halfcheetah", "hopper", "walker2d")
+"""Environments whose experts the usual networks are too small to clone."""
+CLONE = {"steps": 10_000, "iterations": 100, "final_iterations": 100}
 SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("maxmargin_projection", "*", "*"): {"projection": True},
     ("maxent_state", "*", "*"): {"actions": False},
@@ -31,11 +36,18 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("shaped_decay", "*", "*"): {"weight_decay": 1e-3},
     ("shaped_decay", "*", "smoke"): {"steps": 300, "iterations": 10},
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
+    **{("shaped_ranked", env, "*"): {"rl_steps": 20_000} for env in ("cartpole_swingup", "halfcheetah")},
     ("shaped_ranked", "*", "smoke"): {
-        **{"steps": 300, "iterations": 10, "rollouts": 2},
+        **{"steps": 300, "iterations": 10, "rollouts": 2, "rl_steps": 0},
         **{"comparisons": 200, "reward_steps": 50, "networks": 2},
     },
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},
+    **{
+        (name, env, budget): {size: (128, 128), **CLONE}
+        for name, size in [("bc", "layers")] + [(name, "f_layers") for name in SHAPED]
+        for env in LARGE
+        for budget in ("quick", "full")
+    },
     **{
         (name, "*", "smoke"): {"iterations": 1, "rl_steps": 320, "final_steps": 320, "rollouts": 3}
         for name in ITERATIVE
@@ -55,9 +67,21 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
         }
         for name in ("maxent", "maxent_state")
     },
+    **{
+        (name, "cartpole_swingup", "full"): {"rl_steps": 2000, "final_steps": 20_000}
+        for name in ("maxmargin", "maxmargin_projection")
+    },
+    **{
+        (name, "cartpole_swingup", "full"): {
+            **{"iterations": 60, "restart_every": 12, "averaged": 30},
+            **{"rl_steps": 2000, "final_steps": 40_000},
+        }
+        for name in ("maxent", "maxent_state")
+    },
     **{("maxent_linear", env, "*"): {"rl_steps": 100_000} for env in MANY_STEPS},
 }
-"""(method, env, budget), '*' for any, to hyper-parameters; later rows win."""
+"""(method, env, budget), '*' for any, to hyper-parameters; later rows win, and of equal ones only the last is
+kept."""
 
 
 def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:

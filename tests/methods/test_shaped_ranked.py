@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,27 @@ def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
     obs, act, after = at(0.7)
     assert reward(obs, act + 0.9, after) == reward(obs, act, after)
     assert -1 <= min(values) <= max(values) <= 1
+
+
+def test_what_reinforcement_learning_finds_ranks_last() -> None:
+    class Far(Line):
+        learned: tuple[int, ...] = ()
+
+        def agent(self, rng: np.random.Generator) -> Any:
+            def learn(steps: int, reward: Any) -> None:
+                self.learned += (steps,)
+
+            return SimpleNamespace(learn=learn, policy=lambda obs: np.tile([1.0, 0.0], (len(obs), 1)))
+
+    world: Any = Far()
+    demos = world.rollout(expert, 5, np.random.default_rng(0))
+    before, after = (
+        replace(METHOD, rl_steps=steps).fit(demos, world, np.random.default_rng(2)).reward
+        for steps in (0, 30)
+    )
+    assert before(*at(1.0)) > before(*at(0.0))
+    assert after(*at(1.0)) < after(*at(0.0)) < after(*at(0.7))
+    assert world.learned == (30,)
 
 
 @pytest.mark.parametrize("every", [1, 4])
