@@ -38,7 +38,7 @@ SETTINGS: dict[tuple[str, str, str], dict[str, Any]] = {
     ("shaped_ml", "*", "smoke"): {"steps": 300, "iterations": 10, "rollouts": 3},
     **{("shaped_ranked", env, "*"): {"rl_steps": 20_000} for env in ("cartpole_swingup", "halfcheetah")},
     ("shaped_ranked", "*", "smoke"): {
-        **{"steps": 300, "iterations": 10, "rollouts": 2, "rl_steps": 0},
+        **{"steps": 300, "iterations": 10, "rollouts": 2, "rl_steps": None},
         **{"comparisons": 200, "reward_steps": 50, "networks": 2},
     },
     ("bc", "*", "smoke"): {"steps": 300, "iterations": 10},

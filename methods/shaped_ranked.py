@@ -55,9 +55,9 @@ class ShapedRanked(Shaped):
     reward_rate: float = 1e-3
     """Learning rate of these."""
 
-    rl_steps: int = 0
+    rl_steps: int | None = None
     """Environment steps of reinforcement learning under a first reward; what it then does ranks below all
-    levels. 0 is none."""
+    levels. None is no such solve."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
@@ -65,7 +65,7 @@ class ShapedRanked(Shaped):
         policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         reward, curves = self._rank(ladder, demos, world, rng)
-        if self.rl_steps:
+        if self.rl_steps is not None:
             agent = world.agent(rng)
             agent.learn(self.rl_steps, reward)
             ladder.append(world.rollout(agent.policy, self.rollouts, rng))
