@@ -186,7 +186,7 @@ def test_noise_in_demonstrations_tells_the_advantage_of_any_quadratic_cost() -> 
         return np.clip(regulator.expert(x) + rng.normal(size=(len(x), 2)) @ soft.T, -1, 1)
 
     demos, world = regulator.rollout(noisy, 400, rng), regulator
-    learned = ShapedML(steps=600, iterations=50).fit(demos, world, np.random.default_rng(0))
+    learned = ShapedML(steps=600, iterations=150).fit(demos, world, np.random.default_rng(0))
     assert correlation(learned, regulator) > 0.95
 
 
