@@ -11,14 +11,10 @@ if __name__ == "__main__":
 
 import signal
 import warnings
-from types import FrameType
 
 
 def start() -> int:
     """Does what the command line asks for; returns the exit code. For a process of its own."""
-    interruptible = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if interruptible:  # Nothing is begun yet that would have to be told or cleaned up.
-        signal.signal(signal.SIGINT, _leave)
     if hasattr(signal, "SIGCHLD"):
         signal.signal(
             signal.SIGCHLD, signal.SIG_DFL
@@ -30,13 +26,13 @@ def start() -> int:
         warnings.resetwarnings()
         warnings.simplefilter("ignore")
 
-    from harness.cli import main
-    from harness.run import streams
-    from harness.run.signals import ignore_stops
+    from harness.run.signals import ignore_stops, importing
 
-    streams.install()
-    if interruptible:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    with importing():
+        from harness.cli import main
+        from harness.run import streams
+
+        streams.install()
     code = main()
     ignore_stops()  # It is done; to be stopped now would be a false report.
     sys.stdout.flush()
@@ -44,10 +40,6 @@ def start() -> int:
         print(f"irl-bench: error: standard output was cut short: {why}", file=sys.stderr)
         return code or 1
     return code
-
-
-def _leave(number: int, frame: FrameType | None) -> None:
-    os._exit(128 + number)
 
 
 if __name__ == "__main__":

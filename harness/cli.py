@@ -16,7 +16,7 @@ from pathlib import Path
 
 from harness.arguments import parser
 from harness.registry import ENVS, GROUPS, METHODS, SPECS, VARIANTS, BadInput, choose
-from harness.run.signals import ignore_stops
+from harness.run.signals import ignore_stops, importing
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +61,8 @@ def _dispatch(argv: list[str]) -> int:
         return _bench(args.json)
     if args.command == "experts":
         return _experts(args)
-    from harness import commands  # here, for `--help` and `list` to answer at once
+    with importing():
+        from harness import commands  # here, for `--help` and `list` to answer at once
 
     if args.command == "report":
         return commands.report(args.directory)
@@ -118,9 +119,10 @@ def _bench(as_json: bool) -> int:
 
     measures, missed = [], False
     with as_in_cells():
-        from harness.bench import bench  # in that environment
-        from harness.growth import growth
-        from harness.run.keys import origin
+        with importing():
+            from harness.bench import bench  # in that environment
+            from harness.growth import growth
+            from harness.run.keys import origin
 
         try:
             for measure in chain(bench(), growth()):
@@ -140,10 +142,11 @@ def _bench(as_json: bool) -> int:
 
 def _experts(args: argparse.Namespace) -> int:
     envs = choose("env", ",".join(args.envs), ENVS, groups=GROUPS)
-    from harness import expert_training
-    from harness.commands import cores, handle_signals
-    from harness.run import expert_set
-    from harness.run.scratch import base
+    with importing():
+        from harness import expert_training
+        from harness.commands import cores, handle_signals
+        from harness.run import expert_set
+        from harness.run.scratch import base
 
     base()
     handle_signals()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -30,6 +31,24 @@ def ignore_stops() -> None:
     if threading.current_thread() is threading.main_thread():
         for number in STOPS:
             signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Ctrl-C ends this process at once until the context ends: nothing is begun yet that would have to be
+    told or cleaned up, and a KeyboardInterrupt amid imports can come out as another error."""
+    interruptible = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if interruptible:
+        signal.signal(signal.SIGINT, _leave)
+    try:
+        yield
+    finally:
+        if interruptible:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os._exit(128 + number)
 
 
 @contextmanager
