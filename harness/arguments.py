@@ -71,8 +71,11 @@ def parser() -> argparse.ArgumentParser:
     )
     add.add_argument(
         "--transfer",
-        action="store_true",
-        help="in the variants of each task, too: pi* carried over, and RL on R* there",
+        nargs="?",
+        const="all",
+        metavar="all|A,B",
+        help="in the variants of each task too, or in those named, such as flipped: pi* carried over, and RL "
+        "on R* there",
     )
     add.add_argument("--no-retrain", action="store_true", help="pi* alone: neither pi_R nor controls")
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")

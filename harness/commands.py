@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             raise BadInput(f"there are no medium demonstrators of {', '.join(none)}; leave it out of --envs")
     if args.transfer and args.no_retrain:
         raise BadInput("--transfer scores by what RL reaches in a variant; leave out --no-retrain")
-    variants = _variants(envs) if args.transfer else ()
+    variants = _variants(envs, args.transfer) if args.transfer else ()
     request = Request(methods, envs, seeds, conditions, shown, variants)
     handle_signals()
     engine = _engine(args, envs)
@@ -109,15 +109,18 @@ def _prepare() -> None:
         raise BadInput(f"nothing can draw the report: {error}") from error
 
 
-def _variants(envs: Sequence[str]) -> tuple[str, ...]:
-    """Tasks of other dynamics. Raises BadInput where there are none, or they cannot be told."""
+def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
+    """Tasks of other dynamics, those of these names or all. Raises BadInput where there are none, or they
+    cannot be told."""
     try:
-        found = tuple(f"{env}.{name}" for env in envs for name in SPECS[env].variants)
+        found = [f"{env}.{name}" for env in envs for name in SPECS[env].variants]
     except Exception as error:  # whatever is wrong with an environment's file
         raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
     if not found:
         raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
-    return found
+    known = dict.fromkeys(variant.partition(".")[2] for variant in found)
+    chosen = choose("variant", names, known)
+    return tuple(variant for variant in found if variant.partition(".")[2] in chosen)
 
 
 def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:

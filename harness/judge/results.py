@@ -373,7 +373,8 @@ def command_of(request: Request) -> str:
     words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
     words += ["--rl", c.rl]
     words += ["--experts", c.experts, "--record", c.record]
-    words += ["--transfer"] if request.variants else []
+    dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
+    words += ["--transfer", ",".join(dynamics)] if dynamics else []
     words += [] if c.retrain else ["--no-retrain"]
     words += [] if c.deterministic else ["--fast"]
     many: dict[tuple[int, str], list[int]] = {}
