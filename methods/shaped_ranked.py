@@ -5,7 +5,8 @@ which state to be in. Here the policy is f, fitted as in `methods.shaped`, and t
 alone, by which f is the better the fewer of its actions are replaced by random ones. It is learned from these
 comparisons by logistic regression (Bradley & Terry 1952) on sums of rewards, and touches the environment for
 the rollouts alone. Only where `rl_steps` says so there is a little reinforcement learning: R* may pay well
-for states that no rollout visits. RL finds them, and what it does then ranks last.
+for states that no rollout visits. RL finds them, and each of its states is compared with one of f's: what
+cannot be told from f's pays like them, and what can pays less.
 
 Deviates from the paper: states that are compared are drawn from all of a level's episodes, where the paper
 compares stretches of two of them; rewards are bounded. The networks see an absorbing indicator, and episodes
@@ -23,7 +24,7 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from methods.base import Episodes, Learned, Reward, World, roughened
+from methods.base import Array, Episodes, Learned, Reward, World, roughened
 from methods.maxent import visitations
 from methods.network import descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
@@ -56,46 +57,61 @@ class ShapedRanked(Shaped):
     """Learning rate of these."""
 
     rl_steps: int | None = None
-    """Environment steps of reinforcement learning under a first reward; what it then does ranks below all
-    levels. None is no such solve."""
+    """Environment steps of each solve of reinforcement learning under a reward, whose states rank below f's
+    in the next one. None is no such solve."""
+    rl_rounds: int = 2
+    """So many of these, one after the other and each from scratch."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
         learned = super().fit(demos, world, rng)
         policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
-        reward, curves = self._rank(ladder, demos, world, rng)
-        if self.rl_steps is not None:
+        found = list[Episodes]()
+        reward, curves = self._rank(ladder, found, demos, world, rng)
+        for _ in range(0 if self.rl_steps is None else self.rl_rounds):
             agent = world.agent(rng)
-            agent.learn(self.rl_steps, reward)
-            ladder.append(world.rollout(agent.policy, self.rollouts, rng))
-            reward, curves = self._rank(ladder, demos, world, rng)
+            agent.learn(self.rl_steps or 0, reward)
+            found.append(world.rollout(agent.policy, self.rollouts, rng))
+            reward, curves = self._rank(ladder, found, demos, world, rng)
         return Learned(learned.policy, reward, {**learned.curves, **curves})
 
     def _rank(
-        self, ladder: Sequence[Episodes], demos: Episodes, world: World, rng: np.random.Generator
+        self,
+        ladder: Sequence[Episodes],
+        found: Sequence[Episodes],
+        demos: Episodes,
+        world: World,
+        rng: np.random.Generator,
     ) -> tuple[Reward, dict[str, Sequence[float]]]:
-        """A reward by which each of the ladder's episodes are better than those after it, and the losses."""
-        mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in ladder]))
-        visits = [visitations(e, world.horizon, mean, std, actions=False) for e in ladder]
-        pairs = np.sort([rng.choice(len(visits), 2, replace=False) for _ in range(self.comparisons)])
-        both = [np.stack([rng.choice(visits[i], self.compared) for i in side]) for side in pairs.T]
+        """A reward by which each of the ladder's episodes are better than those after it, and the states of
+        the first than those that RL found; and the losses."""
+        mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in (*ladder, *found)]))
+
+        def visits(episodes: Episodes) -> Array:
+            return visitations(episodes, world.horizon, mean, std, actions=False)
+
+        levels = [visits(episodes) for episodes in ladder]
+        pairs = np.sort([rng.choice(len(levels), 2, replace=False) for _ in range(self.comparisons)])
+        compared = [np.stack([rng.choice(levels[i], self.compared) for i in side]) for side in pairs.T]
+        if found:
+            by_rl = np.concatenate([visits(episodes) for episodes in found])
+            size = (self.comparisons, self.compared)
+            compared += [rng.choice(levels[0], size), rng.choice(by_rl, size)]
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
-        random = ladder[len(self.levels) - 1]
         rewards, curves = list[Reward](), dict[str, Sequence[float]]()
         for i in range(self.networks):
             network = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
 
-            def loss(
-                better: torch.Tensor, worse: torch.Tensor, network: torch.nn.Module = network
-            ) -> torch.Tensor:
-                r, other = (torch.tanh(network(x.flatten(0, 1))) for x in (better, worse))
-                return softplus((other - r).view(len(better), -1).sum(1)).mean()
+            def loss(*states: torch.Tensor, network: torch.nn.Module = network) -> torch.Tensor:
+                r = [torch.tanh(network(s.flatten(0, 1))).view(s.shape[:2]) for s in states]
+                ranked = softplus((r[1] - r[0]).sum(1)).mean()
+                return ranked + softplus(r[3] - r[2]).mean() if found else ranked
 
             curves[f"ranking loss, network {i}"] = descend(
-                loss, [network], both, self.reward_rate, self.reward_steps, self.reward_batch, rng
+                loss, [network], compared, self.reward_rate, self.reward_steps, self.reward_batch, rng
             )
             reward = NetworkReward.of(network, mean, std, bound=1.0, actions=False)
             least = min(float(paid(reward, episodes).min()) for episodes in ladder)
-            rewards.append(deterred(reward, demos, random, least))
+            rewards.append(deterred(reward, demos, ladder[-1], least))
         return MeanReward(tuple(rewards)), curves

@@ -71,25 +71,41 @@ def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
     assert -1 <= min(values) <= max(values) <= 1
 
 
-def test_what_reinforcement_learning_finds_ranks_last() -> None:
-    class Far(Line):
-        learned: tuple[int, ...] = ()
+class Taught(Line):
+    """A world in which reinforcement learning always ends in this action."""
 
-        def agent(self, rng: np.random.Generator) -> Any:
-            def learn(steps: int, reward: Any) -> None:
-                self.learned += (steps,)
+    def __init__(self, action: float) -> None:
+        super().__init__()
+        self.action, self.learned = action, list[int]()
 
-            return SimpleNamespace(learn=learn, policy=lambda obs: np.tile([1.0, 0.0], (len(obs), 1)))
+    def agent(self, rng: np.random.Generator) -> Any:
+        def learn(steps: int, reward: Any) -> None:
+            self.learned.append(steps)
 
-    world: Any = Far()
+        return SimpleNamespace(learn=learn, policy=lambda obs: np.tile([self.action, 0.0], (len(obs), 1)))
+
+
+def taught(action: float) -> tuple[Any, Any]:
+    world: Any = Taught(action)
     demos = world.rollout(expert, 5, np.random.default_rng(0))
     before, after = (
         replace(METHOD, rl_steps=steps).fit(demos, world, np.random.default_rng(2)).reward
         for steps in (None, 30)
     )
+    assert world.learned == [30, 30]
+    return before, after
+
+
+def test_what_reinforcement_learning_finds_pays_less() -> None:
+    before, after = taught(1.0)
     assert before(*at(1.0)) > before(*at(0.0))
-    assert after(*at(1.0)) < after(*at(0.0)) < after(*at(0.7))
-    assert world.learned == (30,)
+    assert after(*at(1.0)) < after(*at(0.7)) - 0.5
+
+
+def test_what_it_finds_that_is_as_f_does_pays_as_well() -> None:
+    _, after = taught(0.7)
+    assert after(*at(0.7)) > after(*at(0.0)) + 0.2
+    assert after(*at(0.7)) > after(*at(-0.7)) + 0.5
 
 
 @pytest.mark.parametrize("every", [1, 4])
