@@ -52,6 +52,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (SHAPED, LARGE, ("quick", "full"), {"f_layers": (128, 128), **CLONE}),
     (("shaped_decay",), ANY, ANY, {"weight_decay": 1e-3}),
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
+    (("shaped_ranked",), ("swingup",), ("quick", "full"), {"rl_steps": 5000}),
     (("shaped_ranked",), ("cartpole_swingup", "halfcheetah"), ("quick", "full"), {"rl_steps": 20_000}),
     (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
 ]

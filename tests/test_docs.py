@@ -1,6 +1,7 @@
 """What the documents say is there."""
 
 import csv
+import itertools
 import os
 import re
 import subprocess
@@ -43,28 +44,39 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
             assert score.strip("| ") == expected, (method, policy)
 
 
-def test_the_means_of_the_results_are_those_of_the_files() -> None:
-    text = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    marked = re.search(r"<!-- means of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
-    assert marked is not None
-    entries = leaderboard_of(marked[1])
-    heading, _, *lines = [line.strip("| ").split(" | ") for line in marked[2].splitlines()]
-    shown = {}
-    for method, *scores in lines:
-        for env, score in zip(heading, scores, strict=True):
-            shown[env, method.strip("`")] = score
-    expected: dict[tuple[str, str], list[str]] = {}
-    for (env, method, _), entry in sorted(entries.items(), key=lambda item: item[0][2], reverse=True):
-        means = [f"{float(entry['score_mean']):z.2f}"] if entry["score_mean"] else []
-        expected[env, method] = expected.get((env, method), []) + means
-    assert shown == {key: " / ".join(means) for key, means in expected.items()}
+def test_the_means_of_the_pages_are_those_of_the_files() -> None:
+    """Of each table, every method and every task that it names."""
+    pages = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    tables = re.findall(r"<!-- means of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    assert len(tables) > 1
+    for run, table in tables:
+        entries = leaderboard_of(run)
+        heading, _, *lines = [re.split(r" ?\| ?", line.strip("| ")) for line in table.splitlines()]
+        shown = {}
+        for method, *scores in lines:
+            for task, score in itertools.zip_longest(heading, scores, fillvalue=""):
+                shown[task, method.strip("`")] = score
+        expected: dict[tuple[str, str], list[str]] = {}
+        for (task, method, _), entry in sorted(entries.items(), key=lambda item: item[0][2], reverse=True):
+            means = [f"{float(entry['score_mean']):z.2f}"] if entry["score_mean"] else []
+            if task in heading:
+                expected[task, method] = expected.get((task, method), []) + means
+        assert shown == {key: " / ".join(means) for key, means in expected.items()}, run
 
 
 def leaderboard_of(run: str) -> dict[tuple[str, str, str], dict[str, str]]:
-    """What a run's table holds of methods and controls, by env, method and policy."""
+    """What a run's table holds of methods and controls, shown all demonstrations, by task, method and
+    policy."""
     file = ROOT / run / "leaderboard.csv"
-    entries = csv.DictReader(file.read_text(encoding="utf-8").splitlines())
-    return {(e["env"], e["method"], e["policy"]): e for e in entries if e["role"] != "reference"}
+    entries = {}
+    for entry in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
+        dynamics = entry.get("dynamics", "nominal")
+        task = entry["env"] if dynamics == "nominal" else f"{entry['env']}.{dynamics}"
+        shown = (entry.get("demos", "0"), entry.get("every", "1"), entry.get("demonstrator", "expert"))
+        if entry["role"] != "reference" and shown == ("0", "1", "expert"):
+            entries[task, entry["method"], entry["policy"]] = entry
+    return entries
 
 
 def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
