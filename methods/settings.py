@@ -54,6 +54,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
     (("shaped_ranked",), ("swingup",), ("quick", "full"), {"rl_steps": 5000}),
     (("shaped_ranked",), ("cartpole_swingup", "halfcheetah"), ("quick", "full"), {"rl_steps": 20_000}),
+    (("shaped_ranked",), ("halfcheetah",), ("quick", "full"), {"rl_rounds": 4}),
     (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
 ]
 """Methods, environments, budgets (`ANY` for all) and the hyper-parameters that they get; later rows win."""

@@ -59,7 +59,7 @@ class ShapedRanked(Shaped):
     rl_steps: int | None = None
     """Environment steps of each solve of reinforcement learning under a reward, whose states rank below f's
     in the next one. None is no such solve."""
-    rl_rounds: int = 4
+    rl_rounds: int = 2
     """So many of these, one after the other and each from scratch."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
@@ -69,12 +69,11 @@ class ShapedRanked(Shaped):
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         found = list[Episodes]()
         reward, curves = self._rank(ladder, found, demos, world, rng)
-        if self.rl_steps is not None:
-            for _ in range(self.rl_rounds):
-                agent = world.agent(rng)
-                agent.learn(self.rl_steps, reward)
-                found.append(world.rollout(agent.policy, self.rollouts, rng))
-                reward, curves = self._rank(ladder, found, demos, world, rng)
+        for _ in range(0 if self.rl_steps is None else self.rl_rounds):
+            agent = world.agent(rng)
+            agent.learn(self.rl_steps or 0, reward)
+            found.append(world.rollout(agent.policy, self.rollouts, rng))
+            reward, curves = self._rank(ladder, found, demos, world, rng)
         return Learned(learned.policy, reward, {**learned.curves, **curves})
 
     def _rank(

@@ -89,7 +89,7 @@ def taught(action: float) -> tuple[Any, Any]:
     world: Any = Taught(action)
     demos = world.rollout(expert, 5, np.random.default_rng(0))
     before, after = (
-        replace(METHOD, rl_steps=steps, rl_rounds=2).fit(demos, world, np.random.default_rng(2)).reward
+        replace(METHOD, rl_steps=steps).fit(demos, world, np.random.default_rng(2)).reward
         for steps in (None, 30)
     )
     assert world.learned == [30, 30]
