@@ -27,7 +27,8 @@ MOST = 1000
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
 EXIT_CODES = """Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
-expert is missed, or the output could not be written; 2 bad input; 130 stopped, such as by Ctrl-C."""
+expert is missed, or what was printed is lost; 2 bad input, or a file that cannot be
+read or written; 130 stopped, such as by Ctrl-C."""
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,5 +1,4 @@
-"""The command line. Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
-expert is missed, or the output could not be written; 2 bad input; 130 stopped, such as by Ctrl-C."""
+"""The command line; `harness.arguments.EXIT_CODES` says what it returns."""
 
 from __future__ import annotations
 
@@ -141,7 +140,8 @@ def _bench(as_json: bool) -> int:
 
 
 def _experts(args: argparse.Namespace) -> int:
-    envs = choose("env", ",".join(args.envs), ENVS, groups=GROUPS)
+    asked = ",".join(args.envs)
+    envs = choose("env", asked, ENVS, groups=GROUPS)
     with importing():
         from harness import expert_training
         from harness.commands import cores, handle_signals
@@ -150,7 +150,7 @@ def _experts(args: argparse.Namespace) -> int:
 
     base()
     handle_signals()
-    if none := [env for env in envs if not SPECS[env].shipped and "all" not in args.envs]:
+    if none := [env for env in envs if not SPECS[env].shipped and "all" not in asked.split(",")]:
         raise BadInput(f"there are no experts of {none[0]} to train or check: its model is known")
     envs = tuple(env for env in envs if SPECS[env].shipped)
     if args.what == "check":

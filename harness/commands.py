@@ -43,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
             raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
         if none := [env for env in envs if not keys.expert_files(env)]:
             raise BadInput(f"there are no medium demonstrators of {', '.join(none)}; leave it out of --envs")
-    if args.transfer and args.no_retrain:
+    if args.transfer is not None and args.no_retrain:
         raise BadInput("--transfer scores by what RL reaches in a variant; leave out --no-retrain")
-    variants = _variants(envs, args.transfer) if args.transfer else ()
+    variants = () if args.transfer is None else _variants(envs, args.transfer)
     request = Request(methods, envs, seeds, conditions, shown, variants)
     handle_signals()
     engine = _engine(args, envs)
@@ -120,6 +120,10 @@ def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
         raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
     known = dict.fromkeys(variant.partition(".")[2] for variant in found)
     chosen = choose("variant", names, known)
+    if "all" not in names.split(","):
+        for env in envs:
+            if lacking := [name for name in chosen if f"{env}.{name}" not in found]:
+                tell(f"{env} has no variant {', '.join(lacking)}")
     return tuple(variant for variant in found if variant.partition(".")[2] in chosen)
 
 

@@ -55,15 +55,22 @@ def existing(path: Path) -> Request:
 
 
 def merged(path: Path, request: Request) -> Request:
-    """The request of `path` grown by this one."""
+    """The request of `path` grown by this one. Raises BadInput where they cannot be one run."""
     old = stored_request(path)
-    if old is None:
-        return request
+    grown = request if old is None else _grown(path, old, request)
+    try:
+        return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
+    except ValueError as error:
+        raise BadInput(f"{path} cannot hold so much: {error}") from error
+
+
+def _grown(path: Path, old: Request, request: Request) -> Request:
+    """The request `old`, stored in `path`, and this one. Raises BadInput where their conditions differ."""
     for name in KEYS:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
             raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
-    grown = Request(
+    return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=tuple(sorted({*old.seeds, *request.seeds})),
@@ -71,10 +78,6 @@ def merged(path: Path, request: Request) -> Request:
         shown=tuple(sorted({*old.shown, *request.shown})),
         variants=tuple(sorted({*old.variants, *request.variants})),
     )
-    try:
-        return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
-    except ValueError as error:
-        raise BadInput(f"{path} cannot hold so much: {error}") from error
 
 
 def _seeds(stored: Any) -> Any:

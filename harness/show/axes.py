@@ -76,7 +76,7 @@ def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Pictur
     """A panel for each variant, of what is shown first: policies carried over, those trained there on R*, and
     the expert carried over."""
     mine = [e for e in entries if e.dynamics != NOMINAL]
-    if not mine:
+    if all(e.method == REFERENCE for e in mine):
         return []
     first = min(e.shown for e in mine)
     mine = [e for e in mine if e.shown == first]

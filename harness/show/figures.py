@@ -76,7 +76,8 @@ def draw(
     most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
     with styled():
         rl, truth, training = _curves([entry.method for entry in entries], results)
-        pictures = [_scores(env, entries, rows, flag)]
+        scored = any(entry.method != REFERENCE for entry in entries)
+        pictures = [_scores(env, entries, rows, flag)] if scored else []
         if rl:
             alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
             pictures.append(

@@ -290,6 +290,9 @@ def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
             "no medium demonstrators",
         ),
         (["--envs", "swingup", "--transfer", "--no-retrain"], "leave out --no-retrain"),
+        (["--envs", "swingup", "--transfer", ""], "no variant named"),
+        (["--envs", "swingup", "--transfer", "", "--no-retrain"], "leave out --no-retrain"),
+        (["--demos", ",".join(map(str, range(1, 102)))], "cannot hold so much"),
     ):
         assert main([*base, *more]) == 2
         err = capsys.readouterr().err

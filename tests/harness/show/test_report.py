@@ -123,6 +123,12 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
     assert "pendulum, seed 0: no normalized scores" not in text
 
 
+def test_a_run_that_has_only_its_reference_yet_draws_nothing(tmp_path: Path) -> None:
+    write_report(tmp_path, REQUEST, [r for r in make_results(seeds=1) if r.cell.method == "reference"])
+    assert not list(tmp_path.glob("figures/*_scores.png"))
+    assert "reference" in (tmp_path / "leaderboard.md").read_text()
+
+
 def test_the_report_says_where_the_time_went(tmp_path: Path) -> None:
     results = make_results(("cartpole",), seeds=1)
     write_report(tmp_path, REQUEST, results)
