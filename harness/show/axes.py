@@ -82,7 +82,8 @@ def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Pictur
     mine = [e for e in mine if e.shown == first]
     variants = list(dict.fromkeys(e.dynamics for e in mine))[:MOST_VARIANTS]
     methods = list(dict.fromkeys(e.method for e in mine if e.method != REFERENCE))
-    figure = Figure(figsize=(2 + 2.4 * len(variants), 1.4 + 0.36 * len(methods)), layout="constrained")
+    size = max(6.8, 2 + 2.4 * len(variants)), 1.4 + 0.36 * len(methods)
+    figure = Figure(figsize=size, layout="constrained")
     shared: Axes | None = None
     told = []
     for place, variant in enumerate(variants):
