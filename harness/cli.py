@@ -140,8 +140,8 @@ def _bench(as_json: bool) -> int:
 
 
 def _experts(args: argparse.Namespace) -> int:
-    asked = ",".join(args.envs)
-    envs = choose("env", asked, ENVS, groups=GROUPS)
+    asked = [name.strip() for name in ",".join(args.envs).split(",")]
+    envs = choose("env", ",".join(asked), ENVS, groups=GROUPS)
     with importing():
         from harness import expert_training
         from harness.commands import cores, handle_signals
@@ -150,7 +150,7 @@ def _experts(args: argparse.Namespace) -> int:
 
     base()
     handle_signals()
-    if none := [env for env in envs if not SPECS[env].shipped and "all" not in asked.split(",")]:
+    if none := [env for env in envs if not SPECS[env].shipped and "all" not in asked]:
         raise BadInput(f"there are no experts of {none[0]} to train or check: its model is known")
     envs = tuple(env for env in envs if SPECS[env].shipped)
     if args.what == "check":

@@ -120,7 +120,7 @@ def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
         raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
     known = dict.fromkeys(variant.partition(".")[2] for variant in found)
     chosen = choose("variant", names, known)
-    if "all" not in names.split(","):
+    if "all" not in map(str.strip, names.split(",")):
         for env in envs:
             if lacking := [name for name in chosen if f"{env}.{name}" not in found]:
                 tell(f"{env} has no variant {', '.join(lacking)}")

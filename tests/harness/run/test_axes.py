@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from harness import commands
 from harness.arguments import parser
 from harness.cli import main
 from harness.judge.leaderboard import leaderboard, scored_rows
@@ -272,6 +273,13 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     page = (out / "report.html").read_text()
     assert "swingup.flipped, 2 demonstrations, 1 of 7 steps" in page
     assert (out / "figures/swingup_flipped_2_demonstrations_1_of_7_steps_scores.png").exists()
+
+
+def test_a_variant_that_a_task_lacks_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert commands._variants(("cartpole", "swingup"), "long") == ("swingup.long",)
+    assert capsys.readouterr().err == "cartpole has no variant long\n"
+    assert "cartpole.heavy" in commands._variants(("cartpole", "swingup"), "long, all")
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("cache")

@@ -300,7 +300,7 @@ def test_a_task_without_experts_is_refused(
 ) -> None:
     assert main(["experts", what, "gridworld", "--dir", str(tmp_path / "new")]) == 2
     assert "no experts of gridworld" in capsys.readouterr().err
-    for every in (["swingup,all"], ["swingup", "all"]):
+    for every in (["swingup, all"], ["swingup", "all"]):
         assert main(["experts", "check", *every, "--dir", str(tmp_path / "new")]) == 2
         assert "holds no experts of" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
