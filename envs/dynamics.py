@@ -89,6 +89,8 @@ class DynamicsBatch:
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         assert self._states is not None
         physics, before = self._env.physics, self._states[:, places]
+        if act.shape != (len(places), physics.act_size):
+            raise ValueError(f"actions of {len(places)} copies have shape {act.shape}")
         given = np.clip(act.T.astype(np.float32), -1, 1).astype(np.float64)
         after = physics.advance(before, given)
         self._states[:, places] = after

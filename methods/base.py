@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from envs.spec import Model
 
 Array = NDArray[np.float64]
+ABSORBING_STEPS = 5
+"""Steps that an agent stays in the absorbing state before its episode is cut."""
 RandomActions = Callable[[int, np.random.Generator], Array]
 """(count, A), uniform over all actions."""
 
@@ -70,6 +72,17 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.act)
+
+    def last(self, count: int) -> Transitions:
+        """The last so many, or all where there are fewer."""
+        return Transitions(*(column[-count:] for column in vars(self).values()))
+
+    @classmethod
+    def of(cls, episodes: Episodes) -> Transitions:
+        """Every step of whole episodes, without any in the absorbing state."""
+        obs, act = episodes.pairs()
+        living = np.zeros(len(act), bool)
+        return cls(obs, act, np.concatenate([seen[1:] for seen in episodes.obs]), living, living)
 
 
 Payment = Callable[[Transitions], Array]
@@ -178,8 +191,8 @@ class Agent(Protocol):
         was learned yet."""
 
     def replay(self) -> Transitions:
-        """The latest steps that it has seen, of all that it learned. Where the model is known there are
-        none, and this raises ValueError; where it learns by PPO, too, and where nothing was learned yet."""
+        """The latest steps that it has seen, of all that it learned, the oldest first. Raises ValueError
+        where the model is known, where it learns by PPO, and where nothing was learned yet."""
 
 
 class World(Protocol):
@@ -205,11 +218,13 @@ class World(Protocol):
         self,
         rng: np.random.Generator,
         *,
+        soft: bool = False,
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
     ) -> Agent:
-        """One that has not learned yet.
+        """One that has not learned yet, by the task's own learner.
 
+        soft: by soft actor-critic, whatever that is; but where actions are choices, by that.
         init: what it begins with, a `Network` of its actor's shape or, for soft actor-critic, a
         `SquashedGaussian` of it.
         demonstrations: half of what it learns from at each gradient step, paid as its own steps are.

@@ -43,6 +43,7 @@ Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_lengt
 """Of a method or an environment; a part of files' names."""
 Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
 FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=200)]
+Seconds = Annotated[float, Meta(ge=0)]
 Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
 """One line for people."""
 MOST_SEEDS = 1000
@@ -234,7 +235,7 @@ class CellResult:
     """Of a reference: whether its expert misses its bar."""
     details: Annotated[dict[Text, float], Meta(max_length=30)] = field(default_factory=dict)
     """Numbers that a method tells of its fit, by name."""
-    seconds: Annotated[dict[Text, float], Meta(max_length=20)] = field(default_factory=dict)
+    seconds: Annotated[dict[Text, Seconds], Meta(max_length=20)] = field(default_factory=dict)
     """Wall time by stage, 'start' being all that is none; that one is given when it is stored."""
 
     @property

@@ -27,11 +27,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from envs import EnvSpec
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import copies_of
-from methods.base import Array, Episodes, Payment, Reward, Transitions
+from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Reward, Transitions
 from methods.rewards import Constant
 
-ABSORBING_STEPS = 5
-"""Steps in the absorbing state before the episode is truncated."""
 NOT_ABSORBED = -1
 LARGEST = 1e100
 """The largest reward that counts as finite: sums of these are."""
@@ -241,15 +239,15 @@ class Replay(NStepReplayBuffer):
 
     def relabel(self) -> None:
         """Gives every step the reward that its source pays now, normalised anew."""
-        count = self.size()
-        seen = [(self.steps(), self._true[:count].ravel())]
+        order = self._order
+        seen = [(self.steps(), self._true[order].ravel())]
         if self._demonstrated is None:
             (rewards,) = self._source.normalise(*seen)
         else:
             shown = self._demonstrated.steps
             rewards, paid = self._source.normalise(*seen, (shown, np.zeros(len(shown))))
             self._demonstrated.rewards[:, 0] = paid
-        self.rewards[:count] = rewards.reshape(count, self.n_envs)
+        self.rewards[order] = rewards.reshape(len(order), self.n_envs)
 
     def sample(self, batch_size: int, env: Any = None) -> ReplayBufferSamples:
         """So many steps; where there are demonstrations, every second one is of those. (The library cuts what
@@ -264,6 +262,11 @@ class Replay(NStepReplayBuffer):
         return ReplayBufferSamples(*mixed)
 
     def steps(self) -> Transitions:
-        """All own ones that are kept."""
+        """All own ones that are kept, the oldest first."""
         columns: list[Any] = [self._obs, self._act, self._next_obs, self._absorbing, self._next_absorbing]
-        return Transitions(*(c[: self.size()].reshape(-1, *c.shape[2:]) for c in columns))
+        return Transitions(*(c[self._order].reshape(-1, *c.shape[2:]) for c in columns))
+
+    @property
+    def _order(self) -> NDArray[np.int64]:
+        """Where they are, from the oldest to the latest: once it is full, it overwrites the oldest."""
+        return np.roll(np.arange(self.size()), -self.pos if self.full else 0)

@@ -148,7 +148,7 @@ def policies(task: Task) -> list[Made]:
         return reference(task)
     if task.cell.method in CONTROLS:
         return [retrain(task, control(task))]
-    star = carried(task) or fit(task, demonstrations(task))
+    star = carried(task) or elsewhere(task, fit(task, demonstrations(task)))
     if star.reward is None:
         return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
     if not task.conditions.retrain:
@@ -181,6 +181,15 @@ def carried(task: Task) -> Made | None:
     learned = task.shared.learned
     both = {"pi_star", "reward"} <= learned.keys()
     return Made("pi_star", learned["pi_star"], learned["reward"]) if both else None
+
+
+def elsewhere(task: Task, fitted: Made) -> Made:
+    """What was fitted, as `carried` has it where the cell is of other dynamics: what the fit took is told by
+    the cell of the env's own."""
+    if task.place is task.spec:
+        return fitted
+    task.noted.clear()
+    return Made("pi_star", fitted.policy, fitted.reward)
 
 
 def learned_by(task: Task, method: str, demos: Episodes, world: World) -> Learned:

@@ -20,7 +20,10 @@ PASSED = {
     *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "SYSTEMROOT", "TEMP", "TMP"),
 }
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
-CHOSEN = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")
+CHOSEN = (
+    *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
+    "NPY_DISABLE_CPU_FEATURES",
+)
 """Numbers depend on these; the user may set them, for some processors need it, and they are part of every
 key. Where instructions are fixed, by `SAME_INSTRUCTIONS`."""
 FIXED = {
@@ -37,6 +40,8 @@ SAME_INSTRUCTIONS = {
     "ATEN_CPU_CAPABILITY": "avx2",
     "MKL_CBWR": "COMPATIBLE",
     "OPENBLAS_CORETYPE": "Haswell",
+    # NumPy has the first three; before 2.4 it had others instead.
+    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX AVX512_CLX",
     "XLA_FLAGS": f"{FIXED['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
 }
 """With these, libraries use the same instructions on all processors that have AVX2 and FMA3."""

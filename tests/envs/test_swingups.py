@@ -123,3 +123,12 @@ def test_the_acrobots_rates_are_cut() -> None:
         state = acrobot.NOMINAL.advance(state, np.ones(1))
         assert np.isfinite(state).all()
         assert np.abs(state[2:]).max() <= acrobot.NOMINAL.max_rate
+
+
+def test_copies_take_an_action_each() -> None:
+    batch = swingup.SPEC.batch(3)
+    for place in range(3):
+        batch.reset(place, place)
+    for act in (np.zeros((1, 1)), np.zeros((3, 2)), np.zeros(3)):
+        with pytest.raises(ValueError, match="actions of 3 copies"):
+            batch.step([0, 1, 2], act)

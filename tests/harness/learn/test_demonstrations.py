@@ -11,9 +11,9 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC, Learner
 from harness.learn.rl import Agent
-from harness.learn.training_env import ABSORBING_STEPS, REWARD_SIZE, Demonstrated, Replay, TrainingEnv
+from harness.learn.training_env import REWARD_SIZE, Demonstrated, Replay, TrainingEnv
 from harness.registry import LIBRARIES, PROTOCOLS, SPECS, Library
-from methods.base import Array, Episodes, Transitions
+from methods.base import ABSORBING_STEPS, Array, Episodes, Transitions
 from methods.network import Network
 from tests.harness.rewards import Seek
 
@@ -179,3 +179,18 @@ def test_what_demonstrations_were_truly_paid_is_not_known(steady: EnvSpec) -> No
     with pytest.raises(ValueError, match="is not known"):
         agent.learn(40, None)
     assert agent.env_steps == 0
+
+
+def test_once_it_is_full_the_replay_is_still_in_order(steady: EnvSpec) -> None:
+    spec = dataclasses.replace(steady, rl=DDPG(net=(), copies=2, buffer=60))
+    agent, seen = Agent(spec, "absorbing", rng(), "sb3"), []
+    for _ in range(5):
+        agent.learn(20, Seek())
+        seen.append(agent.replay().last(20).act)
+    np.testing.assert_array_equal(agent.replay().act, np.concatenate(seen[2:]))
+    assert len(agent.replay().last(1000)) == 60
+    # Rewards are those of their own steps.
+    rewards = agent._env.normalise((agent.replay(), np.zeros(60)))[0]
+    agent._replay.relabel()
+    order = np.roll(np.arange(30), -agent._replay.pos)
+    np.testing.assert_allclose(agent._replay.rewards[order].ravel(), rewards, rtol=1e-5)

@@ -20,6 +20,7 @@ from harness.cli import main
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import (
     CONTROLS,
+    LEARNED,
     NOMINAL,
     REFERENCE,
     UNSHOWN,
@@ -38,6 +39,7 @@ from harness.judge.results import (
 from harness.learn.seeds import rng_for
 from harness.registry import BadInput
 from harness.run.artifacts import read_artifact
+from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for
 from harness.run.request import REQUEST, existing, merged, write_request
@@ -320,3 +322,17 @@ def test_cells_of_other_axes_have_other_keys_and_are_of_one_version(tmp_path: Pa
     with open_for_report(tmp_path / "run") as run:
         found, unusable = run.load()
     assert (sorted(found), unusable) == (sorted(cells), {})
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_variant_whose_method_is_fitted_again_says_no_more_than_one_that_is_carried() -> None:
+    nominal, cell = (Cell("swingup", "shaped", 0, dynamics=dynamics) for dynamics in (NOMINAL, "flipped"))
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    _, files = run_cell(nominal, conditions, prepare([nominal], conditions))
+    inputs = prepare([cell], conditions)
+    learned = files[f"artifacts/{nominal.name}.safetensors"]
+    rows = []
+    for given in (inputs, {**inputs, LEARNED: learned}):
+        result, _ = run_cell(cell, conditions, given)
+        rows.append([repr(dataclasses.replace(row, fit_seconds=0.0)) for row in result.rows])
+    assert rows[0] == rows[1]

@@ -208,6 +208,13 @@ def test_what_a_cell_had_before_goes_with_its_new_result(tmp_path: Path) -> None
         assert tmp_path / "artifacts" / name not in run.damaged()
 
 
+def test_time_does_not_run_back(whole: Path) -> None:
+    stored = json.loads((whole / "cells" / f"{CELL.name}.json").read_text())["result"]
+    stored["seconds"] = {"fit": -1.0}
+    with pytest.raises(ValueError, match="seconds"):
+        decode(json.dumps({"sha256": checksum(stored), "result": stored}))
+
+
 def test_a_cell_of_before_a_field_was_there_has_its_default(whole: Path) -> None:
     file = whole / "cells" / f"{CELL.name}.json"
     stored = json.loads(file.read_text())["result"]
