@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 
 @dataclass(frozen=True)
@@ -110,3 +110,13 @@ class PPO(Common):
 
 
 Learner = DDPG | TD3 | SAC | DQN | PPO
+
+
+def soft(learner: Learner) -> SAC | DQN:
+    """Soft actor-critic in a task whose learner is another, with what it shares with that; where actions are
+    choices, that one."""
+    if isinstance(learner, SAC | DQN):
+        return learner
+    if isinstance(learner, PPO):
+        return SAC(net=learner.net, n_steps=1, checkpoint_every=5000, check_episodes=learner.check_episodes)
+    return SAC(**{shared.name: getattr(learner, shared.name) for shared in fields(OffPolicy)})

@@ -27,12 +27,10 @@ import torch
 
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, World, seen_by_both
-from methods.network import ADAM, Network, mlp, standardiser
+from methods.network import ADAM, Network, mlp, squared_slope, standardiser
 from methods.rewards import MeanReward, NetworkReward, StateReward, deterred, paid
 from methods.tabular import finite_soft_value_iteration, state_visitations
-
-NEAR = 0.1
-"""Over which slopes are measured, in standard deviations."""
+from methods.visits import demonstrated, sample, visitations
 
 
 @dataclass(frozen=True)
@@ -100,14 +98,14 @@ class MaxEnt:
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
         network = mlp(inputs, *self.layers, 1, generator=generator)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
-        visits_demo = visitations(demos, world.horizon, mean, std, self.actions)
+        visits_demo = visitations(demos, world.horizon - demos.lengths, mean, std, self.actions)
         visits_policy: list[Array] = []
         rewards: list[NetworkReward] = []
         gaps: list[float] = []
         agent = world.agent(rng)
         for i in range(self.iterations):
             rollouts = random if i == 0 else world.rollout(agent.policy, self.rollouts, rng)
-            visits = visitations(rollouts, world.horizon, mean, std, self.actions)
+            visits = visitations(rollouts, world.horizon - rollouts.lengths, mean, std, self.actions)
             visits_policy = [*visits_policy, visits][-self.remembered :]
             for _ in range(self.reward_steps):
                 expected = visits_policy[int(rng.integers(len(visits_policy)))]
@@ -131,31 +129,6 @@ class MaxEnt:
         )
 
 
-def squared_slope(
-    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
-) -> torch.Tensor:
-    """The network's mean squared slope between rows of a (B, K) and of b (B, K), |gradient|^2 on average over
-    places there, by differences over `NEAR` in random directions (Gulrajani et al. 2017 penalise what it is
-    more than 1)."""
-    share = torch.rand(len(a), 1, generator=generator)
-    middle, step = share * a + (1 - share) * b, NEAR * torch.randn(a.shape, generator=generator)
-    before, after = network(torch.cat([middle - step / 2, middle + step / 2])).chunk(2)
-    slopes: torch.Tensor = (after - before) / NEAR
-    return slopes.square().mean()
-
-
-def demonstrated(demos: Episodes, model: Model) -> Array:
-    """mu_D (T, S, A): the share of the demonstrations, all of T steps, that are shown in each state and
-    choosing each action at each time. Raises ValueError where their lengths differ."""
-    if demos.lengths.min() < demos.lengths.max():
-        raise ValueError("in a known model, demonstrations must be equally long")
-    mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
-    for i, (obs, act) in enumerate(zip(demos.obs, demos.act, strict=True)):
-        times = np.arange(len(act)) if demos.times is None else demos.times[i]
-        mu[times, model.states(obs[: len(act)]), act.argmax(axis=1)] += 1 / len(demos)
-    return mu
-
-
 def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tuple[float, Array]:
     """Mean log-likelihood of a demonstrated step under the reward r (S,) or (S, A), and its gradient
     mu_D - E[mu], of the shape of r.
@@ -173,29 +146,3 @@ def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tupl
     likelihood = float(mu_demo[seen] @ np.log(policies[seen]))  # 6
     gradient = (mu_demo - expected[:, :, None] * policies).sum(axis=0)  # 7
     return likelihood / horizon, (gradient if r.ndim == 2 else gradient.sum(axis=1)) / horizon
-
-
-def visitations(episodes: Episodes, horizon: int, mean: Array, std: Array, actions: bool = True) -> Array:
-    """(N, O + A + 1): every visited (observation, action, absorbing indicator), observations standardised;
-    an episode that terminated visits the absorbing state, all zeros and 1, up to the horizon. (N, O + 1)
-    without actions."""
-    obs, act = episodes.pairs()
-    scaled = (obs - mean) / std
-    steps = np.concatenate([scaled, act], axis=1) if actions else scaled
-    return with_absorbing_steps(steps, episodes, horizon)
-
-
-def with_absorbing_steps(steps: Array, episodes: Episodes, horizon: int) -> Array:
-    """(N, K + 1): what describes each step that is shown of the episodes, (M, K), and an absorbing indicator;
-    episodes that terminated add their steps from there to the horizon, all zeros and 1."""
-    absorbed = sum((horizon - episodes.lengths)[np.array(episodes.terminated)])
-    left = round(absorbed * len(steps) / sum(episodes.lengths))  # of as many as are shown of the others
-    visits = np.zeros((len(steps) + left, steps.shape[1] + 1))
-    visits[: len(steps), :-1] = steps
-    visits[len(steps) :, -1] = 1
-    return visits
-
-
-def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:
-    """A uniform minibatch of visitations."""
-    return torch.as_tensor(visits[rng.integers(len(visits), size=batch)], dtype=torch.float32)

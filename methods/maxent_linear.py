@@ -21,8 +21,9 @@ from scipy import optimize
 
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, Policy, World
-from methods.maxent import demonstrated, log_likelihood, with_absorbing_steps
+from methods.maxent import log_likelihood
 from methods.rewards import LinearReward
+from methods.visits import demonstrated, with_absorbing_steps
 
 
 @dataclass(frozen=True)
@@ -89,5 +90,5 @@ class MaxEntLinear:
 def moments(episodes: Episodes, world: World) -> tuple[Array, Array]:
     """Mean (K + 1,) and second moments (K + 1, K + 1) of the features over all steps up to the horizon, the
     last feature being the absorbing indicator."""
-    phi = with_absorbing_steps(world.phi(*episodes.pairs()), episodes, world.horizon)
+    phi = with_absorbing_steps(world.phi(*episodes.pairs()), episodes, world.horizon - episodes.lengths)
     return phi.mean(axis=0), phi.T @ phi / len(phi)

@@ -19,6 +19,8 @@ torch.set_num_threads(1)
 ADAM: dict[str, Any] = {"fused": True}
 """Options of torch's Adam. Its default is slower, and takes square roots that each maker's processors round
 otherwise."""
+NEAR = 0.1
+"""Over which slopes are measured, in standard deviations."""
 ROWS = 16_384
 """That a network answers at a time: of a million, one layer's activations alone are half a gigabyte."""
 
@@ -141,6 +143,19 @@ def standardiser(x: Array) -> tuple[Array, Array]:
     """Mean and standard deviation of each column of (N, I); 1 where a column does not vary."""
     std = x.std(axis=0)
     return x.mean(axis=0), np.where(std > 1e-8, std, 1.0)
+
+
+def squared_slope(
+    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
+) -> torch.Tensor:
+    """The network's mean squared slope between rows of a (B, K) and of b (B, K), |gradient|^2 on average over
+    places there, by differences over `NEAR` in random directions (Gulrajani et al. 2017 penalise what it is
+    more than 1)."""
+    share = torch.rand(len(a), 1, generator=generator)
+    middle, step = share * a + (1 - share) * b, NEAR * torch.randn(a.shape, generator=generator)
+    before, after = network(torch.cat([middle - step / 2, middle + step / 2])).chunk(2)
+    slopes: torch.Tensor = (after - before) / NEAR
+    return slopes.square().mean()
 
 
 def descend(

@@ -25,10 +25,10 @@ import torch
 from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, World, roughened
-from methods.maxent import visitations
 from methods.network import descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
+from methods.visits import visitations
 
 SEEN = 1000
 """Observations of each level, by whose spread they are standardised."""
@@ -89,7 +89,7 @@ class ShapedRanked(Shaped):
         mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in (*ladder, *found)]))
 
         def visits(episodes: Episodes) -> Array:
-            return visitations(episodes, world.horizon, mean, std, actions=False)
+            return visitations(episodes, world.horizon - episodes.lengths, mean, std, actions=False)
 
         levels = [visits(episodes) for episodes in ladder]
         pairs = np.sort([rng.choice(len(levels), 2, replace=False) for _ in range(self.comparisons)])

@@ -11,11 +11,49 @@ actions, in nats. A temperature t is the reward divided by t: t V(r / t).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import KDTree
 
 from methods.base import Array
+
+
+@dataclass(frozen=True)
+class Table:
+    """obs (S, O): how each state is known, by the nearest observation; values (S, A)."""
+
+    obs: Array
+    values: Array
+
+    def at(self, obs: Array) -> Array:
+        """(B, A): the values of the states that are observed, (B, O)."""
+        return self.values[self._tree.query(obs)[1]]
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.obs)
+
+
+@dataclass(frozen=True)
+class TabularPolicy(Table):
+    """values: what it does in each state."""
+
+    def __call__(self, obs: Array, /) -> Array:
+        return self.at(obs)
+
+
+@dataclass(frozen=True)
+class TabularReward(Table):
+    """values: what each action pays in each state, of which none is absorbing."""
+
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        paid: Array = (self.at(obs) * act).sum(axis=1)
+        return paid
 
 
 def action_values(P: Array, r: Array, v: Array, gamma: float) -> Array:

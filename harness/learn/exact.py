@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
-from scipy.spatial import KDTree
 
 from envs.spec import Model, Tabular
 from harness.learn.rl import Solution
 from methods.base import Array, Payment, Policy, Reward, StochasticPolicy, Transitions
-from methods.tabular import value_iteration
+from methods.tabular import TabularPolicy, value_iteration
 
 TIE = 1e-7
 """Values that differ by less, relative to the largest, are equal."""
-
-
-@dataclass(frozen=True)
-class TabularPolicy:
-    """act (S, A): what it does in each state; obs (S, O): how each is known, by the nearest observation."""
-
-    obs: Array
-    act: Array
-
-    def __call__(self, obs: Array, /) -> Array:
-        return self.act[self._tree.query(obs)[1]]
-
-    @cached_property
-    def _tree(self) -> KDTree:
-        return KDTree(self.obs)
 
 
 class ExactSolver:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs import EnvSpec
+from envs.learners import soft as learner_of
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.seeds import training_seeds
@@ -55,17 +56,17 @@ class TaskWorld:
         self,
         rng: np.random.Generator,
         *,
+        soft: bool = False,
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
     ) -> WorldAgent:
-        if init is None and demonstrations is None:
-            return WorldAgent(self, solver_for(self._spec, self._protocol, rng, self._library))
-        if self.model is not None:
-            raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
-        agent = Agent(
-            self._spec, self._protocol, rng, self._library, init=init, demonstrations=demonstrations
+        solver = solver_for(
+            *(self._spec, self._protocol, rng, self._library),
+            soft=soft,
+            init=init,
+            demonstrations=demonstrations,
         )
-        return WorldAgent(self, agent)
+        return WorldAgent(self, solver)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         agent = self.agent(rng)
@@ -104,12 +105,23 @@ class WorldAgent:
 
 
 def solver_for(
-    spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library
+    spec: EnvSpec,
+    protocol: str,
+    rng: np.random.Generator,
+    library: Library,
+    *,
+    soft: bool = False,
+    init: Policy | StochasticPolicy | None = None,
+    demonstrations: Episodes | None = None,
 ) -> Agent | ExactSolver:
-    """What solves an environment: dynamic programming where its model is known, else RL by that library."""
-    if spec.tabular:
-        return ExactSolver(spec.tabular, spec.gamma, rng)
-    return Agent(spec, protocol, rng, library)
+    """What solves an environment: dynamic programming where its model is known, else RL by that library. The
+    rest as of `methods.base.World.agent`."""
+    if spec.tabular is None:
+        settings = learner_of(spec.rl) if soft else spec.rl
+        return Agent(spec, protocol, rng, library, settings, init=init, demonstrations=demonstrations)
+    if init is not None or demonstrations is not None:
+        raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
+    return ExactSolver(spec.tabular, spec.gamma, rng)
 
 
 def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from envs.spec import Tabular
-from methods.base import Array, Episodes, Policy, Reward
+from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Policy, Reward, Transitions
 from methods.tabular import greedy, value_iteration
 
 
@@ -24,8 +24,10 @@ class FakeWorld:
 
     def __init__(self, lifetime: int = 10) -> None:
         self.lifetime = lifetime
-        self.solves: list[tuple[Reward, int, bool]] = []
+        self.solves: list[tuple[Reward | Payment, int, bool]] = []
         """Reward, steps, and whether an agent went on from before."""
+        self.given: list[dict[str, Any]] = []
+        """What each agent was asked for with."""
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -37,15 +39,19 @@ class FakeWorld:
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def agent(self, rng: np.random.Generator, *, init: Any = None, demonstrations: Any = None) -> FakeAgent:
+    def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
+        self.given.append(given)
         return FakeAgent(self, rng)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         return FakeAgent(self, rng).after(steps, reward)
 
-    def solved(self, reward: Reward, rng: np.random.Generator) -> Policy:
+    def solved(self, reward: Reward | Payment, rng: np.random.Generator) -> Policy:
+        """The best constant action of many; under a payment the first."""
         obs = rng.uniform(-1, 1, (64, 3))
         choices = rng.uniform(-1, 1, (500, 2))
+        if not isinstance(reward, Reward):
+            return lambda o: np.tile(choices[0], (len(o), 1))
         values = [reward(obs, np.tile(c, (64, 1)), obs).mean() for c in choices]
         best = choices[int(np.argmax(values))]
         return lambda o: np.tile(best, (len(o), 1))
@@ -57,7 +63,7 @@ class FakeAgent:
     def __init__(self, world: Any, rng: np.random.Generator) -> None:
         self.world, self.rng, self.warm = world, rng, False
 
-    def learn(self, steps: int, reward: Reward) -> None:
+    def learn(self, steps: int, reward: Reward | Payment) -> None:
         self.world.solves.append((reward, steps, self.warm))
         self.reward, self.warm = reward, True
 
@@ -67,6 +73,15 @@ class FakeAgent:
 
     def best(self, reward: Reward) -> Policy:
         return self.world.solved(reward, self.rng)
+
+    def replay(self) -> Transitions:
+        """Some episodes of its policy, and `ABSORBING_STEPS` after each that terminated."""
+        episodes = self.world.rollout(self.policy, 5, self.rng)
+        steps = Transitions.of(episodes)
+        stay = ABSORBING_STEPS * sum(episodes.terminated)
+        there = np.arange(len(steps) + stay) >= len(steps)
+        columns = [np.pad(c, ((0, stay), (0, 0))) for c in (steps.obs, steps.act, steps.next_obs)]
+        return Transitions(*columns, there, there)
 
     def after(self, steps: int, reward: Reward) -> Policy:
         self.learn(steps, reward)
@@ -99,19 +114,17 @@ class FiniteWorld:
         return self.tabular.features[self.model.states(obs)]
 
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
-        obs, act = [], []
-        for _ in range(episodes):
-            states = [rng.choice(len(self.model.start), p=self.model.start)]
-            choices = []
-            for _ in range(self.horizon):
-                choices.append(policy(self.model.obs[states[-1:]])[0])
-                after = self.model.P[states[-1], choices[-1].argmax()]
-                states.append(rng.choice(len(after), p=after))
-            obs.append(self.model.obs[states])
-            act.append(np.stack(choices))
+        model = self.model
+        reached = model.P.cumsum(axis=2) / model.P.sum(axis=2, keepdims=True)
+        states, choices = [rng.choice(len(model.start), episodes, p=model.start)], list[Array]()
+        for _ in range(self.horizon):
+            choices.append(policy(model.obs[states[-1]]))
+            rows = reached[states[-1], choices[-1].argmax(axis=1)]
+            states.append((rng.random((episodes, 1)) < rows).argmax(axis=1))
+        obs, act = model.obs[np.stack(states, axis=1)], np.stack(choices, axis=1)
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
 
-    def agent(self, rng: np.random.Generator, *, init: Any = None, demonstrations: Any = None) -> FakeAgent:
+    def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
         return FakeAgent(self, rng)
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:

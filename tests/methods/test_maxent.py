@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from methods.base import Array, Episodes
-from methods.maxent import MaxEnt, sample, squared_slope, visitations
+from methods.maxent import MaxEnt
 from methods.network import mlp
 from methods.rewards import NetworkReward
 
@@ -19,30 +19,6 @@ METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
 
 def constant(*action: float) -> Callable[[Array], Array]:
     return lambda obs: np.tile(action, (len(obs), 1))
-
-
-def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -> None:
-    rng = np.random.default_rng(0)
-    lengths, terminated = (4, 10, 3, 10), (True, False, False, True)
-    episodes = Episodes(
-        tuple(rng.normal(size=(n + 1, 3)) for n in lengths),
-        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
-        terminated,
-    )
-    visits = visitations(episodes, 10, MEAN, STD)
-    alive, absorbed = visits[: sum(lengths)], visits[sum(lengths) :]
-    obs, act = episodes.pairs()
-    np.testing.assert_allclose(alive[:, :3] * STD + MEAN, obs)
-    np.testing.assert_array_equal(alive[:, 3:5], act)
-    assert (alive[:, 5] == 0).all()
-    # Only the first episode terminated before the horizon, six steps early.
-    np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
-
-
-def test_minibatches_are_rows_of_the_visitations() -> None:
-    visits = np.arange(12.0).reshape(4, 3)
-    rows = sample(visits, 200, np.random.default_rng(0)).numpy()
-    assert {tuple(row) for row in rows} == {tuple(row) for row in visits}
 
 
 def test_the_reward_is_the_torch_network_on_standardised_observations_and_bounded() -> None:
@@ -90,13 +66,6 @@ def test_what_absorption_pays_is_learned(
     assert reward.absorbing < -0.5 < 0.5 < reward(*at)[0]
     reward = METHOD.fit(dies, world, np.random.default_rng(0)).reward
     assert reward.absorbing > 0.5
-
-
-def test_slopes_are_those_of_the_network() -> None:
-    slope = torch.tensor([[3.0, -4.0, 1.0]])
-    a, b = torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0))
-    found = squared_slope(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))
-    assert float(found) == pytest.approx(26, rel=0.1)
 
 
 def test_the_prior_bounds_the_slope(world: Any, demonstrate: Callable[..., Episodes]) -> None:

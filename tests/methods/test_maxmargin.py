@@ -284,7 +284,7 @@ def tasks() -> dict[str, tuple[Tabular, int | None, float]]:
     return {
         "without chance": (grid(4, 0.0), None, 1e-3),
         "slippery": (grid(4, 0.3), 500, 0.02),
-        "objects": (objectworld(6, 5, 2, 0.3, np.random.default_rng(0)), 500, 0.05),
+        "objects": (objectworld(6, 5, 2, 0.3, np.random.default_rng(0)), 1000, 0.05),
     }
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from methods.network import Network, Regression, converge, descend, mlp, standardiser
+from methods.network import Network, Regression, converge, descend, mlp, squared_slope, standardiser
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -217,3 +217,10 @@ def test_however_many_rows_there_are_no_step_of_a_fit_sees_more_than_it_is_told(
     assert sizes == sorted(sizes)
     assert set(sizes) == {8, 20, 50}
     assert len(seen[-1].unique()) == 50
+
+
+def test_slopes_are_those_of_the_network() -> None:
+    slope = torch.tensor([[3.0, -4.0, 1.0]])
+    a, b = torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0))
+    found = squared_slope(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))
+    assert float(found) == pytest.approx(26, rel=0.1)

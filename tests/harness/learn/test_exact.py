@@ -127,7 +127,7 @@ def test_rewards_that_are_not_finite_are_refused(paid: float) -> None:
 def test_a_solution_takes_no_steps_and_holds_no_reward() -> None:
     solution: Any = ExactSolver(WORLD, GAMMA, np.random.default_rng(0)).solve(None, 1000)
     assert (solution.curve, solution.env_steps, solution.check_steps) == ([], 0, 0)
-    assert set(vars(solution.policy)) == {"obs", "act"}
+    assert set(vars(solution.policy)) == {"obs", "values"}
 
 
 def test_policies_answer_observations_one_by_one_and_in_batches() -> None:

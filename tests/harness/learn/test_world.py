@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from envs.learners import SAC
+from envs.learners import DDPG, PPO, SAC, Learner
+from envs.learners import soft as learner_of
 from envs.spec import Model, Tabular
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
@@ -22,12 +23,14 @@ from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
-from harness.registry import SPECS
+from harness.registry import ENVS, SPECS
 from methods.base import Array, Episodes, Learned, Reward, Transitions, default_absorbing
+from methods.csil import CSIL
 from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant
-from tests.harness.rewards import Nothing
+from methods.settings import settings_for
+from tests.harness.rewards import Nothing, Seek
 
 ZERO = Nothing()
 
@@ -164,7 +167,7 @@ def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
     assert type(world.model) is Model
     assert set(vars(world.model)) == {"P", "start", "obs"}
     policy: Any = world.solve(ZERO, rng(), 1)
-    assert set(vars(policy)) == {"obs", "act"}
+    assert set(vars(policy)) == {"obs", "values"}
 
 
 def reachable(start: list[Any]) -> list[Any]:
@@ -397,3 +400,38 @@ def test_endings_are_counted(fragile: EnvSpec) -> None:
     columns = scored.columns()
     assert columns["length_std"] == pytest.approx(scored.lengths.std())
     assert columns["return_mean"] == pytest.approx(scored.returns.mean())
+
+
+@pytest.mark.parametrize(
+    ("own", "soft"),
+    [
+        (DDPG(net=(8,), tau=0.1, copies=5), SAC(net=(8,), tau=0.1, copies=5)),
+        (PPO(net=(8,), check_episodes=3), SAC(net=(8,), n_steps=1, checkpoint_every=5000, check_episodes=3)),
+        (SAC(net=(8,), entropy=0.1), SAC(net=(8,), entropy=0.1)),
+    ],
+)
+def test_a_soft_agent_is_one_whatever_the_tasks_own_is(steady: EnvSpec, own: Learner, soft: SAC) -> None:
+    given, asked = (
+        TaskWorld(dataclasses.replace(steady, rl=learner), "absorbing", "sb3") for learner in (own, soft)
+    )
+    agents = given.agent(rng(), soft=True), asked.agent(rng())
+    for agent in agents:
+        agent.learn(40, Seek())
+    obs = np.linspace(-0.8, 0.8, 9)[:, None]
+    one, other = (agent.behaviour.sample(obs, rng(1)) for agent in agents)
+    np.testing.assert_array_equal(one, other)
+    assert len(agents[0].replay()) == 40
+
+
+def test_where_actions_are_choices_a_soft_agent_is_the_tasks_own() -> None:
+    world = TaskWorld(SPECS["cartpole_discrete"], "absorbing", "sb3")
+    assert world.agent(rng(), soft=True)._solver.settings == SPECS["cartpole_discrete"].rl
+    known = TaskWorld(SPECS["gridworld"], "absorbing", "sb3").agent(rng(), soft=True)
+    known.learn(1, ZERO)
+    assert known.best(ZERO)
+
+
+@pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])
+def test_csil_clones_what_the_actor_can_begin_as(env: str) -> None:
+    clone = settings_for("csil", env, "full").get("layers", CSIL.layers)
+    assert clone == learner_of(SPECS[env].rl).net

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -203,9 +204,11 @@ def test_every_solve_of_a_cell_is_under_its_protocol(
     expert_for("cartpole", 1, SMOKE)  # whatever it takes
     asked: list[tuple[str, str]] = []
 
-    def solver(spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library) -> object:
+    def solver(
+        spec: EnvSpec, protocol: str, rng: np.random.Generator, library: Library, **more: Any
+    ) -> object:
         asked.append((protocol, library))
-        return solver_for(spec, protocol, rng, library)
+        return solver_for(spec, protocol, rng, library, **more)
 
     for module in (cells, world):
         monkeypatch.setattr(module, "solver_for", solver)
