@@ -55,6 +55,11 @@ METHODS = {
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
 }
 VARIANTS = {
+    "sqil": Entry("methods.sqil:SQIL", "soft Q imitation learning (Reddy et al. 2020); learns no reward"),
+    "csil": Entry("methods.csil:CSIL", "coherent soft imitation learning (Watson et al. 2023)"),
+    "gail": Entry("methods.gail:GAIL", "generative adversarial imitation learning (Ho & Ermon 2016)"),
+    "gail_mean": Entry("methods.gail:GAIL", "gail, with the mean of the latest discriminators as reward"),
+    "gail_mean_state": Entry("methods.gail:GAIL", "gail_mean, with discriminators of states alone"),
     "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
     "maxent_state": Entry("methods.maxent:MaxEnt", "maxent, with a reward of states alone"),
     "maxent_linear": Entry(

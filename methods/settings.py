@@ -8,6 +8,10 @@ MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
 ITERATIVE = (*MAXMARGIN, *MAXENT)
 """Methods in which reinforcement learning goes on between updates of the reward."""
+GAMES = ("gail", "gail_mean", "gail_mean_state")
+"""Methods in which a discriminator plays against an agent."""
+SOFT = (*GAMES, "sqil", "csil")
+"""Methods that learn by soft actor-critic, whatever a task's own learner is."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
 MANY_STEPS = ("acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
@@ -45,6 +49,18 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
         *(MAXENT, ("hopper",), ("full",)),
         {"iterations": 200, "rl_steps": 8000, "reward_steps": 20, "averaged": 100, "remembered": 8},
     ),
+    (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
+    (("gail_mean_state",), ANY, ANY, {"actions": False}),
+    (GAMES, ANY, ("quick",), {"iterations": 15, "averaged": 8, "final_steps": 4000}),
+    (
+        *(GAMES, ("cartpole_swingup",), ("full",)),
+        {"rl_steps": 2000, "iterations": 60, "latest": 6000, "averaged": 30, "final_steps": 40_000},
+    ),
+    (GAMES, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
+    (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 20_000}),
+    (("sqil",), ANY, ("smoke",), {"rl_steps": 320}),
+    (("csil",), ("cartpole_swingup", "halfcheetah"), ANY, {"layers": (128, 128)}),
+    (("csil",), ANY, ("smoke",), {**SMOKE_CLONE, "rl_steps": 320}),
     (("maxent_linear",), ANY, ("smoke",), SMOKE_RL),
     (("maxent_linear",), MANY_STEPS, ANY, {"rl_steps": 100_000}),
     (("bc", *SHAPED), ANY, ("smoke",), SMOKE_CLONE),

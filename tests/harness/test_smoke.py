@@ -45,6 +45,8 @@ def test_everything_runs_and_scores_do_not_depend_on_what_runs_beside(tmp_path: 
     two = scores(tmp_path / "others", "--methods", "maxent,bc", "--envs", others, "--no-retrain")
     assert set(two.loc[two["policy"] == "pi_star", "status"]) == {"ok"}
     assert set(two["status"]) <= {"ok", "skipped"}
+    named = ["--methods", "gail,gail_mean_state,sqil,csil", "--envs", "cartpole,point_maze,gridworld"]
+    assert set(scores(tmp_path / "named", *named)["status"]) == {"ok", "skipped"}
     alone = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole", "--workers", "1")
     same = every[(every["env"] == "cartpole") & every["method"].isin(alone["method"])]
     pd.testing.assert_frame_equal(alone, same.reset_index(drop=True), check_exact=True)

@@ -15,6 +15,7 @@ from methods.settings import settings_for
 pytestmark = pytest.mark.usefixtures("fused_adam")
 FITS = {"steps": 40, "iterations": 10}
 MARGINS = {"iterations": 2, "rollouts": 3, "epsilon": -1.0}
+GAME = {"iterations": 2, "rollouts": 3, "reward_steps": 20}
 BRIEF: dict[str, dict[str, Any]] = {
     "shaped": FITS,
     "shaped_decay": FITS,
@@ -25,6 +26,10 @@ BRIEF: dict[str, dict[str, Any]] = {
     "maxmargin_projection": MARGINS,
     "maxent": {"iterations": 2, "rollouts": 3, "reward_steps": 20},
     "maxent_state": {"iterations": 2, "rollouts": 3, "reward_steps": 20},
+    "csil": FITS,
+    "gail": GAME,
+    "gail_mean": GAME,
+    "gail_mean_state": GAME,
     "maxent_linear": {"iterations": 2, "rollouts": 3},
 }
 """Settings that save time; the others are those of `smoke`."""

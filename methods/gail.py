@@ -1,0 +1,67 @@
+"""Generative adversarial imitation learning (Ho & Ermon 2016), off-policy and with a learned reward of the
+absorbing state, as Discriminator-Actor-Critic (Kostrikov et al. 2019).
+
+A discriminator D of steps is fitted to tell demonstrations from what the agent does, and the agent is paid
+log D - log(1 - D), the logit, whose best is log(rho_E / rho_pi) of the two densities. R* is the last
+discriminator's logit, or the mean of the latest ones: in a zero-sum game it is the average of a player's
+choices that converges, while the last need not (Freund & Schapire 1999; Syed & Schapire 2007; Swamy et al.
+2021).
+
+Deviates from the papers: the gradient penalty is on the discriminator's squared slope, without the target of
+1 that Kostrikov et al. have from Gulrajani et al. 2017.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.nn.functional import softplus
+
+from methods.adversarial import Game, Turn
+from methods.base import ABSORBING_STEPS, Episodes, Learned, Transitions, World, seen_by_both
+from methods.network import ADAM, mlp, squared_slope, standardiser
+from methods.rewards import NetworkReward
+from methods.visits import sample, visitations, visited
+
+
+@dataclass(frozen=True)
+class GAIL(Game):
+    """Its hyper-parameters, besides the game's."""
+
+    actions: bool = True
+    """Whether the discriminator sees actions, besides observations."""
+    mean: bool = False
+    """Whether R* is the mean of the latest logits, and not the last one."""
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        """Play the game."""
+        random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
+        mean, std = standardiser(seen_by_both(demos, random, rng))
+        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+        inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
+        logit = mlp(inputs, *self.layers, 1, generator=generator)
+        optimizer = torch.optim.Adam(logit.parameters(), self.learning_rate, **ADAM)
+        shown = visitations(demos, ABSORBING_STEPS, mean, std, self.actions)
+        losses: list[float] = []
+
+        def turn() -> Turn:
+            reward = NetworkReward.of(logit, mean, std, actions=self.actions)
+            return Turn(reward, reward)
+
+        def answer(seen: Transitions) -> Turn:
+            own = visited(seen, mean, std, self.actions)
+            for _ in range(self.reward_steps):
+                d, e = (sample(visits, self.batch, rng) for visits in (shown, own))
+                errors = softplus(-logit(d)).mean() + softplus(logit(e)).mean()
+                loss = errors + self.slope_penalty * squared_slope(logit, d, e, generator)
+                optimizer.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+            losses.append(errors.item())
+            return turn()
+
+        found = self.play(world, world.agent(rng, soft=True), turn(), answer, rng)
+        reward = found.mean if self.mean else found.last
+        return Learned(found.policy, reward, {"discriminator's loss": losses})

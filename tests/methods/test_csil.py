@@ -1,0 +1,109 @@
+"""A cloned policy read as a reward."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from envs.gridworld import objectworld
+from methods.base import Array, Episodes
+from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel, known_reward
+from methods.tabular import soft_policy, soft_value_iteration
+
+pytestmark = pytest.mark.usefixtures("fused_adam")
+METHOD = CSIL(steps=200, iterations=20, places=100, rollouts=5)
+
+
+def wave(obs: Array) -> Array:
+    return 0.8 * np.column_stack([np.sin(3 * obs[:, 0]), np.cos(2 * obs[:, 1])])
+
+
+def fitted(noise: float = 0.0, count: int = 500) -> GaussianProcess:
+    rng = np.random.default_rng(0)
+    obs = rng.uniform(-1, 1, (count, 3))
+    act = wave(obs) + noise * rng.normal(size=(count, 2))
+    return GaussianProcess.fitted(obs, act, (np.zeros(3), np.ones(3)), 256, 0.01, rng)
+
+
+def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -> None:
+    tabular = objectworld(4, 3, 2, 0.3, np.random.default_rng(0))
+    counts = np.random.default_rng(1).integers(0, 6, tabular.P.shape[:2])
+    reward = known_reward(counts, tabular.model)
+    states, actions = counts.shape
+    obs = np.repeat(tabular.obs, actions, axis=0)
+    r = reward(obs, np.tile(np.eye(actions), (states, 1)), obs).reshape(states, actions)
+    q = (counts + 1 / actions) / (counts.sum(axis=1, keepdims=True) + 1)
+    found = soft_policy(soft_value_iteration(tabular.P, r, 0.9)[1])
+    np.testing.assert_allclose(found, q, atol=1e-6)
+    # Where nothing was demonstrated it pays nothing.
+    np.testing.assert_allclose(r[counts.sum(axis=1) == 0], 0, atol=1e-12)
+
+
+def test_evidence_is_the_density_of_what_was_demonstrated() -> None:
+    rng = np.random.default_rng(0)
+    waves = rng.normal(size=(30, 12))
+    act = rng.uniform(-1, 1, (30, 2))
+    squares, axes = np.linalg.eigh(waves.T @ waves)
+    found, expected = [], []
+    for noise in (0.1, 0.3):
+        cov = (UNIFORM**2 - noise**2) * waves @ waves.T + noise**2 * np.eye(30)
+        expected.append(multivariate_normal(np.zeros(30), cov).logpdf(act.T).sum())
+        found.append(evidence(squares.clip(0), axes.T @ (waves.T @ act), act, noise))
+    constant = 30 * np.log(2 * np.pi)
+    np.testing.assert_allclose(np.array(found) - constant, expected, rtol=1e-6)
+
+
+def test_with_all_places_it_is_the_gaussian_process() -> None:
+    q, rng = fitted(noise=0.1, count=40), np.random.default_rng(0)
+    obs = rng.uniform(-1, 1, (40, 3))
+    act = wave(obs) + 0.1 * rng.normal(size=(40, 2))
+    at = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+    prior = UNIFORM**2 - q.noise**2
+    within, across = prior * kernel(obs, obs, q.width), prior * kernel(at, obs, q.width)
+    gain = across @ np.linalg.inv(within + q.noise**2 * np.eye(40))
+    mean, variance = q(at)
+    np.testing.assert_allclose(mean, gain @ act, atol=1e-3)
+    np.testing.assert_allclose(variance[:, 0], UNIFORM**2 - (gain * across).sum(axis=1), atol=1e-3)
+
+
+def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
+    q, rng = fitted(), np.random.default_rng(1)
+    near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
+    mean, variance = q(near)
+    assert np.abs(mean - wave(near)).mean() < 0.05
+    assert np.sqrt(variance).mean() < 0.1
+    mean, variance = q(far)
+    np.testing.assert_allclose(np.sqrt(variance), UNIFORM)
+    np.testing.assert_allclose(mean, 0, atol=1e-9)
+
+
+def test_noise_is_found() -> None:
+    assert fitted(noise=0.1).noise == 0.1
+    assert fitted().noise == 0.01
+
+
+def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> None:
+    reward = CoherentReward(fitted(), -5.0)
+    rng = np.random.default_rng(1)
+    near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
+    shown, other = reward(near, wave(near), near), reward(near, -wave(near), near)
+    assert (shown > 1).mean() > 0.95
+    assert (shown > other).mean() > 0.95
+    assert other.min() == -5
+    np.testing.assert_allclose(reward(far, reward.q(far)[0], far), 0, atol=1e-9)
+    # Of many rows and of few it says the same.
+    many = np.tile(near, (100, 1))
+    np.testing.assert_allclose(reward(many, wave(many), many)[:200], shown)
+
+
+def test_the_agent_goes_on_from_the_clone(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    learned = METHOD.fit(demonstrate(wave, count=30), world, np.random.default_rng(0))
+    ((reward, steps, warm),) = world.solves
+    assert reward is learned.reward
+    assert (steps, warm) == (METHOD.rl_steps, False)
+    (given,) = world.given
+    assert given["soft"]
+    obs = np.random.default_rng(1).uniform(-0.8, 0.8, (100, 3))
+    assert np.abs(given["init"](obs) - wave(obs)).mean() < 0.1

@@ -1,0 +1,154 @@
+"""The game of a discriminator against an agent."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs.spec import Tabular
+from methods.base import Array, Episodes, Transitions
+from methods.gail import GAIL
+from methods.rewards import MeanReward, NetworkReward
+from methods.tabular import greedy, policy_value, value_iteration
+
+pytestmark = pytest.mark.usefixtures("fused_adam")
+STATES, ACTIONS, GAMMA = 16, 4, 0.9
+
+
+def constant(*action: float) -> Callable[[Array], Array]:
+    return lambda obs: np.tile(action, (len(obs), 1))
+
+
+def steps(act: Array) -> Transitions:
+    """Of these actions (N, 2), anywhere."""
+    obs = np.random.default_rng(5).uniform(-1, 1, (len(act), 3))
+    return Transitions(obs, act, obs, *np.zeros((2, len(act)), bool))
+
+
+@pytest.fixture
+def does(monkeypatch: pytest.MonkeyPatch) -> Callable[[Array], None]:
+    """Has every agent seen itself do these actions."""
+    replay = "tests.methods.conftest.FakeAgent.replay"
+    return lambda act: monkeypatch.setattr(replay, lambda self: steps(act))
+
+
+def test_the_logit_is_the_logarithm_of_the_densities_ratio(world: Any, does: Callable[[Array], None]) -> None:
+    rng = np.random.default_rng(0)
+
+    def acts(count: int, rising: float) -> Array:
+        """First entries rise in density by that share from one half of their range to the other."""
+        size = np.where(rng.random(count) < 0.5 + rising / 2, 1, -1) * rng.random(count)
+        return np.column_stack([size, rng.uniform(-1, 1, count)])
+
+    does(acts(20_000, -0.6))
+    shown = Episodes((rng.uniform(-1, 1, (20_001, 3)),), (acts(20_000, 0.6),), (False,))
+    method = GAIL(iterations=4, reward_steps=500, latest=20_000, slope_penalty=0.0)
+    reward = method.fit(shown, world, rng).reward
+    obs = rng.uniform(-0.8, 0.8, (400, 3))
+    for side in (1, -1):
+        paid = reward(obs, np.column_stack([side * rng.uniform(0.2, 0.9, 400), 0 * obs[:, :1]]), obs)
+        assert paid.mean() == pytest.approx(side * np.log(0.8 / 0.2), abs=0.15)
+
+
+def test_demonstrated_actions_pay_more_than_others(
+    world: Any, demonstrate: Callable[..., Episodes], does: Callable[[Array], None]
+) -> None:
+    does(np.random.default_rng(3).uniform(-1, 1, (3000, 2)))
+    learned = GAIL(iterations=1, reward_steps=300).fit(
+        demonstrate(constant(0.7, -0.4)), world, np.random.default_rng(0)
+    )
+    obs = np.random.default_rng(1).uniform(-1, 1, (300, 3))
+    shown = learned.reward(obs, constant(0.7, -0.4)(obs), obs)
+    for action in ((-0.7, 0.4), (0.7, 0.6), (-0.3, -0.4)):
+        assert (shown > learned.reward(obs, constant(*action)(obs), obs)).mean() > 0.95
+    np.testing.assert_allclose(learned.policy(obs[:1])[0], [0.7, -0.4], atol=0.35)
+
+
+def test_an_end_is_told_from_life(
+    world: Any, mortal_world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    still = constant(0.0, 0.0)
+    lives, dies = demonstrate(still), demonstrate(still, lifetime=2)
+    at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
+    method = GAIL(iterations=1, reward_steps=300)
+    reward = method.fit(lives, mortal_world, np.random.default_rng(0)).reward
+    assert reward.absorbing < -0.3 < 0 < reward(*at)[0]
+    reward = method.fit(dies, world, np.random.default_rng(0)).reward
+    assert reward.absorbing > 0.4
+
+
+def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    demos = demonstrate(constant(0.7, -0.4))
+    last, mean = (
+        GAIL(iterations=4, averaged=3, rl_steps=70, final_steps=500, mean=mean).fit(
+            demos, world, np.random.default_rng(0)
+        )
+        for mean in (False, True)
+    )
+    assert isinstance(last.reward, NetworkReward)
+    assert isinstance(mean.reward, MeanReward)
+    assert len(mean.reward.rewards) == 3
+    half = len(world.solves) // 2
+    assert [(steps, warm) for _, steps, warm in world.solves[:half]] == [
+        *((140, False), (70, True), (70, True), (70, True), (500, True))
+    ]
+    # Both play one game, and end it alike.
+    rewards = [reward for reward, _, _ in world.solves[half:]]
+    obs, act = demos.pairs()
+    np.testing.assert_array_equal(rewards[-1](obs, act, obs), mean.reward(obs, act, obs))
+    np.testing.assert_array_equal(last.reward(obs, act, obs), mean.reward.rewards[-1](obs, act, obs))
+    np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
+
+
+def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    demos = demonstrate(constant(0.5, 0.0))
+    reward = GAIL(iterations=2, actions=False).fit(demos, world, np.random.default_rng(0)).reward
+    obs = np.random.default_rng(1).uniform(-1, 1, (30, 3))
+    one, other = (reward(obs, constant(x, -x)(obs), obs) for x in (-0.4, 0.4))
+    np.testing.assert_array_equal(one, other)
+    assert np.ptp(one) > 0
+
+
+def acting_in_one_state(seed: int) -> Tabular:
+    """Each action leads to one of four states by chance, and one state pays for acting in it."""
+    rng = np.random.default_rng(seed)
+    P = np.zeros((STATES, ACTIONS, STATES))
+    for state in range(STATES):
+        for action in range(ACTIONS):
+            P[state, action, rng.choice(STATES, 4, replace=False)] = rng.dirichlet(np.ones(4))
+    start, obs = np.full(STATES, 1 / STATES), np.eye(STATES)
+    return Tabular(P, start, obs, reward=1.0 * (np.arange(STATES) == 3), features=obs)
+
+
+def play(tabular: Tabular, finite_world: Any, iterations: int, mean: bool) -> tuple[float, float]:
+    """What the best policy under R* misses of the expert's return, a random one missing 1; and by how much R*
+    pays it more than the expert, in mean sizes of R*: what is left of the game's duality gap."""
+    world = finite_world(tabular, horizon=50, gamma=GAMMA)
+    demos = world.rollout(world.optimal(), 20, np.random.default_rng(1))
+    game = GAIL(iterations=iterations, averaged=iterations, reward_steps=20, slope_penalty=0.1, mean=mean)
+    learned = game.fit(demos, world, np.random.default_rng(2))
+    obs = np.repeat(tabular.obs, ACTIONS, axis=0)
+    r = learned.reward(obs, np.tile(np.eye(ACTIONS), (STATES, 1)), obs).reshape(STATES, ACTIONS)
+    expert = greedy(value_iteration(tabular.P, tabular.reward, GAMMA)[1])
+    best = greedy(value_iteration(tabular.P, r, GAMMA)[1])
+
+    def value(policy: Array, reward: Array) -> float:
+        return float(tabular.start @ policy_value(tabular.P, reward, policy, GAMMA))
+
+    truth = [value(p, tabular.reward) for p in (expert, best, np.full((STATES, ACTIONS), 1 / ACTIONS))]
+    gap = (1 - GAMMA) * (value(best, r) - value(expert, r)) / np.abs(r).mean()
+    return (truth[0] - truth[1]) / (truth[0] - truth[2]), gap
+
+
+def test_the_mean_reward_makes_the_expert_the_best_and_the_last_may_not(finite_world: Any) -> None:
+    tabulars = [acting_in_one_state(seed) for seed in range(3)]
+    short, long, last = (
+        np.array([play(tabular, finite_world, iterations, mean) for tabular in tabulars])
+        for iterations, mean in ((3, True), (30, True), (3, False))
+    )
+    assert long[:, 0].max() < 0.05
+    assert long[:, 1].mean() < 0.25 * short[:, 1].mean()
+    assert last[:, 0].max() > 0.5

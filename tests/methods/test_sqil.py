@@ -1,0 +1,48 @@
+"""Demonstrated steps pay 1, and others nothing."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from envs.gridworld import objectworld
+from methods.base import Episodes, Transitions
+from methods.sqil import SQIL, imitate, soft_q
+from methods.tabular import discounted_visitations, soft_policy, value_iteration
+
+
+def test_demonstrated_steps_pay_one_whoever_ends() -> None:
+    obs, flags = np.zeros((4, 3)), np.array([False, True, False, True])
+    steps = Transitions(obs, obs, obs, flags, flags, demonstrated=np.array([True, True, False, False]))
+    np.testing.assert_array_equal(imitate(steps), [1, 1, 0, 0])
+
+
+def test_a_soft_agent_learns_from_both(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    demos = demonstrate(lambda obs: obs[:, :2])
+    learned = SQIL(rl_steps=700).fit(demos, world, np.random.default_rng(0))
+    assert world.given == [{"soft": True, "demonstrations": demos}]
+    assert world.solves == [(imitate, 700, False)]
+    assert learned.reward is None
+
+
+def test_where_the_model_is_known_it_is_paid_what_the_demonstrations_share_is(finite_world: Any) -> None:
+    tabular = objectworld(4, 3, 2, 0.3, np.random.default_rng(0))
+    world = finite_world(tabular, horizon=40)
+    demos = world.rollout(world.optimal(), 50, np.random.default_rng(1))
+    shown = np.zeros(tabular.P.shape[:2])
+    obs, act = demos.pairs()
+    np.add.at(shown, (tabular.states(obs), act.argmax(axis=1)), 1)
+    q = soft_q(shown, tabular.model, world.gamma, 300)
+    # What it converges to: the soft Q of the share of demonstrations among them and what its policy visits.
+    policy = soft_policy(q)
+    own = discounted_visitations(tabular.P, policy, tabular.start, world.gamma)[:, None] * policy
+    share = shown / shown.sum() / (shown / shown.sum() + own / own.sum())
+    v = np.logaddexp.reduce(q, axis=1)
+    np.testing.assert_allclose(q, share + world.gamma * tabular.P @ v, atol=0.05)
+    # It does as the demonstrations do in the states that those visit most.
+    learned = SQIL().fit(demos, world, np.random.default_rng(0))
+    often = shown.sum(axis=1) > 0.02 * shown.sum()
+    chosen = learned.policy(tabular.obs[often]).argmax(axis=1)
+    best = value_iteration(tabular.P, tabular.reward, world.gamma)[1][often]
+    regret = best.max(axis=1) - best[np.arange(len(best)), chosen]
+    assert regret.max() < 0.05
