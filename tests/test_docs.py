@@ -65,6 +65,19 @@ def test_the_means_of_the_pages_are_those_of_the_files() -> None:
         assert shown == {key: " / ".join(means) for key, means in expected.items()}, run
 
 
+def test_the_returns_of_adversarial_methods_are_those_of_their_runs() -> None:
+    text = (ROOT / "docs/adversarial.md").read_text(encoding="utf-8")
+    ((file, table),) = re.findall(r"<!-- returns of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    runs = list(csv.DictReader((ROOT / file).read_text(encoding="utf-8").splitlines()))
+    _, _, *lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    columns = ("expert", "pi_star", "pi_R", "pi_star_flipped", "pi_R_flipped")
+    for method, fits, *shown in lines:
+        its = [run for run in runs if (run["env"], run["method"]) == ("swingup", method.strip("`"))]
+        assert len(its) == int(fits)
+        found = [[float(run[column]) for run in its if run[column]] for column in columns]
+        assert shown == [f"{sum(v) / len(v):.0f} ({min(v):.0f})" if v else "" for v in found]
+
+
 def leaderboard_of(run: str) -> dict[tuple[str, str, str], dict[str, str]]:
     """What a run's table holds of methods and controls, shown all demonstrations, by task, method and
     policy."""
