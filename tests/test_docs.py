@@ -69,13 +69,36 @@ def test_the_returns_of_adversarial_methods_are_those_of_their_runs() -> None:
     text = (ROOT / "docs/adversarial.md").read_text(encoding="utf-8")
     ((file, table),) = re.findall(r"<!-- returns of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
     runs = list(csv.DictReader((ROOT / file).read_text(encoding="utf-8").splitlines()))
-    _, _, *lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    _, _, *lines = cells_of(table)
     columns = ("expert", "pi_star", "pi_R", "pi_star_flipped", "pi_R_flipped")
     for method, fits, *shown in lines:
         its = [run for run in runs if (run["env"], run["method"]) == ("swingup", method.strip("`"))]
         assert len(its) == int(fits)
         found = [[float(run[column]) for run in its if run[column]] for column in columns]
         assert shown == [f"{sum(v) / len(v):.0f} ({min(v):.0f})" if v else "" for v in found]
+
+
+def test_the_table_of_demonstrations_is_that_of_the_file() -> None:
+    """Of each method the mean over seeds, and the least."""
+    text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
+    ((run, table),) = re.findall(r"<!-- demonstrations of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    rows = list(csv.DictReader((ROOT / run / "scores.csv").read_text(encoding="utf-8").splitlines()))
+    heading, _, *lines = cells_of(table)
+    shown = {
+        (line[0].strip("`"), demos): score
+        for line in lines
+        for demos, score in zip(heading[1:], line[1:], strict=True)
+    }
+    found: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        if row["policy"] == "pi_star":
+            found.setdefault((row["method"], row["demos"]), []).append(float(row["normalized_score"]))
+    assert shown == {key: f"{sum(v) / len(v):.2f} ({min(v):.2f})" for key, v in found.items()}
+
+
+def cells_of(table: str) -> list[list[str]]:
+    """Of each line of a table."""
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
 
 
 def leaderboard_of(run: str) -> dict[tuple[str, str, str], dict[str, str]]:
