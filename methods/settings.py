@@ -10,8 +10,6 @@ ITERATIVE = (*MAXMARGIN, *MAXENT)
 """Methods in which reinforcement learning goes on between updates of the reward."""
 GAMES = ("gail", "gail_mean", "gail_mean_state")
 """Methods in which a discriminator plays against an agent."""
-SOFT = (*GAMES, "sqil", "csil")
-"""Methods that learn by soft actor-critic, whatever a task's own learner is."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
 MANY_STEPS = ("acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")

@@ -8,8 +8,11 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from envs.gridworld import objectworld
+from envs.learners import soft
+from harness.registry import ENVS, SPECS
 from methods.base import Array, Episodes
 from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel, known_reward
+from methods.settings import settings_for
 from methods.tabular import soft_policy, soft_value_iteration
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -107,3 +110,9 @@ def test_the_agent_goes_on_from_the_clone(world: Any, demonstrate: Callable[...,
     assert given["soft"]
     obs = np.random.default_rng(1).uniform(-0.8, 0.8, (100, 3))
     assert np.abs(given["init"](obs) - wave(obs)).mean() < 0.1
+
+
+@pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])
+def test_it_clones_what_the_actor_can_begin_as(env: str) -> None:
+    clone = settings_for("csil", env, "full").get("layers", CSIL.layers)
+    assert clone == soft(SPECS[env].rl).net

@@ -24,7 +24,7 @@ from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
 from methods.base import Array, Policy
 from methods.rewards import Constant
-from methods.settings import SOFT, settings_for
+from methods.settings import GAMES, settings_for
 from tests.harness.learn.solving import STEPS, same, solve
 from tests.harness.rewards import Seek
 
@@ -72,7 +72,7 @@ def test_every_solve_that_runs_ask_for_suits_the_learner(spec: EnvSpec) -> None:
         for budget in BUDGETS:
             method = load_method(name)(**settings_for(name, spec.name, budget))
             its = [getattr(method, field, None) for field in ("rl_steps", "final_steps")]
-            learner = soft(spec.rl) if name in SOFT else spec.rl
+            learner = soft(spec.rl) if name in (*GAMES, "sqil", "csil") else spec.rl
             asked[learner] += [steps for steps in its if steps is not None]
     for settings, all_steps in asked.items():
         assert min(all_steps) >= 2 * settings.unit

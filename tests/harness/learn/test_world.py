@@ -1,4 +1,4 @@
-"""The world counts what it is asked for and hides its reward; controls and scores are what they claim."""
+"""The world counts what it is asked for and hides its reward."""
 
 from __future__ import annotations
 
@@ -14,22 +14,16 @@ import pytest
 
 from envs import EnvSpec
 from envs.learners import DDPG, PPO, SAC, Learner
-from envs.learners import soft as learner_of
 from envs.spec import Model, Tabular
-from harness.judge.controls import control_reward
-from harness.judge.evaluation import evaluate
-from harness.judge.results import CONTROLS
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
-from harness.registry import ENVS, SPECS
-from methods.base import Array, Episodes, Learned, Reward, Transitions, default_absorbing
-from methods.csil import CSIL
+from harness.registry import SPECS
+from methods.base import Array, Transitions
 from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant
-from methods.settings import settings_for
 from tests.harness.rewards import Nothing, Seek
 
 ZERO = Nothing()
@@ -232,176 +226,6 @@ def test_what_a_method_sees_of_a_trajectory_is_a_copy() -> None:
     assert episodes.terminated == (True,)
 
 
-def demonstrations(terminated: bool = False) -> Episodes:
-    generator = rng(5)
-    count = 200
-    return Episodes(
-        tuple(generator.normal(3, 2, (11, 3)) for _ in range(count)),
-        tuple(generator.uniform(-0.2, 0.2, (10, 2)) for _ in range(count)),
-        (terminated,) * count,
-    )
-
-
-def control(name: str, demos: Episodes | None = None, seed: int = 0) -> Any:
-    def draw() -> Episodes:
-        assert demos is not None, "constants need no demonstrations"
-        return demos
-
-    def fit(method: str, demos: Episodes) -> Learned:
-        return Learned(lambda obs: np.full((len(obs), 2), 0.1), ZERO)
-
-    return control_reward(name, draw, fit, uniform, rng(seed))
-
-
-def test_constant_controls() -> None:
-    batch = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3))
-    for name, alive, absorbing in (
-        ("control_plus1", 1.0, 1.0),
-        ("control_minus1", -1.0, -1.0),
-        ("control_survival", 0.0, -1.0),
-    ):
-        reward = control(name)
-        assert isinstance(reward, Reward)
-        np.testing.assert_array_equal(reward(*batch), np.full(4, alive))
-        assert reward.absorbing == absorbing
-
-
-def test_the_true_control_is_the_environments_own_reward() -> None:
-    assert control("control_true") is None
-
-
-def test_every_control_of_the_leaderboard_has_a_reward() -> None:
-    for name in CONTROLS:
-        assert (control(name, demonstrations()) is None) is (name == "control_true")
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_untrained_control_pays_nothing_on_average_above_absorption(seed: int) -> None:
-    demos = demonstrations()
-    reward = control("control_untrained", demos, seed)
-    obs = np.tile(demos.pairs()[0], (10, 1))
-    above = reward(obs, rng(9).uniform(-1, 1, (len(obs), 2)), obs) - reward.absorbing
-    assert above.std() > 1e-3
-    # The absorbing value was estimated from 2000 pairs.
-    assert abs(above.mean()) < 4 * above.std() / np.sqrt(2000)
-
-
-def test_the_untrained_control_of_demonstrations_that_terminate() -> None:
-    demos = demonstrations(terminated=True)
-    reward = control("control_untrained", demos)
-    obs, act = demos.pairs()
-    assert reward.absorbing == pytest.approx(reward(obs, act, obs).mean())
-    assert reward.absorbing == default_absorbing(reward, demos, uniform, rng())
-
-
-def test_the_untrained_control_of_choices_averages_over_choices() -> None:
-    spec, generator = SPECS["gridworld"], rng(5)
-    obs = tuple(generator.normal(size=(51, spec.obs_size)) for _ in range(40))
-    demos = Episodes(obs, tuple(np.tile(np.eye(5)[2], (50, 1)) for _ in obs), (False,) * 40)
-    reward: Any = control_reward("control_untrained", lambda: demos, never, spec.random_actions, rng())
-    at = demos.pairs()[0]
-    each = np.stack([reward(at, np.tile(choice, (2000, 1)), at) for choice in np.eye(5)])
-    assert abs(each.mean() - reward.absorbing) < 4 * each.std(axis=0).mean() / np.sqrt(2000)
-    assert abs(each[2].mean() - reward.absorbing) > 8 * each.std(axis=0).mean() / np.sqrt(2000)
-
-
-def test_the_clone_control_pays_for_being_near_what_cloning_does() -> None:
-    demos = demonstrations()
-    reward = control("control_clone", demos)
-    obs, act = demos.pairs()
-    np.testing.assert_allclose(reward(obs, act, obs), -np.square(act - 0.1).sum(axis=1))
-    np.testing.assert_array_equal(reward(obs, np.full((len(obs), 2), 0.1), obs), 0)
-    assert reward.absorbing == default_absorbing(reward, demos, uniform, rng())
-    asked: list[tuple[str, Episodes]] = []
-
-    def fit(method: str, shown: Episodes) -> Learned:
-        asked.append((method, shown))
-        return Learned(lambda obs: np.zeros((len(obs), 2)), None)
-
-    control_reward("control_clone", lambda: demos, fit, uniform, rng())
-    assert asked == [("bc", demos)]
-
-
-def never(method: str, demos: Episodes) -> Learned:
-    raise AssertionError("this control imitates nobody")
-
-
-def test_the_shuffled_control_imitates_actions_taken_elsewhere() -> None:
-    generator = rng(5)
-    demos = Episodes(
-        tuple(generator.normal(size=(length + 1, 3)) for length in (100, 3, 40)),
-        tuple(generator.uniform(-1, 1, (length, 2)) for length in (100, 3, 40)),
-        (False, True, False),
-    )
-    seen: list[Episodes] = []
-
-    def fit(method: str, shuffled: Episodes) -> Learned:
-        assert method == "shaped"
-        seen.append(shuffled)
-        return Learned(on_target, ZERO)
-
-    for seed in (0, 0, 1):
-        assert control_reward("control_shuffled", lambda: demos, fit, uniform, rng(seed)) is ZERO
-    one, same, other = (episodes.pairs()[1] for episodes in seen)
-    assert seen[0].obs == demos.obs
-    assert seen[0].terminated == demos.terminated
-    act = demos.pairs()[1]
-    assert (one == act).all(axis=1).mean() < 0.1
-    np.testing.assert_array_equal(np.sort(one, axis=0), np.sort(act, axis=0))
-    assert set(map(tuple, one)) == set(map(tuple, act))
-    np.testing.assert_array_equal(one, same)
-    assert (one != other).any()
-
-
-def test_the_untrained_control_differs_by_seed() -> None:
-    demos = demonstrations()
-    one, same, other = (control("control_untrained", demos, seed) for seed in (0, 0, 1))
-    obs, act = demos.pairs()
-    np.testing.assert_array_equal(one(obs, act, obs), same(obs, act, obs))
-    assert (one(obs, act, obs) != other(obs, act, obs)).any()
-
-
-def test_returns_are_sums_of_true_rewards(steady: EnvSpec) -> None:
-    scored = evaluate(steady, on_target, range(6))
-    # Each of ten steps pays 1.
-    np.testing.assert_allclose(scored.returns, 10)
-    np.testing.assert_allclose(scored.discounted, (1 - 0.9**10) / (1 - 0.9))
-    assert scored.lengths.tolist() == [10.0] * 6
-    assert scored.endings == {"time limit": 6}
-    assert scored.columns() == {
-        "episodes": 6,
-        **{"return_mean": pytest.approx(10), "return_std": pytest.approx(0)},
-        **{"discounted_mean": pytest.approx((1 - 0.9**10) / 0.1), "discounted_std": pytest.approx(0)},
-        **{"length_mean": 10, "length_std": 0},
-    }
-
-
-def test_later_rewards_are_discounted_more(steady: EnvSpec) -> None:
-    scored = evaluate(steady, lambda obs: 0 * obs, [3])
-    rewards = 1 - np.abs(scored.first.obs[:-1, 0])
-    np.testing.assert_allclose(scored.first.rewards, rewards, rtol=1e-6)
-    assert scored.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
-
-
-def test_returns_under_another_reward_are_counted_from_what_absorption_pays(fragile: EnvSpec) -> None:
-    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30), Constant(2.0, absorbing=0.5))
-    np.testing.assert_allclose(scored.own, 1.5 * scored.lengths)
-    assert scored.columns()["own_return"] == pytest.approx(1.5 * scored.lengths.mean())
-    endless = evaluate(fragile, lambda obs: -0.2 * obs, range(3), Constant(np.inf, absorbing=0.5))
-    assert "own_return" not in endless.columns()
-
-
-def test_endings_are_counted(fragile: EnvSpec) -> None:
-    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30))
-    assert set(scored.endings) <= {"missed", "time limit"}
-    assert sum(scored.endings.values()) == 30
-    assert scored.endings["missed"] >= (scored.lengths < 10).sum() > 10
-    assert len(scored.first.obs) == scored.lengths[0] + 1
-    columns = scored.columns()
-    assert columns["length_std"] == pytest.approx(scored.lengths.std())
-    assert columns["return_mean"] == pytest.approx(scored.returns.mean())
-
-
 @pytest.mark.parametrize(
     ("own", "soft"),
     [
@@ -429,9 +253,3 @@ def test_where_actions_are_choices_a_soft_agent_is_the_tasks_own() -> None:
     known = TaskWorld(SPECS["gridworld"], "absorbing", "sb3").agent(rng(), soft=True)
     known.learn(1, ZERO)
     assert known.best(ZERO)
-
-
-@pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])
-def test_csil_clones_what_the_actor_can_begin_as(env: str) -> None:
-    clone = settings_for("csil", env, "full").get("layers", CSIL.layers)
-    assert clone == learner_of(SPECS[env].rl).net

@@ -1,0 +1,56 @@
+"""Scores are what they claim."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from harness.judge.evaluation import evaluate
+from methods.base import Array
+from methods.rewards import Constant
+
+
+def on_target(obs: Array) -> Array:
+    return obs
+
+
+def test_returns_are_sums_of_true_rewards(steady: EnvSpec) -> None:
+    scored = evaluate(steady, on_target, range(6))
+    # Each of ten steps pays 1.
+    np.testing.assert_allclose(scored.returns, 10)
+    np.testing.assert_allclose(scored.discounted, (1 - 0.9**10) / (1 - 0.9))
+    assert scored.lengths.tolist() == [10.0] * 6
+    assert scored.endings == {"time limit": 6}
+    assert scored.columns() == {
+        "episodes": 6,
+        **{"return_mean": pytest.approx(10), "return_std": pytest.approx(0)},
+        **{"discounted_mean": pytest.approx((1 - 0.9**10) / 0.1), "discounted_std": pytest.approx(0)},
+        **{"length_mean": 10, "length_std": 0},
+    }
+
+
+def test_later_rewards_are_discounted_more(steady: EnvSpec) -> None:
+    scored = evaluate(steady, lambda obs: 0 * obs, [3])
+    rewards = 1 - np.abs(scored.first.obs[:-1, 0])
+    np.testing.assert_allclose(scored.first.rewards, rewards, rtol=1e-6)
+    assert scored.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
+
+
+def test_returns_under_another_reward_are_counted_from_what_absorption_pays(fragile: EnvSpec) -> None:
+    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30), Constant(2.0, absorbing=0.5))
+    np.testing.assert_allclose(scored.own, 1.5 * scored.lengths)
+    assert scored.columns()["own_return"] == pytest.approx(1.5 * scored.lengths.mean())
+    endless = evaluate(fragile, lambda obs: -0.2 * obs, range(3), Constant(np.inf, absorbing=0.5))
+    assert "own_return" not in endless.columns()
+
+
+def test_endings_are_counted(fragile: EnvSpec) -> None:
+    scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30))
+    assert set(scored.endings) <= {"missed", "time limit"}
+    assert sum(scored.endings.values()) == 30
+    assert scored.endings["missed"] >= (scored.lengths < 10).sum() > 10
+    assert len(scored.first.obs) == scored.lengths[0] + 1
+    columns = scored.columns()
+    assert columns["length_std"] == pytest.approx(scored.lengths.std())
+    assert columns["return_mean"] == pytest.approx(scored.returns.mean())
