@@ -60,6 +60,9 @@ VARIANTS = {
     "gail": Entry("methods.gail:GAIL", "generative adversarial imitation learning (Ho & Ermon 2016)"),
     "gail_mean": Entry("methods.gail:GAIL", "gail, with the mean of the latest discriminators as reward"),
     "gail_mean_state": Entry("methods.gail:GAIL", "gail_mean, with discriminators of states alone"),
+    "dagger": Entry(
+        "methods.dagger:DAgger", "DAgger (Ross et al. 2011); asks the expert, so a ceiling and no rival"
+    ),
     "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
     "maxent_state": Entry("methods.maxent:MaxEnt", "maxent, with a reward of states alone"),
     "maxent_linear": Entry(
@@ -70,6 +73,8 @@ VARIANTS = {
     ),
 }
 """Methods that run when they are named, but are not part of 'all'."""
+ASKING = ("dagger",)
+"""Methods that ask the expert what it would do: a ceiling, and no rivals of those that do not."""
 ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",

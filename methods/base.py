@@ -214,6 +214,10 @@ class World(Protocol):
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         """Fresh episodes of the policy."""
 
+    def ask(self, obs: Array) -> Array:
+        """What the expert does, (B, A), at observations (B, O). Raises ValueError for methods that are not
+        marked as asking it."""
+
     def agent(
         self,
         rng: np.random.Generator,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from methods.base import Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, World
 from methods.network import Network, Regression, mlp, standardiser
 
 
@@ -22,19 +22,22 @@ class BehaviourCloning(Regression):
     """Hidden layers of the policy."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Minimise the squared error of the policy's actions, in units of their standard deviation: one who
-        balances well hardly moves. Touches no environment."""
-        obs, act = demos.pairs()
+        """Clone what is shown. Touches no environment."""
+        policy, losses = self.clone(*demos.pairs(), rng)
+        return Learned(policy, None, {"loss": losses})
+
+    def clone(self, obs: Array, act: Array, rng: np.random.Generator) -> tuple[Network, list[float]]:
+        """Minimise the squared error of the policy's actions act (N, A) at obs (N, O), in units of their
+        standard deviation: one who balances well hardly moves. The policy, and the loss as it falls."""
         mean, std = standardiser(obs)
         spread = standardiser(act)[1]
         unit = torch.as_tensor(spread, dtype=torch.float32)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
-        policy = mlp(world.obs_size, *self.layers, world.act_size, generator=generator)
+        policy = mlp(obs.shape[1], *self.layers, act.shape[1], generator=generator)
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             return ((a - torch.tanh(unit * policy(s))) / unit).square().mean()
 
         data = ((obs - mean) / std, act)
         curve = self.minimise(loss, [policy], data, rng)
-        fitted = Network.from_torch(policy, mean, std, tanh=True).scaled(spread)
-        return Learned(fitted, None, {"loss": curve})
+        return Network.from_torch(policy, mean, std, tanh=True).scaled(spread), curve

@@ -27,7 +27,7 @@ from harness.judge.statistics import (
     mean_interval,
     normal_interval,
 )
-from harness.registry import Demonstrator
+from harness.registry import ASKING, Demonstrator
 
 _POLICIES = ("expert", "random", "pi_star", "pi_R")
 _ROLES = {
@@ -37,6 +37,7 @@ _ROLES = {
     "control_shuffled": "shuffled control",
     "control_clone": "clone control",
     **dict.fromkeys(LOWER_CONTROLS, "lower control"),
+    **dict.fromkeys(ASKING, "asks the expert"),
 }
 UNINFORMED = ("control_survival", "control_shuffled")
 """Controls that know nothing of how to do the task."""
@@ -216,13 +217,11 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     true = score.get(("control_true", "pi_R"), math.nan)
 
     def best(method: str, policy: str) -> list[Row]:
-        """The rows of the best method's policy of the same name; none for what is no method's."""
-        if method == REFERENCE or method in CONTROLS:
+        """The rows of the best method's policy of the same name; none for what is no rival."""
+        if method in _ROLES:
             return []
         rivals = [
-            key
-            for key in groups
-            if key[1] == policy and key[0] not in (REFERENCE, *CONTROLS) and math.isfinite(score[key])
+            key for key in groups if key[1] == policy and key[0] not in _ROLES and math.isfinite(score[key])
         ]
         return groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
 

@@ -28,9 +28,13 @@ class Features:
 
 
 class TaskWorld:
-    """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave."""
+    """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave.
 
-    def __init__(self, spec: EnvSpec, protocol: str, library: Library) -> None:
+    expert: whom a method that is marked so may ask.
+    answers: actions that the expert told.
+    """
+
+    def __init__(self, spec: EnvSpec, protocol: str, library: Library, expert: Policy | None = None) -> None:
         self.obs_size = spec.obs_size
         self.act_size = spec.act_size
         self.horizon = spec.horizon
@@ -39,10 +43,12 @@ class TaskWorld:
         self.env_steps = 0
         self.check_steps = 0
         self.rl_solves = 0
+        self.answers = 0
         self.model = spec.tabular.model if spec.tabular else None
         self._spec = spec
         self._protocol = protocol
         self._library = library
+        self._expert = expert
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return self._spec.random_actions(count, rng)
@@ -51,6 +57,12 @@ class TaskWorld:
         rollouts = without_rewards(Simulator(self._spec).run(policy, training_seeds(rng, episodes)))
         self.env_steps += int(rollouts.lengths.sum())
         return rollouts
+
+    def ask(self, obs: Array) -> Array:
+        if self._expert is None:
+            raise ValueError("only methods that are marked as asking the expert may ask it")
+        self.answers += len(obs)
+        return self._spec.executed(self._expert(obs))
 
     def agent(
         self,

@@ -35,7 +35,7 @@ from harness.learn.learned import check_learned
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.simulator import drawings
 from harness.learn.world import TaskWorld, solver_for
-from harness.registry import SPECS, load_method
+from harness.registry import ASKING, SPECS, load_method
 from harness.run.artifacts import KIND, artifact
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
@@ -122,7 +122,8 @@ class Task:
         return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
 
     def world(self) -> TaskWorld:
-        return TaskWorld(self.spec, self.conditions.protocol, self.conditions.rl)
+        expert = self.shared.expert.policy if self.cell.method in ASKING else None
+        return TaskWorld(self.spec, self.conditions.protocol, self.conditions.rl, expert)
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,8 @@ def fit(task: Task, demos: Episodes) -> Made:
     curves = {name: curve(values) for name, values in list(learned.curves.items())[:most]}
     many = f"{task.cell.name}: of {len(learned.curves)} curves the first {most} are kept"
     warnings = (many,) if len(learned.curves) > most else ()
-    return Made("pi_star", learned.policy, learned.reward, took, curves, learned.details, warnings)
+    details = {**learned.details, **({"answers of the expert": world.answers} if world.answers else {})}
+    return Made("pi_star", learned.policy, learned.reward, took, curves, details, warnings)
 
 
 def curve(values: Sequence[float]) -> Curve:

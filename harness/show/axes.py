@@ -29,7 +29,9 @@ def draw_axes(env: str, entries: Sequence[Entry], flag: str = "") -> list[Pictur
 
 def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[Picture]:
     """A panel for pi_star and one for pi_R; a line for each method and each other way to show."""
-    mine = [e for e in entries if e.dynamics == NOMINAL and e.demos and e.role == "method"]
+    mine = [
+        e for e in entries if e.dynamics == NOMINAL and e.demos and e.method not in (REFERENCE, *CONTROLS)
+    ]
     ways = sorted({_way(e) for e in mine})
     lines = [(method, way) for method in dict.fromkeys(e.method for e in mine) for way in ways]
     counts = sorted({e.demos for e in mine})

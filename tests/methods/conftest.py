@@ -39,6 +39,9 @@ class FakeWorld:
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
+    def ask(self, obs: Array) -> Array:
+        return np.clip(obs[:, :2], -1, 1)
+
     def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
         self.given.append(given)
         return FakeAgent(self, rng)
@@ -123,6 +126,9 @@ class FiniteWorld:
             states.append((rng.random((episodes, 1)) < rows).argmax(axis=1))
         obs, act = model.obs[np.stack(states, axis=1)], np.stack(choices, axis=1)
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
+
+    def ask(self, obs: Array) -> Array:
+        return self.optimal()(obs)
 
     def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
         return FakeAgent(self, rng)

@@ -87,6 +87,17 @@ def test_differences_to_the_best_are_paired_by_seed() -> None:
     assert math.isnan(entry_of(results, "control_true", "pi_R").behind_mean)
 
 
+def test_who_asks_the_expert_is_no_rival() -> None:
+    rows = [make_row("cartpole", "dagger", seed, "pi_star", return_mean=499.0) for seed in range(3)]
+    results = [CellResult(Cell("cartpole", "dagger", row.seed), [row]) for row in rows]
+    results += make_results(("cartpole",))
+    asking, best = (entry_of(results, method, "pi_star") for method in ("dagger", "bc"))
+    assert asking.role == "asks the expert"
+    assert asking.score_mean > best.score_mean
+    assert math.isnan(asking.behind_mean)
+    assert math.isnan(best.behind_mean)
+
+
 def test_what_is_not_told_apart_from_the_best_is_tied() -> None:
     results = make_results(("cartpole",))
     swing = iter([30.0, -20.0, 10.0])

@@ -60,6 +60,15 @@ def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 40, 3)
 
 
+def test_the_expert_answers_those_who_may_ask_and_is_counted(steady: EnvSpec) -> None:
+    world, obs = TaskWorld(steady, "absorbing", "sb3", expert=off_target), np.array([[0.3], [-0.2]])
+    np.testing.assert_array_equal(world.ask(obs), [[-1.0], [1.0]])
+    world.ask(obs[:1])
+    assert (world.answers, world.env_steps) == (3, 0)
+    with pytest.raises(ValueError, match="only methods that are marked"):
+        TaskWorld(steady, "absorbing", "sb3").ask(obs)
+
+
 def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
     world = TaskWorld(fragile, "native", "sb3")
     episodes = world.rollout(off_target, 4, rng())
@@ -144,7 +153,7 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
     }
     assert set(public) == {
         *("obs_size", "act_size", "horizon", "gamma", "phi", "model"),
-        *("env_steps", "check_steps", "rl_solves"),
+        *("env_steps", "check_steps", "rl_solves", "answers"),
     }
     assert public.pop("model") is None
     assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")

@@ -29,7 +29,7 @@ from harness.judge.results import (
 from harness.learn import world
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.world import solver_for
-from harness.registry import PROTOCOLS, SPECS
+from harness.registry import PROTOCOLS, SPECS, load_method
 from harness.run import cells
 from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
@@ -92,6 +92,19 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
+
+
+def test_who_is_marked_so_may_ask_the_expert_and_nobody_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asks = dataclasses.replace(BC, method="dagger")
+    result = run(asks, tmp_path)
+    assert result.details == {"answers of the expert": result.rows[0].env_steps}
+    assert result.rows[0].env_steps > 0
+    asking = load_method("dagger")
+    monkeypatch.setattr(cells, "load_method", lambda name: asking)
+    with pytest.raises(ValueError, match="only methods that are marked"):
+        run(BC, tmp_path)
 
 
 @dataclasses.dataclass

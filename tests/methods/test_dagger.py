@@ -1,0 +1,51 @@
+"""DAgger asks where its policy leads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs.gridworld import grid
+from methods.base import Array, Episodes
+from methods.bc import BehaviourCloning
+from methods.dagger import DAgger
+
+BRIEF: dict[str, Any] = {"steps": 300, "iterations": 100}
+
+
+def test_it_does_what_the_expert_does_where_it_comes(finite_world: Any) -> None:
+    """Of one step that is shown a clone knows nothing of the way; asked, the expert tells it."""
+    world = finite_world(grid(5, 0.0), horizon=12)
+    expert, far = world.optimal(), world.model.obs[:1]
+    one = Episodes((far.copy(),), (expert(far),), (False,), times=(np.array([0]),), steps=(12,))
+    start = np.flatnonzero(world.model.start)
+
+    def wrong(method: BehaviourCloning) -> float:
+        """Share of other choices than the expert's on the policy's own way."""
+        learned = method.fit(one, world, np.random.default_rng(0))
+        obs, act = world.rollout(learned.policy, 40, np.random.default_rng(1)).pairs()
+        return float((act.argmax(axis=1) != expert(obs).argmax(axis=1)).mean())
+
+    assert len(start) > 1
+    assert wrong(BehaviourCloning(**BRIEF)) > 0.3
+    assert wrong(DAgger(rounds=4, rollouts=20, **BRIEF)) < 0.02
+
+
+def test_it_asks_of_every_step_that_it_makes_and_learns_from_all_answers(world: Any) -> None:
+    asked: list[Array] = []
+
+    def ask(obs: Array) -> Array:
+        asked.append(obs)
+        return np.full((len(obs), 2), 0.5)
+
+    world.ask = ask
+    obs = np.random.default_rng(3).uniform(-1, 1, (2, 3))
+    one = Episodes((obs,), (np.array([[-0.5, -0.5]]),), (False,))
+    learned = DAgger(rounds=3, rollouts=4, **BRIEF).fit(one, world, np.random.default_rng(0))
+    assert [len(some) for some in asked] == [4 * world.lifetime] * 3
+    seen = np.concatenate(asked)
+    assert learned.policy(seen) == pytest.approx(0.5, abs=0.1)
+    assert learned.reward is None
+    assert len(learned.curves["loss of each clone"]) == 4
