@@ -60,6 +60,9 @@ VARIANTS = {
     "gail": Entry("methods.gail:GAIL", "generative adversarial imitation learning (Ho & Ermon 2016)"),
     "gail_mean": Entry("methods.gail:GAIL", "gail, with the mean of the latest discriminators as reward"),
     "gail_mean_state": Entry("methods.gail:GAIL", "gail_mean, with discriminators of states alone"),
+    "airl": Entry("methods.airl:AIRL", "adversarial inverse reinforcement learning (Fu et al. 2018)"),
+    "airl_state": Entry("methods.airl:AIRL", "airl, with a reward of states alone"),
+    "f_irl": Entry("methods.f_irl:FIRL", "f-IRL of the forward KL divergence (Ni et al. 2020)"),
     "dagger": Entry(
         "methods.dagger:DAgger", "DAgger (Ross et al. 2011); asks the expert, so a ceiling and no rival"
     ),

@@ -14,9 +14,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch.nn.functional import softplus
 
-from methods.base import Agent, Payment, Policy, Reward, Transitions, World
+from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Transitions, World, seen_by_both
+from methods.network import ADAM, squared_slope, standardiser
 from methods.rewards import MeanReward
+from methods.visits import sample
 
 
 class Turn(NamedTuple):
@@ -63,6 +67,14 @@ class Game:
     """Episodes of random actions, with which observations are standardised; where the model is known, also of
     the agent in each turn."""
 
+    def standard(
+        self, demos: Episodes, world: World, rng: np.random.Generator
+    ) -> tuple[Array, Array, torch.Generator]:
+        """Mean and spread (O,) of observations, and what networks begin with."""
+        random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
+        mean, std = standardiser(seen_by_both(demos, random, rng))
+        return mean, std, torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+
     def play(
         self,
         world: World,
@@ -84,3 +96,31 @@ class Game:
         mean = MeanReward(tuple(turn.reward for turn in turns[1:][-self.averaged :]))
         agent.learn(self.final_steps, mean)
         return Outcome(agent.best(mean), turns[-1].reward, mean)
+
+    def discriminator(self, logit: torch.nn.Module, generator: torch.Generator) -> Discriminator:
+        """One that has not learned yet."""
+        optimizer = torch.optim.Adam(logit.parameters(), self.learning_rate, **ADAM)
+        return Discriminator(self, logit, optimizer, generator)
+
+
+@dataclass(frozen=True)
+class Discriminator:
+    """Tells demonstrated steps from others, by rows that describe them. logit: of such rows (B, K), (B, 1):
+    log D - log(1 - D), D being the probability that one is demonstrated."""
+
+    game: Game
+    logit: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    generator: torch.Generator
+
+    def tell(self, shown: Array, own: Array, rng: np.random.Generator) -> float:
+        """Learn to tell shown (N, K) from own (M, K). Its logistic loss at the end, 1.39 where it knows
+        nothing."""
+        for _ in range(self.game.reward_steps):
+            d, e = (sample(visits, self.game.batch, rng) for visits in (shown, own))
+            errors = softplus(-self.logit(d)).mean() + softplus(self.logit(e)).mean()
+            loss = errors + self.game.slope_penalty * squared_slope(self.logit, d, e, self.generator)
+            self.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.optimizer.step()
+        return errors.item()

@@ -16,14 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch.nn.functional import softplus
 
 from methods.adversarial import Game, Turn
-from methods.base import ABSORBING_STEPS, Episodes, Learned, Transitions, World, seen_by_both
-from methods.network import ADAM, mlp, squared_slope, standardiser
+from methods.base import ABSORBING_STEPS, Episodes, Learned, Transitions, World
+from methods.network import mlp
 from methods.rewards import NetworkReward
-from methods.visits import sample, visitations, visited
+from methods.visits import visitations, visited
 
 
 @dataclass(frozen=True)
@@ -37,12 +35,10 @@ class GAIL(Game):
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Play the game."""
-        random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
-        mean, std = standardiser(seen_by_both(demos, random, rng))
-        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+        mean, std, generator = self.standard(demos, world, rng)
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
         logit = mlp(inputs, *self.layers, 1, generator=generator)
-        optimizer = torch.optim.Adam(logit.parameters(), self.learning_rate, **ADAM)
+        discriminator = self.discriminator(logit, generator)
         shown = visitations(demos, ABSORBING_STEPS, mean, std, self.actions)
         losses: list[float] = []
 
@@ -51,15 +47,7 @@ class GAIL(Game):
             return Turn(reward, reward)
 
         def answer(seen: Transitions) -> Turn:
-            own = visited(seen, mean, std, self.actions)
-            for _ in range(self.reward_steps):
-                d, e = (sample(visits, self.batch, rng) for visits in (shown, own))
-                errors = softplus(-logit(d)).mean() + softplus(logit(e)).mean()
-                loss = errors + self.slope_penalty * squared_slope(logit, d, e, generator)
-                optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                optimizer.step()
-            losses.append(errors.item())
+            losses.append(discriminator.tell(shown, visited(seen, mean, std, self.actions), rng))
             return turn()
 
         found = self.play(world, world.agent(rng, soft=True), turn(), answer, rng)

@@ -8,7 +8,7 @@ MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
 ITERATIVE = (*MAXMARGIN, *MAXENT)
 """Methods in which reinforcement learning goes on between updates of the reward."""
-GAMES = ("gail", "gail_mean", "gail_mean_state")
+GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
@@ -48,7 +48,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
         {"iterations": 200, "rl_steps": 8000, "reward_steps": 20, "averaged": 100, "remembered": 8},
     ),
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
-    (("gail_mean_state",), ANY, ANY, {"actions": False}),
+    (("gail_mean_state", "airl_state"), ANY, ANY, {"actions": False}),
     (GAMES, ANY, ("quick",), {"iterations": 15, "averaged": 8, "final_steps": 4000}),
     (
         *(GAMES, ("cartpole_swingup",), ("full",)),
