@@ -38,9 +38,9 @@ class AIRL(Game):
 
     actions: bool = True
     """Whether g sees actions, besides observations."""
-    known_steps: int = 2000
+    known_steps: int = 1000
     """Where the model is known: steps of gradient descent, after each of which the policy is solved for."""
-    known_rate: float = 3e-2
+    known_rate: float = 0.1
     """Of Adam there."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
@@ -62,11 +62,7 @@ class AIRL(Game):
             return Turn(Shaped(reward, potential, world.gamma), reward)
 
         def rows(steps: Transitions) -> Array:
-            after = replace(steps, obs=steps.next_obs, absorbing=steps.next_absorbing)
-            logs = log_density(agent.behaviour, steps)
-            return np.column_stack(
-                [logs, visited(after, mean, std, False), visited(steps, mean, std, self.actions)]
-            )
+            return described(steps, log_density(agent.behaviour, steps), mean, std, self.actions)
 
         def answer(seen: Transitions) -> Turn:
             losses.append(discriminator.tell(rows(shown), rows(seen), rng))
@@ -123,6 +119,12 @@ def log_density(policy: StochasticPolicy, steps: Transitions) -> Array:
     uniform ones."""
     logs = np.clip(policy.log_prob(steps.obs, steps.act), -LARGEST_LOG, LARGEST_LOG)
     return np.where(steps.absorbing, -steps.act.shape[1] * np.log(2), logs)
+
+
+def described(steps: Transitions, logs: Array, mean: Array, std: Array, actions: bool) -> Array:
+    """(N, 1 + O + 1 + K): rows as `Logit` takes them, of the logarithms (N,) of the agent's density."""
+    after = replace(steps, obs=steps.next_obs, absorbing=steps.next_absorbing)
+    return np.column_stack([logs, visited(after, mean, std, False), visited(steps, mean, std, actions)])
 
 
 class Logit(torch.nn.Module):

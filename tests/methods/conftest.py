@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from envs.spec import Tabular
-from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Policy, Reward, Transitions
+from methods.base import (
+    ABSORBING_STEPS,
+    Array,
+    Episodes,
+    Payment,
+    Policy,
+    Reward,
+    StochasticPolicy,
+    Transitions,
+)
+from methods.gaussian import SquashedGaussian
+from methods.network import Network
 from methods.tabular import greedy, value_iteration
 
 
@@ -76,6 +87,13 @@ class FakeAgent:
 
     def best(self, reward: Reward) -> Policy:
         return self.world.solved(reward, self.rng)
+
+    @property
+    def behaviour(self) -> StochasticPolicy:
+        """Normal actions about 0, squashed, whatever is learned."""
+        size = self.world.obs_size, 2 * self.world.act_size
+        still = Network(np.zeros(size[0]), np.ones(size[0]), (np.zeros(size),), (np.zeros(size[1]),))
+        return SquashedGaussian(still)
 
     def replay(self) -> Transitions:
         """Some episodes of its policy, and `ABSORBING_STEPS` after each that terminated."""
