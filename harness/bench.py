@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from envs.driving.highway import CONFIG, HORIZON
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import WARM_UP, Agent
 from harness.learn.simulator import Simulator
-from harness.registry import SPECS
+from harness.registry import METHODS, SPECS, VARIANTS
 from harness.run.engines import Engine
 from harness.run.experts import expert_for
 from harness.run.grid import Grid
@@ -107,6 +107,9 @@ def bench() -> Iterator[Measure]:
             bar=3,
             repeats=3,
         )
+    for method in (*METHODS, *VARIANTS):
+        yield _fit("swingup", method, each=1000, bar=None)
+    yield _fit("halfcheetah", "gail", each=100_000, bar=300)
     yield compare(
         "two bare Python loops at once, against one", partial(_loops, 2), partial(_loops, 1), bar=None
     )
@@ -185,6 +188,17 @@ def plain_ddpg(env: str, steps: int, seed: int) -> DDPG:
         device="cpu",
     )
     return model.learn(steps)
+
+
+def _fit(env: str, method: str, each: int, bar: float | None) -> Measure:
+    """Seconds on one core of a fit for so many environment steps, or altogether where it takes none; in a
+    process of its own, which compiles."""
+    [result] = compute([Cell(env, method, 0)], replace(CONDITIONS, retrain=False), Isolated(1))
+    took = result.rows[0]
+    if took.env_steps == 0:
+        return Measure(f"{env}, {method}, fit", "s", [took.fit_seconds], bar)
+    name = f"{env}, {method}, fit, for each {each:,} of {took.env_steps:,} environment steps"
+    return Measure(name, "s", [each * took.fit_seconds / took.env_steps], bar)
 
 
 def _loops(count: int) -> int:

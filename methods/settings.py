@@ -54,6 +54,14 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
         *(GAMES, ("cartpole_swingup",), ("full",)),
         {"rl_steps": 2000, "iterations": 60, "latest": 6000, "averaged": 30, "final_steps": 40_000},
     ),
+    (
+        *(GAMES, ("halfcheetah",), ("quick", "full")),
+        {"rl_steps": 5000, "latest": 15_000, "final_steps": 20_000},
+    ),
+    (
+        *(GAMES, ("hopper", "walker2d"), ("full",)),
+        {"iterations": 100, "rl_steps": 2000, "latest": 10_000, "averaged": 50, "final_steps": 50_000},
+    ),
     (GAMES, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
     (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 20_000}),
     (("sqil",), ANY, ("smoke",), {"rl_steps": 320}),

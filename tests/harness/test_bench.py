@@ -115,3 +115,23 @@ def test_of_a_stopped_bench_nothing_is_kept(
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert capsys.readouterr().err == "\nstopped; nothing is kept\n"
+
+
+def test_a_fit_is_timed_with_the_steps_that_it_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compute(cells: list[Cell], conditions: Conditions, engine: Engine) -> list[CellResult]:
+        assert not conditions.retrain
+        steps = {"gail": 8000, "bc": 0}
+        rows = [
+            Row(c.env, c.method, 0, "pi_star", "absorbing", fit_seconds=12.0, env_steps=steps[c.method])
+            for c in cells
+        ]
+        return [CellResult(cell, [row]) for cell, row in zip(cells, rows, strict=True)]
+
+    monkeypatch.setattr(bench, "compute", compute)
+    found = bench._fit("swingup", "gail", each=1000, bar=1.0)
+    assert (found.name, found.values) == (
+        "swingup, gail, fit, for each 1,000 of 8,000 environment steps",
+        [1.5],
+    )
+    assert found.missed
+    assert bench._fit("swingup", "bc", each=1000, bar=None).values == [12.0]
