@@ -53,16 +53,20 @@ METHODS = {
     ),
     "maxent": Entry("methods.maxent:MaxEnt", "maximum-entropy deep IRL (Wulfmeier et al. 2015)"),
     "bc": Entry("methods.bc:BehaviourCloning", "behaviour cloning; learns no reward"),
+    "gail": Entry("methods.gail:GAIL", "generative adversarial imitation learning (Ho & Ermon 2016)"),
+    "gail_mean_state": Entry(
+        "methods.gail:GAIL", "gail of states alone, the mean of the latest discriminators as reward"
+    ),
+    "airl_state": Entry(
+        "methods.airl:AIRL", "adversarial IRL, with a reward of states alone (Fu et al. 2018)"
+    ),
+    "f_irl": Entry("methods.f_irl:FIRL", "f-IRL of the forward KL divergence (Ni et al. 2020)"),
+    "csil": Entry("methods.csil:CSIL", "coherent soft imitation learning (Watson et al. 2023)"),
+    "sqil": Entry("methods.sqil:SQIL", "soft Q imitation learning (Reddy et al. 2020); learns no reward"),
 }
 VARIANTS = {
-    "sqil": Entry("methods.sqil:SQIL", "soft Q imitation learning (Reddy et al. 2020); learns no reward"),
-    "csil": Entry("methods.csil:CSIL", "coherent soft imitation learning (Watson et al. 2023)"),
-    "gail": Entry("methods.gail:GAIL", "generative adversarial imitation learning (Ho & Ermon 2016)"),
     "gail_mean": Entry("methods.gail:GAIL", "gail, with the mean of the latest discriminators as reward"),
-    "gail_mean_state": Entry("methods.gail:GAIL", "gail_mean, with discriminators of states alone"),
-    "airl": Entry("methods.airl:AIRL", "adversarial inverse reinforcement learning (Fu et al. 2018)"),
-    "airl_state": Entry("methods.airl:AIRL", "airl, with a reward of states alone"),
-    "f_irl": Entry("methods.f_irl:FIRL", "f-IRL of the forward KL divergence (Ni et al. 2020)"),
+    "airl": Entry("methods.airl:AIRL", "airl_state, with a reward of states and actions"),
     "dagger": Entry(
         "methods.dagger:DAgger", "DAgger (Ross et al. 2011); asks the expert, so a ceiling and no rival"
     ),

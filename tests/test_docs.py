@@ -1,12 +1,18 @@
 """What the documents say is there."""
 
 import csv
+import dataclasses
 import itertools
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, cast
+
+from harness.registry import ENVS, METHODS, VARIANTS, load_method
+from methods.settings import settings_for
 
 ROOT = Path(__file__).parent.parent
 
@@ -134,6 +140,41 @@ def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
             for protocol, score in zip(heading[1:], scores, strict=True)
         }
         assert shown == found
+
+
+def test_the_table_of_hyper_parameters_is_that_of_the_code() -> None:
+    text = (ROOT / "docs/settings.md").read_text(encoding="utf-8")
+    ((table,),) = [re.findall(r"<!-- hyper-parameters -->\n(.*?)<!-- end", text, re.DOTALL)]
+    assert table == hyper_parameters()
+
+
+def hyper_parameters() -> str:
+    """Of each method, and what of them is otherwise in some environments at `full`."""
+    lines = ["| Method | Hyper-parameters at `full` | Otherwise |", "| --- | --- | --- |"]
+    for method in (*METHODS, *VARIANTS):
+        found = {env: dict(settings_for(method, env, "full")) for env in ENVS}
+        fields = {f.name: f.default for f in dataclasses.fields(cast(Any, load_method(method)))}
+        usual = fields | {
+            name: value
+            for name, value in found["cartpole"].items()
+            if all(its.get(name) == value for its in found.values())
+        }
+        others: dict[str, list[str]] = {}
+        for env, its in found.items():
+            if differs := told({name: value for name, value in its.items() if usual[name] != value}):
+                others.setdefault(differs, []).append(env)
+        elsewhere = "; ".join(f"{', '.join(envs)}: {differs}" for differs, envs in others.items())
+        lines.append(f"| `{method}` | {told(usual)} | {elsewhere} |")
+    return "".join(line + "\n" for line in lines)
+
+
+def told(settings: Mapping[str, object]) -> str:
+    """In a line."""
+    values = {
+        name: " ".join(map(str, value)) if isinstance(value, tuple) else f"{value}"
+        for name, value in settings.items()
+    }
+    return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def test_the_script_of_what_methods_cost_prints_its_line() -> None:
