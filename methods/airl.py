@@ -22,7 +22,16 @@ from torch.nn.functional import softplus
 
 from envs.spec import Model
 from methods.adversarial import Game, Turn
-from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, StochasticPolicy, Transitions, World
+from methods.base import (
+    ABSORBING_STEPS,
+    Array,
+    Episodes,
+    Learned,
+    StochasticPolicy,
+    Transitions,
+    Unsuitable,
+    World,
+)
 from methods.network import ADAM, mlp
 from methods.rewards import NetworkReward
 from methods.tabular import TabularReward, soft_policy, soft_value_iteration, state_visitations
@@ -44,7 +53,7 @@ class AIRL(Game):
     """Of Adam there."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Play the game. Raises ValueError where not every step of the demonstrations is shown."""
+        """Play the game. Raises Unsuitable where not every step of the demonstrations is shown."""
         if world.model is not None:
             return self._fit_exactly(demos, world, world.model, rng)
         shown = as_transitions(demos)
@@ -54,6 +63,7 @@ class AIRL(Game):
         h = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
         discriminator = self.discriminator(Logit(g, h, world.gamma), generator)
         agent = world.agent(rng, soft=True)
+        uniform = -np.log(world.act_size) if world.discrete else -world.act_size * np.log(2)
         losses: list[float] = []
 
         def turn() -> Turn:
@@ -62,7 +72,8 @@ class AIRL(Game):
             return Turn(Shaped(reward, potential, world.gamma), reward)
 
         def rows(steps: Transitions) -> Array:
-            return described(steps, log_density(agent.behaviour, steps), mean, std, self.actions)
+            logs = log_density(agent.behaviour, steps, uniform)
+            return described(steps, logs, mean, std, self.actions)
 
         def answer(seen: Transitions) -> Turn:
             losses.append(discriminator.tell(rows(shown), rows(seen), rng))
@@ -101,10 +112,10 @@ def known(method: AIRL, shown: Array, model: Model, gamma: float, horizon: int) 
 
 
 def as_transitions(demos: Episodes) -> Transitions:
-    """Every step, and `ABSORBING_STEPS` in the absorbing state after each end. Raises ValueError where some
-    are not shown."""
+    """Every step, and `ABSORBING_STEPS` in the absorbing state after each end. Raises Unsuitable where
+    some are not shown."""
     if not demos.whole:
-        raise ValueError("AIRL learns from demonstrations of which every step is shown")
+        raise Unsuitable("AIRL learns from demonstrations of which every step is shown")
     steps = Transitions.of(demos)
     ends = np.cumsum(demos.lengths)[np.array(demos.terminated)] - 1
     rows = np.concatenate([np.arange(len(steps)), np.repeat(ends, ABSORBING_STEPS)])
@@ -114,11 +125,11 @@ def as_transitions(demos: Episodes) -> Transitions:
     )
 
 
-def log_density(policy: StochasticPolicy, steps: Transitions) -> Array:
-    """(N,): the logarithm of the density of each action, within `LARGEST_LOG`; in the absorbing state, of
-    uniform ones."""
+def log_density(policy: StochasticPolicy, steps: Transitions, uniform: float) -> Array:
+    """(N,): the logarithm of the density of each action, within `LARGEST_LOG`; in the absorbing state, where
+    actions mean nothing, that of `uniform` ones."""
     logs = np.clip(policy.log_prob(steps.obs, steps.act), -LARGEST_LOG, LARGEST_LOG)
-    return np.where(steps.absorbing, -steps.act.shape[1] * np.log(2), logs)
+    return np.where(steps.absorbing, uniform, logs)
 
 
 def described(steps: Transitions, logs: Array, mean: Array, std: Array, actions: bool) -> Array:

@@ -18,6 +18,11 @@ RandomActions = Callable[[int, np.random.Generator], Array]
 """(count, A), uniform over all actions."""
 
 
+class Unsuitable(ValueError):
+    """What a method raises where it is not made for the task, or for what it is shown. Its cell is skipped
+    then, and says why."""
+
+
 class Policy(Protocol):
     """A deterministic policy: observations (B, O) to actions (B, A) within [-1, 1]; where an action is a
     choice among A, the largest entry acts."""
@@ -26,13 +31,14 @@ class Policy(Protocol):
 
 
 class StochasticPolicy(Protocol):
-    """A policy that draws its actions, within [-1, 1]^A, by a density."""
+    """A policy that draws its actions, within [-1, 1]^A, by a density; or, where actions are choices, by
+    probabilities."""
 
     def sample(self, obs: Array, rng: np.random.Generator) -> Array:
         """(B, A): an action for each observation (B, O)."""
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """(B,): logarithm of the density of actions (B, A) at observations (B, O)."""
+        """(B,): logarithm of the density, or probability, of actions (B, A) at observations (B, O)."""
 
     @property
     def mean(self) -> Policy:
@@ -187,8 +193,8 @@ class Agent(Protocol):
 
     @property
     def behaviour(self) -> StochasticPolicy:
-        """What it explores with. Raises ValueError unless it learns by soft actor-critic, and where nothing
-        was learned yet."""
+        """What it explores with. Raises ValueError where nothing was learned yet, and unless it learns by
+        soft actor-critic or, where actions are choices, by Q-learning."""
 
     def replay(self) -> Transitions:
         """The latest steps that it has seen, of all that it learned, the oldest first. Raises ValueError
@@ -202,6 +208,8 @@ class World(Protocol):
     act_size: int
     horizon: int
     gamma: float
+    discrete: bool
+    """Whether actions are choices."""
     model: Model | None
     """The dynamics, where they are known."""
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, World, seen_by_both
+from methods.base import Array, Episodes, Learned, Unsuitable, World, seen_by_both
 from methods.bc import BehaviourCloning
 from methods.network import ROWS, standardiser
 from methods.tabular import TabularReward
@@ -55,10 +55,13 @@ class CSIL(BehaviourCloning):
     """Episodes of random actions, with which observations are standardised."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Fit q, and learn under its reward."""
+        """Fit q, and learn under its reward. Raises Unsuitable where actions are choices and the model is not
+        known."""
         if world.model is not None:
             known = known_reward(demonstrated(demos, world.model).sum(axis=0) * len(demos), world.model)
             return Learned(world.solve(known, rng, self.rl_steps), known)
+        if world.discrete:
+            raise Unsuitable("CSIL's cloned policy is of continuous actions")
         random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
         seen = seen_by_both(demos, random, rng)
         rows = rng.permutation(len(demos.pairs()[1]))[: self.kept]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, Transitions, World
+from methods.base import Array, Episodes, Learned, Transitions, Unsuitable, World
 from methods.tabular import (
     TabularPolicy,
     discounted_visitations,
@@ -34,12 +34,14 @@ class SQIL:
     """Where the model is known: soft policies, each found from what those before it visit."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Learn from both. Raises ValueError where not every step of the demonstrations is shown."""
+        """Learn from both. Raises Unsuitable where not every step of the demonstrations is shown."""
         if world.model is not None:
             q = soft_q(
                 demonstrated(demos, world.model).sum(axis=0), world.model, world.gamma, self.iterations
             )
             return Learned(TabularPolicy(world.model.obs, greedy(q)), None)
+        if not demos.whole:
+            raise Unsuitable("SQIL learns from demonstrations of which every step is shown")
         agent = world.agent(rng, soft=True, demonstrations=demos)
         agent.learn(self.rl_steps, imitate)
         return Learned(agent.policy, None)

@@ -26,8 +26,8 @@ from harness.learn import on_policy
 from harness.learn.training_env import REWARD_SIZE, Replay, TrainingEnv
 from harness.registry import Library
 from methods.base import Array, Episodes, Policy, StochasticPolicy
-from methods.gaussian import SquashedGaussian
 from methods.network import ADAM, Network
+from methods.stochastic import SquashedGaussian
 
 Model = sbx.TD3 | sbx.SAC | sbx.PPO | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN
 """DDPG is a TD3 in both libraries."""

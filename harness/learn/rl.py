@@ -17,15 +17,15 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from envs import EnvSpec
-from envs.learners import PPO, SAC, Learner
+from envs.learners import DQN, PPO, SAC, Learner
 from harness.learn import models
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.training_env import Replay, TrainingEnv
 from harness.registry import PROTOCOLS, Library
 from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPolicy, Transitions
-from methods.gaussian import SquashedGaussian
 from methods.network import Network
+from methods.stochastic import EpsilonGreedy, SquashedGaussian
 
 WARM_UP = 1000
 """Random steps before learning; fewer where a solve is shorter than twice that."""
@@ -200,15 +200,17 @@ class Agent:
         """What it would do now; the mean action where it learns by soft actor-critic. Raises ValueError where
         nothing was learned yet."""
         if isinstance(self.settings, SAC):
-            return self.behaviour.mean
+            return SquashedGaussian(models.actor(self._built, self.spec)).mean
         return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)
 
     @property
-    def behaviour(self) -> SquashedGaussian:
-        """What it explores with now. Raises ValueError unless it learns by soft actor-critic, and where
-        nothing was learned yet."""
+    def behaviour(self) -> SquashedGaussian | EpsilonGreedy:
+        """What it explores with now. Raises ValueError where nothing was learned yet, and unless it learns by
+        soft actor-critic or DQN."""
+        if isinstance(self.settings, DQN):
+            return EpsilonGreedy(self.policy, self.settings.noise)
         if not isinstance(self.settings, SAC):
-            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy; SAC has")
+            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy; SAC and DQN have")
         return SquashedGaussian(models.actor(self._built, self.spec))
 
     def check(self, policies: Sequence[Policy]) -> list[tuple[float, float]]:

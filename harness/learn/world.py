@@ -39,6 +39,7 @@ class TaskWorld:
         self.act_size = spec.act_size
         self.horizon = spec.horizon
         self.gamma = spec.gamma
+        self.discrete = spec.discrete
         self.phi = Features(spec)
         self.env_steps = 0
         self.check_steps = 0

@@ -28,6 +28,7 @@ from harness.judge.results import (
     Curve,
     PolicyName,
     Row,
+    policies_of,
     row_of,
     thinned,
 )
@@ -40,7 +41,7 @@ from harness.run.artifacts import KIND, artifact
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
-from methods.base import Episodes, Learned, Policy, Reward, World
+from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.settings import settings_for
 
 
@@ -149,7 +150,10 @@ def policies(task: Task) -> list[Made]:
         return reference(task)
     if task.cell.method in CONTROLS:
         return [retrain(task, control(task))]
-    star = carried(task) or elsewhere(task, fit(task, demonstrations(task)))
+    try:
+        star = carried(task) or elsewhere(task, fit(task, demonstrations(task)))
+    except Unsuitable as error:
+        return [Made(name, None, columns={"reason": str(error)}) for name in policies_of(task.cell)]
     if star.reward is None:
         return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
     if not task.conditions.retrain:
@@ -305,7 +309,7 @@ def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]
         one.name: one.policy for one in made if one.policy is not None
     }
     learned.pop("random", None)
-    if task.cell.method not in (REFERENCE, "control_true"):
+    if learned and task.cell.method not in (REFERENCE, "control_true"):
         learned["reward"] = made[0].reward
     with task.during("record"):
         data, lost = artifact(task.cell, task.conditions, learned)

@@ -20,8 +20,8 @@ from methods.base import (
     StochasticPolicy,
     Transitions,
 )
-from methods.gaussian import SquashedGaussian
 from methods.network import Network
+from methods.stochastic import SquashedGaussian
 from methods.tabular import greedy, value_iteration
 
 
@@ -31,7 +31,7 @@ class FakeWorld:
     Every episode lasts `lifetime` steps, and terminates if that is less than the horizon.
     """
 
-    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
+    obs_size, act_size, horizon, gamma, discrete, model = 3, 2, 10, 0.9, False, None
 
     def __init__(self, lifetime: int = 10) -> None:
         self.lifetime = lifetime
@@ -112,7 +112,7 @@ class FakeAgent:
 class NoEnvironment:
     """The sizes of a world and its actions, and nothing in it that could be touched."""
 
-    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
+    obs_size, act_size, horizon, gamma, discrete, model = 3, 2, 10, 0.9, False, None
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -120,6 +120,8 @@ class NoEnvironment:
 
 class FiniteWorld:
     """A `Tabular` solved exactly by rewards of states and actions, and sampled."""
+
+    discrete = True
 
     def __init__(self, tabular: Tabular, horizon: int = 10, gamma: float = 0.9) -> None:
         self.tabular, self.model, self.horizon, self.gamma = tabular, tabular.model, horizon, gamma

@@ -111,10 +111,10 @@ def test_densities_count_within_bounds(demonstrate: Callable[..., Episodes]) -> 
             return 40.0 * np.sign(act[:, 0])
 
     steps = as_transitions(demonstrate(lambda obs: obs[:, :2], count=2, lifetime=3))
-    logs = log_density(cast(StochasticPolicy, Sure()), steps)
+    logs = log_density(cast(StochasticPolicy, Sure()), steps, uniform=-0.7)
     living = ~steps.absorbing
     np.testing.assert_array_equal(logs[living], LARGEST_LOG * np.sign(steps.act[living, 0]))
-    np.testing.assert_allclose(logs[~living], -2 * np.log(2))
+    np.testing.assert_array_equal(logs[~living], -0.7)
 
 
 def test_it_plays_with_a_soft_agent_and_returns_the_mean(

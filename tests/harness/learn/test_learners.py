@@ -17,9 +17,9 @@ from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn.rl import Agent
 from harness.registry import LIBRARIES, SPECS, Library
 from methods.base import Array, Episodes
-from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant
+from methods.stochastic import SquashedGaussian
 from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -203,8 +203,18 @@ def test_its_behaviour_is_what_the_library_explores_with(library: Library, steps
 def test_others_have_no_behaviour(steady: EnvSpec, settings: Learner) -> None:
     agent = Agent(steady, "absorbing", rng(), "sb3", settings)
     agent.learn(20, NOTHING)
-    with pytest.raises(ValueError, match=f"{type(settings).__name__} has no stochastic policy; SAC has"):
+    with pytest.raises(ValueError, match=f"{type(settings).__name__} has no stochastic policy; SAC and"):
         agent.behaviour  # noqa: B018
+
+
+def test_q_learning_explores_with_a_share_of_random_choices() -> None:
+    agent = Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3")
+    agent.learn(200, NOTHING)
+    obs = np.zeros((2, 4))
+    greedy = np.eye(2)[agent.policy(obs).argmax(axis=1)]
+    chances = [np.exp(agent.behaviour.log_prob(obs, act)) for act in (greedy, 1 - greedy)]
+    share = agent.settings.noise
+    np.testing.assert_allclose(chances, [[1 - share / 2] * 2, [share / 2] * 2])
 
 
 def test_an_agent_that_has_not_learned_has_no_policy(steady: EnvSpec) -> None:

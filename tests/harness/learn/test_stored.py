@@ -20,10 +20,10 @@ from harness.registry import SPECS, BadInput
 from harness.run.artifacts import artifact, read_artifact
 from harness.run.cache import Kept, as_bytes
 from methods.fourier import FourierFeatures
-from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward
 from methods.shaped import ShapedReward
+from methods.stochastic import SquashedGaussian
 
 CELL, CONDITIONS = Cell("cartpole", "shaped", 0), Conditions("smoke", "absorbing", "sbx")
 RNG = np.random.default_rng(0)

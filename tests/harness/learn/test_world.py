@@ -21,9 +21,9 @@ from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
 from methods.base import Array, Transitions
-from methods.gaussian import SquashedGaussian
 from methods.network import Network
 from methods.rewards import Constant
+from methods.stochastic import SquashedGaussian
 from tests.harness.rewards import Nothing, Seek
 
 ZERO = Nothing()
@@ -152,7 +152,7 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
         name: value for name, value in vars(TaskWorld(steady, "absorbing", "sb3")).items() if name[0] != "_"
     }
     assert set(public) == {
-        *("obs_size", "act_size", "horizon", "gamma", "phi", "model"),
+        *("obs_size", "act_size", "horizon", "gamma", "phi", "model", "discrete"),
         *("env_steps", "check_steps", "rl_solves", "answers"),
     }
     assert public.pop("model") is None

@@ -23,6 +23,7 @@ from harness.judge.results import (
     Conditions,
     Library,
     Row,
+    Shown,
     failed_rows,
     policies_of,
 )
@@ -105,6 +106,17 @@ def test_who_is_marked_so_may_ask_the_expert_and_nobody_else(
     monkeypatch.setattr(cells, "load_method", lambda name: asking)
     with pytest.raises(ValueError, match="only methods that are marked"):
         run(BC, tmp_path)
+
+
+@pytest.mark.parametrize("dynamics", ["nominal", "long"])
+def test_what_a_method_is_not_made_for_is_skipped_and_says_why(tmp_path: Path, dynamics: str) -> None:
+    cell = Cell("swingup", "sqil", 0, Shown(1, every=20), dynamics)
+    result = run(cell, tmp_path)
+    assert [(row.policy, row.status) for row in result.rows] == [("pi_star", "skipped"), ("pi_R", "skipped")]
+    assert {row.reason for row in result.rows} == {
+        "SQIL learns from demonstrations of which every step is shown"
+    }
+    assert result.files == {}
 
 
 @dataclasses.dataclass

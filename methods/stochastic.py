@@ -1,4 +1,4 @@
-"""A stochastic policy as plain arrays: what soft actor-critic explores with, and may begin with."""
+"""Stochastic policies as plain arrays: what agents explore with, and soft actor-critic may begin with."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from methods.base import Array
+from methods.base import Array, Policy
 from methods.network import Network
 
 LOG_STD = (-20.0, 2.0)
@@ -46,3 +46,29 @@ class SquashedGaussian:
     def _parameters(self, obs: Array) -> tuple[Array, Array]:
         mean, log_std = np.split(self.network(obs), 2, axis=1)
         return mean, np.clip(log_std, *LOG_STD)
+
+
+@dataclass(frozen=True)
+class EpsilonGreedy:
+    """Does what the policy does, which chooses, but for a share of choices that are uniform. share: in
+    (0, 1]."""
+
+    mean: Policy
+    share: float
+
+    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+        """(B, A): 1 for the choice at each observation (B, O), and 0 for others."""
+        greedy = self._greedy(obs)
+        uniform = np.eye(greedy.shape[1])[rng.integers(greedy.shape[1], size=len(obs))]
+        return np.where(rng.random((len(obs), 1)) < self.share, uniform, greedy)
+
+    def log_prob(self, obs: Array, act: Array) -> Array:
+        """(B,): logarithm of the probability of the choices (B, A) at observations (B, O)."""
+        greedy = self._greedy(obs)
+        same = (greedy * act).sum(axis=1)
+        return np.asarray(np.log((1 - self.share) * same + self.share / greedy.shape[1]))
+
+    def _greedy(self, obs: Array) -> Array:
+        values = self.mean(obs)
+        chosen: Array = np.eye(values.shape[1])[values.argmax(axis=1)]
+        return chosen

@@ -6,8 +6,8 @@ import torch
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from methods.base import Array
-from methods.gaussian import LARGEST, LOG_STD, SquashedGaussian
 from methods.network import Network
+from methods.stochastic import LARGEST, LOG_STD, EpsilonGreedy, SquashedGaussian
 
 
 def gaussian(*entries: float) -> SquashedGaussian:
@@ -96,3 +96,14 @@ def test_entries_are_drawn_alone_and_their_densities_multiply() -> None:
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.02
     np.testing.assert_allclose(drawn.mean(axis=0), [0.2, -0.4], atol=0.02)
     np.testing.assert_allclose(drawn.std(axis=0), np.exp([-1.0, 0.5]), rtol=0.02)
+
+
+def test_a_share_of_choices_is_uniform() -> None:
+    policy = EpsilonGreedy(lambda obs: obs @ np.array([[1.0, -1.0, 0.0]]), 0.3)
+    obs = np.repeat([[2.0], [-2.0]], 30_000, axis=0)
+    act = policy.sample(obs, np.random.default_rng(0))
+    shares = np.array([act[:30_000].mean(axis=0), act[30_000:].mean(axis=0)])
+    np.testing.assert_allclose(shares, [[0.8, 0.1, 0.1], [0.1, 0.8, 0.1]], atol=0.01)
+    for choice in np.eye(3):
+        logs = policy.log_prob(obs[::30_000], np.tile(choice, (2, 1)))
+        np.testing.assert_allclose(np.exp(logs), shares @ choice, atol=0.01)
