@@ -8,7 +8,7 @@ R* is g. Where g sees states alone, the true reward does, and the dynamics are d
 reward up to a constant (the paper's theorem 5.1).
 
 Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et al. 2019); a density's
-logarithm counts as `LARGEST_LOG` at most, for an agent that is sure of itself would say all there is to tell;
+logarithm counts within bounds, for an agent that is sure of itself would say all there is to tell;
 R* is the mean of the latest g (`methods.gail` says why).
 """
 
@@ -37,9 +37,6 @@ from methods.rewards import NetworkReward
 from methods.tabular import TabularReward, soft_policy, soft_value_iteration, state_visitations
 from methods.visits import demonstrated, visited
 
-LARGEST_LOG = 10.0
-"""Of the logarithm of an action's density, either way."""
-
 
 @dataclass(frozen=True)
 class AIRL(Game):
@@ -47,6 +44,8 @@ class AIRL(Game):
 
     actions: bool = True
     """Whether g sees actions, besides observations."""
+    largest_log: float = 2.0
+    """Of the logarithm of an action's density, either way."""
     known_steps: int = 1000
     """Where the model is known: steps of gradient descent, after each of which the policy is solved for."""
     known_rate: float = 0.1
@@ -72,7 +71,7 @@ class AIRL(Game):
             return Turn(Shaped(reward, potential, world.gamma), reward)
 
         def rows(steps: Transitions) -> Array:
-            logs = log_density(agent.behaviour, steps, uniform)
+            logs = log_density(agent.behaviour, steps, self.largest_log, uniform)
             return described(steps, logs, mean, std, self.actions)
 
         def answer(seen: Transitions) -> Turn:
@@ -125,10 +124,10 @@ def as_transitions(demos: Episodes) -> Transitions:
     )
 
 
-def log_density(policy: StochasticPolicy, steps: Transitions, uniform: float) -> Array:
-    """(N,): the logarithm of the density of each action, within `LARGEST_LOG`; in the absorbing state, where
+def log_density(policy: StochasticPolicy, steps: Transitions, most: float, uniform: float) -> Array:
+    """(N,): the logarithm of the density of each action, within -most and most; in the absorbing state, where
     actions mean nothing, that of `uniform` ones."""
-    logs = np.clip(policy.log_prob(steps.obs, steps.act), -LARGEST_LOG, LARGEST_LOG)
+    logs = np.clip(policy.log_prob(steps.obs, steps.act), -most, most)
     return np.where(steps.absorbing, uniform, logs)
 
 

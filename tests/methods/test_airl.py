@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from envs.spec import Model
-from methods.airl import AIRL, LARGEST_LOG, Logit, Shaped, as_transitions, described, known, log_density
+from methods.airl import AIRL, Logit, Shaped, as_transitions, described, known, log_density
 from methods.base import ABSORBING_STEPS, Array, Episodes, StochasticPolicy
 from methods.network import mlp
 from methods.rewards import MeanReward, NetworkReward
@@ -111,9 +111,9 @@ def test_densities_count_within_bounds(demonstrate: Callable[..., Episodes]) -> 
             return 40.0 * np.sign(act[:, 0])
 
     steps = as_transitions(demonstrate(lambda obs: obs[:, :2], count=2, lifetime=3))
-    logs = log_density(cast(StochasticPolicy, Sure()), steps, uniform=-0.7)
+    logs = log_density(cast(StochasticPolicy, Sure()), steps, most=3.0, uniform=-0.7)
     living = ~steps.absorbing
-    np.testing.assert_array_equal(logs[living], LARGEST_LOG * np.sign(steps.act[living, 0]))
+    np.testing.assert_array_equal(logs[living], 3.0 * np.sign(steps.act[living, 0]))
     np.testing.assert_array_equal(logs[~living], -0.7)
 
 
