@@ -14,11 +14,13 @@ Hyper-parameters are those of the library's examples, the policy and its feature
 configurations. Under `native` episodes end as the environment ends them, which teaches GAIL, whose reward is
 positive, to stay alive, and AIRL to die. Under `absorbing` what would terminate goes to an absorbing state
 that observations mark, and every episode lasts to the horizon. The policy is evaluated after each round; that
-is not counted.
+is not counted. Further arguments change PPO's settings and the discriminator's updates a round, as in
+`n_steps=256 n_disc_updates_per_round=4`, and are told in the line; seeds from 100 are for tuning.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 
@@ -66,25 +68,25 @@ def copy_of(spec: EnvSpec, protocol: str) -> gym.Env:
     return RolloutInfoWrapper(env)
 
 
-def cost(env: str, method: str, protocol: str, seed: int) -> tuple[bool, float, int, float]:
+def cost(
+    env: str, method: str, protocol: str, seed: int, changes: dict[str, float]
+) -> tuple[bool, float, int, float]:
     """Whether 0.95 was reached, the seconds and environment steps until then, and the score at last."""
     torch.manual_seed(seed)
     judge = Judge(env, seed)
     spec, trainer, network, learning_rate, options = judge.spec, *TRAINERS[method]
     demos = judge.demonstrations()
+    options = {name: changes.pop(name, value) for name, value in options.items()}
     started = time.perf_counter()
     copies = DummyVecEnv([lambda: copy_of(spec, protocol)] * COPIES)
     copies.seed(seed)
+    settings: dict[str, float] = {"batch_size": 64, "ent_coef": 0.0, "learning_rate": learning_rate}
+    settings |= {"clip_range": 0.1, "vf_coef": 0.1, "n_epochs": 5}
     learner = PPO(
         FeedForward32Policy,
         copies,
-        batch_size=64,
-        ent_coef=0.0,
-        learning_rate=learning_rate,
+        **(settings | changes),
         gamma=spec.gamma,
-        clip_range=0.1,
-        vf_coef=0.1,
-        n_epochs=5,
         seed=seed,
         device="cpu",
         policy_kwargs={
@@ -119,6 +121,8 @@ def cost(env: str, method: str, protocol: str, seed: int) -> tuple[bool, float, 
 
 
 if __name__ == "__main__":
-    env, method, protocol, seed = sys.argv[1:]
-    reached, seconds, steps, score = cost(env, method, protocol, int(seed))
-    print(f"{env},{method},{protocol},{seed},{reached},{seconds:.0f},{steps},{score:.3f}")
+    env, method, protocol, seed, *changed = sys.argv[1:]
+    changes = {name: json.loads(value) for name, _, value in (one.partition("=") for one in changed)}
+    reached, seconds, steps, score = cost(env, method, protocol, int(seed), changes)
+    told = f"{reached},{seconds:.0f},{steps},{score:.3f}"
+    print(f"{env},{method},{protocol},{seed},{told},{' '.join(changed)}")
