@@ -1,0 +1,53 @@
+"""How long policies live on the pendulum, of every method and control, where episodes end as the environment
+ends them (`native`) and where the end is a state that is paid like any other (`absorbing`): signs.png beside
+this file, of the two runs' scores.
+
+From the root:
+
+    for p in native absorbing; do irl-bench run --methods all,gail_mean,airl,dagger --envs pendulum \\
+        --budget quick --seeds 2 --protocol $p --record none --out results/reference/signs/$p; done
+    python results/reference/signs/figure.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from harness.show.figures import BLUE, ORANGE, png, styled
+
+HERE = Path(__file__).parent
+HORIZON = 1000
+COLOURS = {"native": ORANGE, "absorbing": BLUE}
+POLICIES = {"pi_star": r"$\pi^*$", "pi_R": r"$\pi_R$"}
+
+
+def figure(scores: dict[str, pd.DataFrame]) -> Figure:
+    """A panel a policy, a line a method, a dot a seed. scores: what scores.csv holds, by protocol."""
+    rows = pd.concat(scores.values())
+    rows = rows[(rows["status"] == "ok") & (rows["method"] != "reference")]
+    methods = list(dict.fromkeys(rows["method"]))
+    drawn = Figure(figsize=(9, 0.28 * len(methods) + 1.2), layout="constrained")
+    for place, (policy, label) in enumerate(POLICIES.items()):
+        axes = drawn.add_subplot(1, 2, place + 1)
+        for protocol, colour in COLOURS.items():
+            its = rows[(rows["policy"] == policy) & (rows["protocol"] == protocol)]
+            shift = 0.15 if protocol == "native" else -0.15
+            heights = [methods.index(method) + shift for method in its["method"]]
+            axes.scatter(its["length_mean"], heights, s=18, color=colour, label=protocol, zorder=3)
+        axes.set_yticks(range(len(methods)), methods if place == 0 else [""] * len(methods))
+        axes.set_ylim(len(methods) - 0.4, -0.6)
+        axes.set_xlim(0, HORIZON * 1.03)
+        axes.grid(axis="y", linewidth=0.5)
+        axes.set_xlabel(f"steps that {label} lives, of {HORIZON}")
+    handles, labels = axes.get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
+    return drawn
+
+
+if __name__ == "__main__":
+    found = {protocol: pd.read_csv(HERE / protocol / "scores.csv") for protocol in COLOURS}
+    with styled():
+        (HERE / "signs.png").write_bytes(png(figure(found)))
