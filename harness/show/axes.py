@@ -28,31 +28,35 @@ def draw_axes(env: str, entries: Sequence[Entry], flag: str = "") -> list[Pictur
 
 
 def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[Picture]:
-    """A panel for pi_star and one for pi_R; a line for each method and each other way to show."""
+    """A panel for pi_star and one for pi_R, where there are any; a line for each method and each other way to
+    show."""
     mine = [
-        e for e in entries if e.dynamics == NOMINAL and e.demos and e.method not in (REFERENCE, *CONTROLS)
+        e
+        for e in entries
+        if e.dynamics == NOMINAL and e.demos and e.method not in (REFERENCE, *CONTROLS) and e.seeds_ok
     ]
     ways = sorted({_way(e) for e in mine})
     lines = [(method, way) for method in dict.fromkeys(e.method for e in mine) for way in ways]
     counts = sorted({e.demos for e in mine})
     if len(counts) < 2:
         return []
+    policies = [policy for policy in ("pi_star", "pi_R") if any(e.policy == policy for e in mine)]
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     shared: Axes | None = None
-    for place, policy in enumerate(("pi_star", "pi_R")):
-        axes = figure.add_subplot(1, 2, place + 1, sharey=shared)
+    for place, policy in enumerate(policies):
+        axes = figure.add_subplot(1, len(policies), place + 1, sharey=shared)
         shared = shared or axes
         for number, (method, way) in enumerate(lines):
             its = [e for e in mine if (e.method, _way(e), e.policy) == (method, way, policy)]
             known = [e for e in its if math.isfinite(e.score_mean)]
-            index = list(dict.fromkeys(m for m, _ in lines)).index(method)
+            colour, marker = look(list(dict.fromkeys(m for m, _ in lines)).index(method))
             axes.errorbar(
                 [e.demos * (1 + 0.02 * (number - len(lines) / 2)) for e in known],
                 [e.score_mean for e in known],
                 [_below(known), _above(known)],
-                color=COLOURS[index % len(COLOURS)],
+                color=colour,
                 linestyle=STYLES[ways.index(way) % len(STYLES)],
-                marker=MARKERS[index % len(MARKERS)],
+                marker=marker,
                 markersize=4,
                 linewidth=1.2,
                 label=f"{method}, {way}" if str(way) else method,
@@ -65,13 +69,19 @@ def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[
         axes.set_xlabel("demonstrations")
         axes.set_title(POLICIES[policy][0])
     assert shared is not None
+    shared.set_ylim(*_around([e.score_mean for e in mine]))
     shared.set_ylabel("normalized score, 95 % intervals")
     figure.legend(*shared.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     if flag:
         figure.suptitle(flag, color=RED)
-    told = "; ".join(f"{e.method} {e.policy} with {e.demos}: {e.score_mean:.2f}" for e in mine if e.seeds_ok)
+    told = "; ".join(f"{e.method} {e.policy} with {e.demos}: {e.score_mean:.2f}" for e in mine)
     title = f"{env}: scores against demonstrations"
     return [picture(f"{file_of(env)}_demonstrations.png", title, f"{title}. {told}.", figure)]
+
+
+def look(number: int) -> tuple[str, str]:
+    """Colour and marker of a method; those that share a colour have other markers."""
+    return COLOURS[number % len(COLOURS)], MARKERS[(number + number // len(COLOURS)) % len(MARKERS)]
 
 
 def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Picture]:
@@ -106,9 +116,7 @@ def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Pictur
             axes.scatter(entry.score_mean, y, s=26, color=colour, marker=marker, edgecolors="white", zorder=3)
         for level in (0.0, 1.0):
             axes.axvline(level, color="#888888", linewidth=1, linestyle="--", zorder=0)
-        scores = [e.score_mean for e in mine if e.dynamics == variant and math.isfinite(e.score_mean)]
-        low, high = min([0.0, *scores]), max([1.0, *scores])
-        axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+        axes.set_xlim(*_around([e.score_mean for e in mine if e.dynamics == variant]))
         axes.set_title(variant, parse_math=False)
         if shared is None:
             axes.set_yticks(range(len(methods)), methods, parse_math=False)
@@ -133,6 +141,13 @@ def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Pictur
 def _way(entry: Entry) -> Shown:
     """How it was shown, but for how many."""
     return Shown(0, entry.every, entry.demonstrator)
+
+
+def _around(scores: Sequence[float]) -> tuple[float, float]:
+    """Limits of an axis that shows these scores, 0 and 1; intervals may leave it."""
+    known = [score for score in scores if math.isfinite(score)]
+    low, high = min([0.0, *known]), max([1.0, *known])
+    return low - 0.1 * (high - low), high + 0.1 * (high - low)
 
 
 def _below(entries: Sequence[Entry]) -> list[float]:

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from typing import cast
+
+import pytest
+from matplotlib.figure import Figure
+
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
+from harness.show import axes
 from harness.show.axes import draw_axes
 
 
@@ -31,6 +39,31 @@ def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> No
     assert picture.png.startswith(b"\x89PNG")
     assert draw_axes("swingup", leaderboard(scored_rows(results((0,), (NOMINAL,))))) == []
     assert draw_axes("swingup", leaderboard(scored_rows(results((5,), (NOMINAL,))))) == []
+
+
+def test_what_was_not_retrained_has_no_panel_and_intervals_do_not_stretch_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(axes, "picture", lambda file, title, alt, figure: figure)
+    both = results((1, 5, 20), (NOMINAL,))
+    for result in both:
+        if result.cell.method in ("shaped", "maxent"):
+            result.rows[1] = dataclasses.replace(result.rows[1], status="skipped", return_mean=math.nan)
+    entries = [
+        dataclasses.replace(entry, score_low=-90.0, score_high=90.0)
+        for entry in leaderboard(scored_rows(both))
+    ]
+    (figure,) = draw_axes("swingup", entries)
+    (panel,) = cast(Figure, figure).axes
+    low, high = panel.get_ylim()
+    assert -0.2 < low < 0
+    assert 1 < high < 1.2
+
+
+def test_methods_are_told_apart_by_colour_and_marker_together() -> None:
+    count = len(axes.COLOURS) + 5
+    looks = {axes.look(number) for number in range(count)}
+    assert len(looks) == count
 
 
 def test_transfer_has_a_panel_for_each_variant_of_what_is_shown_first() -> None:
