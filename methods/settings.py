@@ -50,6 +50,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
     (("gail_mean_state", "airl_state"), ANY, ANY, {"actions": False}),
     (GAMES, ANY, ("quick",), {"iterations": 15, "averaged": 8, "final_steps": 4000}),
+    (GAMES, ("cartpole", "pendulum"), ("full",), {"final_steps": 15_000}),
     (
         *(GAMES, ("cartpole_swingup",), ("full",)),
         {"rl_steps": 2000, "iterations": 60, "latest": 6000, "averaged": 30, "final_steps": 40_000},
