@@ -8,8 +8,9 @@ q is a Gaussian process, whose posterior is known without any descent; its width
 evidence.
 
 Deviates from the paper: its q is a network with a periodic last layer, fitted with its variance by gradient;
-its critic is trained on the demonstrations first and its reward goes on learning, by a bound on the policy's
-distance, and here neither happens. Where the model is known, q counts.
+its critic is trained on the demonstrations first, where here they are half of what it learns from all along
+(if every step is shown); and its reward goes on learning, by a bound on the policy's distance, which here it
+does not. Where the model is known, q counts.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ class CSIL(BehaviourCloning):
         q = GaussianProcess.fitted(obs, act, standardiser(seen), self.places, self.least_noise, rng)
         reward = CoherentReward(q, self.floor)
         clone = super().fit(demos, world, rng)
-        agent = world.agent(rng, soft=True, init=clone.policy)
+        mixed = demos if demos.whole else None
+        agent = world.agent(rng, soft=True, init=clone.policy, demonstrations=mixed)
         agent.learn(self.rl_steps, reward)
         return Learned(agent.best(reward), reward, clone.curves, {"width": q.width, "noise": q.noise})
 

@@ -101,15 +101,28 @@ def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> Non
     np.testing.assert_allclose(reward(many, wave(many), many)[:200], shown)
 
 
-def test_the_agent_goes_on_from_the_clone(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    learned = METHOD.fit(demonstrate(wave, count=30), world, np.random.default_rng(0))
+def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    demos = demonstrate(wave, count=30)
+    learned = METHOD.fit(demos, world, np.random.default_rng(0))
     ((reward, steps, warm),) = world.solves
     assert reward is learned.reward
     assert (steps, warm) == (METHOD.rl_steps, False)
     (given,) = world.given
     assert given["soft"]
+    assert given["demonstrations"] is demos
     obs = np.random.default_rng(1).uniform(-0.8, 0.8, (100, 3))
     assert np.abs(given["init"](obs) - wave(obs)).mean() < 0.1
+
+
+def test_it_learns_from_itself_alone_where_some_steps_are_not_shown(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    METHOD.fit(
+        demonstrate(wave, count=30).every(2, np.random.default_rng(0)), world, np.random.default_rng(0)
+    )
+    assert world.given[0]["demonstrations"] is None
 
 
 @pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])
