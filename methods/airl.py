@@ -3,13 +3,15 @@
 As in GAIL, a discriminator is fitted to tell demonstrated steps from the agent's, but of the form
 D = exp f / (exp f + pi), so that f is learned up to what the agent's own density says. f(s, a, s') is
 g + gamma h(s') - h(s): a reward g, of s and a or of s alone, and a potential h that shapes it, 0 in the
-absorbing state. The agent is paid f by soft actor-critic, whose entropy stands for the paper's -log pi, and
-R* is g. Where g sees states alone, the true reward does, and the dynamics are deterministic, g is the true
-reward up to a constant (the paper's theorem 5.1).
+absorbing state. R* is g. Where the policy is the best one under f and its entropy, g sees states alone, the
+true reward does, and the dynamics are deterministic and link states in every way ("decomposable"), g is the
+true reward up to a constant (the paper's appendix C). Where the model is known (`known`) it is.
 
-Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et al. 2019); a density's
-logarithm counts within bounds, for an agent that is sure of itself would say all there is to tell;
-R* is the mean of the latest g (`methods.gail` says why).
+Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et al. 2019); the agent is paid
+f and, instead of -log pi, the entropy that soft actor-critic adds with a weight of its own (Q-learning none),
+so what the theorem asks for is not met; densities count within bounds, for an agent that is sure of itself
+would say all there is to tell; the logit has a penalty on its slope; R* is the mean of the latest g, for
+single ones swing, and pi* comes of reinforcement learning on that (`methods.adversarial`).
 """
 
 from __future__ import annotations
@@ -44,15 +46,16 @@ class AIRL(Game):
 
     actions: bool = True
     """Whether g sees actions, besides observations."""
-    largest_log: float = 2.0
-    """Of the logarithm of an action's density, either way."""
+    most_sure: float = 2.5
+    """Bound, for each entry of actions, on the logarithm of their density over that of uniform ones."""
     known_steps: int = 1000
     """Where the model is known: steps of gradient descent, after each of which the policy is solved for."""
     known_rate: float = 0.1
     """Of Adam there."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Play the game. Raises Unsuitable where not every step of the demonstrations is shown."""
+        """Play the game. Raises Unsuitable where not every step of the demonstrations is shown, unless the
+        model is known."""
         if world.model is not None:
             return self._fit_exactly(demos, world, world.model, rng)
         shown = as_transitions(demos)
@@ -62,7 +65,8 @@ class AIRL(Game):
         h = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
         discriminator = self.discriminator(Logit(g, h, world.gamma), generator)
         agent = world.agent(rng, soft=True)
-        uniform = -np.log(world.act_size) if world.discrete else -world.act_size * np.log(2)
+        size = 1 if world.discrete else world.act_size
+        uniform = -np.log(world.act_size) if world.discrete else -size * np.log(2)
         losses: list[float] = []
 
         def turn() -> Turn:
@@ -71,7 +75,7 @@ class AIRL(Game):
             return Turn(Shaped(reward, potential, world.gamma), reward)
 
         def rows(steps: Transitions) -> Array:
-            logs = log_density(agent.behaviour, steps, self.largest_log, uniform)
+            logs = log_density(agent.behaviour, steps, uniform, self.most_sure * size)
             return described(steps, logs, mean, std, self.actions)
 
         def answer(seen: Transitions) -> Turn:
@@ -82,8 +86,8 @@ class AIRL(Game):
         return Learned(found.policy, found.mean, {"discriminator's loss": losses})
 
     def _fit_exactly(self, demos: Episodes, world: World, model: Model, rng: np.random.Generator) -> Learned:
-        shown = demonstrated(demos, model).mean(axis=0)
-        g, _ = known(self, shown, model, world.gamma, world.horizon)
+        shown = demonstrated(demos, model).sum(axis=0)
+        g, _ = known(self, shown / shown.sum(), model, world.gamma, world.horizon)
         reward = TabularReward(model.obs, np.broadcast_to(g, shown.shape))
         return Learned(world.solve(reward, rng, self.rl_steps), reward)
 
@@ -124,11 +128,11 @@ def as_transitions(demos: Episodes) -> Transitions:
     )
 
 
-def log_density(policy: StochasticPolicy, steps: Transitions, most: float, uniform: float) -> Array:
-    """(N,): the logarithm of the density of each action, within -most and most; in the absorbing state, where
-    actions mean nothing, that of `uniform` ones."""
-    logs = np.clip(policy.log_prob(steps.obs, steps.act), -most, most)
-    return np.where(steps.absorbing, uniform, logs)
+def log_density(policy: StochasticPolicy, steps: Transitions, uniform: float, most: float) -> Array:
+    """(N,): the logarithm of the density of each action, that of `uniform` ones give or take `most`; in the
+    absorbing state, where actions mean nothing, that of uniform ones."""
+    logs = policy.log_prob(steps.obs, steps.act)
+    return np.where(steps.absorbing, uniform, np.clip(logs, uniform - most, uniform + most))
 
 
 def described(steps: Transitions, logs: Array, mean: Array, std: Array, actions: bool) -> Array:

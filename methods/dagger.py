@@ -3,8 +3,9 @@ do where its own policy leads, adds the answers to what it was shown, and clones
 
 It is told more than other methods are, and so it is a ceiling and no rival of theirs. It learns no reward.
 
-The paper's beta, by which the expert acts with a falling chance, is 1 in the first iteration, whose episodes
-are the demonstrations, and 0 after it: its "parameter-free version".
+Deviates from the paper: pi* is the last clone, not the best of all on validation. Whoever demonstrates, it is
+the expert that answers. The paper's beta, by which the expert acts with a falling chance, is 1 in the first
+iteration, whose episodes are the demonstrations, and 0 after it: its "parameter-free version".
 """
 
 from __future__ import annotations

@@ -7,8 +7,10 @@ The ratio comes from a discriminator, and trajectories from what the agent explo
 demonstrated stand among them, as in the authors' code. Where the model is known the gradient is exact, also
 where the dynamics are by chance, for which the theorem is not.
 
-Deviates from the paper: the reward has a penalty on its slope instead of bounds, takes several steps along
-each gradient, and R* is the mean of the latest networks (`methods.gail` says why).
+Deviates from the paper: only the gradient's direction counts, for its size is divided by the spread of the
+trajectories' ratios; several steps go along each; the reward has a penalty on its slope instead of bounds;
+the ratio is of the agent's latest steps, and so of slightly older policies too; where actions are choices the
+policy is Q-learning's, which has no entropy; R* is the mean of the latest networks, for single ones swing.
 """
 
 from __future__ import annotations
@@ -59,10 +61,7 @@ class FIRL(Game):
             losses.append(discriminator.tell(shown, visited(seen, mean, std, False), rng))
             behaviour = agent.behaviour
             own = world.rollout(lambda obs: behaviour.sample(obs, rng), self.rollouts, rng)
-            each = [
-                visitations(one, ABSORBING_STEPS, mean, std, False)
-                for one in (*separate(own), *separate(demos))
-            ]
+            each = [trajectory(one, mean, std) for one in (*separate(own), *separate(demos))]
             weighted = weigh(each, logit)
             for _ in range(self.reward_steps):
                 rows = sample(weighted, self.batch, rng)
@@ -78,7 +77,8 @@ class FIRL(Game):
         return Learned(found.policy, found.mean, {"discriminator's loss": losses})
 
     def _fit_exactly(self, demos: Episodes, world: World, model: Model, rng: np.random.Generator) -> Learned:
-        shown = demonstrated(demos, model).sum(axis=2).mean(axis=0)
+        shown = demonstrated(demos, model).sum(axis=(0, 2))
+        shown /= shown.sum()
         r = torch.zeros(len(shown), dtype=torch.float64, requires_grad=True)
         optimizer = torch.optim.Adam([r], self.known_rate, **ADAM)
         losses: list[float] = []
@@ -105,7 +105,7 @@ def forward_divergence(
     rho, seen = visits.mean(axis=0), shown > 0
     divergence = float(shown[seen] @ np.log(shown[seen] / rho[seen]))
     # What a visit to each state changes, and what an action at each time changes from there on.
-    change = np.where(seen, -shown / rho, 0.0) / horizon
+    change = np.divide(-shown, horizon * rho, out=np.zeros_like(rho), where=seen)
     later = np.zeros_like(policies)
     for t in reversed(range(horizon - 1)):
         onward = change + (policies[t + 1] * later[t + 1]).sum(axis=1)
@@ -129,15 +129,28 @@ def separate(episodes: Episodes) -> list[Episodes]:
     ]
 
 
-def weigh(trajectories: list[Array], logit: torch.nn.Module) -> Array:
+def trajectory(episode: Episodes, mean: Array, std: Array) -> tuple[Array, Array]:
+    """Of one episode: rows (N, O + 1), and for how many steps each counts. Where it terminated the last row
+    is the absorbing state, and counts as `ABSORBING_STEPS` beside as many steps as the episode has."""
+    rows = visitations(episode, 0, mean, std, False)
+    counts = np.ones(len(rows))
+    if episode.terminated[0]:
+        rows = np.concatenate([rows, np.eye(rows.shape[1])[-1:]])
+        counts = np.append(counts, ABSORBING_STEPS * len(counts) / episode.lengths[0])
+    return rows, counts
+
+
+def weigh(trajectories: list[tuple[Array, Array]], logit: torch.nn.Module) -> Array:
     """(N, K + 1): all rows (M, K) of the trajectories, each with a weight: by how many standard deviations
-    the mean density ratio exp(logit) of its trajectory is above those of the others. Each trajectory counts
-    as much as another."""
-    with torch.no_grad():
-        logs = [logit(torch.as_tensor(rows, dtype=torch.float32)).numpy() for rows in trajectories]
-    ratios = np.array([np.exp(np.clip(log, -LARGEST_LOG, LARGEST_LOG)).mean() for log in logs])
-    lengths = np.array([len(rows) for rows in trajectories])
-    above = (ratios - ratios.mean()) / max(float(ratios.std()), 1e-8)
-    return np.column_stack(
-        [np.concatenate(trajectories), np.repeat(above * lengths.mean() / lengths, lengths)]
-    )
+    the mean density ratio exp(logit) of its trajectory is above those of the others, times the share of the
+    trajectory that it is. Each trajectory counts as much as another."""
+    ratios, shares = [], []
+    for rows, counts in trajectories:
+        with torch.no_grad():
+            logs = logit(torch.as_tensor(rows, dtype=torch.float32))[:, 0].numpy()
+        shares.append(counts / counts.sum())
+        ratios.append(float(shares[-1] @ np.exp(np.clip(logs, -LARGEST_LOG, LARGEST_LOG))))
+    above = (np.array(ratios) - np.mean(ratios)) / max(float(np.std(ratios)), 1e-8)
+    rows = np.concatenate([rows for rows, _ in trajectories])
+    weights = np.concatenate([share * a for share, a in zip(shares, above, strict=True)])
+    return np.column_stack([rows, weights * len(rows) / len(trajectories)])

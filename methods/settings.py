@@ -64,6 +64,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
         {"iterations": 100, "rl_steps": 2000, "latest": 10_000, "averaged": 50, "final_steps": 50_000},
     ),
     (GAMES, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
+    (("airl", "airl_state", "f_irl"), ("gridworld",), ("smoke",), {"known_steps": 20}),
     (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 20_000}),
     (("sqil",), ANY, ("smoke",), {"rl_steps": 320}),
     (("csil",), ("cartpole_swingup", "halfcheetah"), ANY, {"layers": (128, 128)}),

@@ -361,11 +361,13 @@ def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
 def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
     """Every policy over all envs but those `without`, best first; empty where fewer than two are left.
 
-    Only policies with a score in every env, since those left out could be the hard ones.
+    Only policies with a score in every env, since those left out could be the hard ones; and none of methods
+    that ask the expert.
     """
     scores: dict[tuple[str, str], dict[str, list[float]]] = {}
     for row in rows:
-        if math.isfinite(row.normalized_score) and row.method != REFERENCE and row.env not in without:
+        counts = row.method not in (REFERENCE, *ASKING) and row.env not in without
+        if counts and math.isfinite(row.normalized_score):
             by_env = scores.setdefault((row.method, row.policy), {})
             by_env.setdefault(row.env, []).append(row.normalized_score)
     envs = {row.env for row in rows} - {*without}

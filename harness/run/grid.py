@@ -169,7 +169,9 @@ class _Schedule:
         else:
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
-        self.progress.finished(cell.name, "failed" if error else "ok", error)
+        unsuitable = "" if error or any(row.status == "ok" for row in result.rows) else result.rows[0].reason
+        label = "failed" if error else "skipped" if unsuitable else "ok"
+        self.progress.finished(cell.name, label, error or unsuitable)
         for other in self.later.pop(cell):
             self._release(other)
         self.left[_group(job)] -= 1

@@ -132,7 +132,7 @@ class _Lines:
     def finished(self, name: str, status: str, reason: str = "") -> None:
         seconds = self.tally.end(name, status)
         took = "not run" if seconds is None else f"{seconds:.1f} s"
-        why = f": {reason}" if status == "failed" else ""
+        why = f": {reason}" if reason else ""
         say(f"{status:7} {name} ({took}; {self.tally.left} left, ETA {self.tally.eta()}){why}")
 
 
@@ -159,8 +159,8 @@ class _Display:
 
     def finished(self, name: str, status: str, reason: str = "") -> None:
         self.tally.end(name, status)
-        if status == "failed":
-            self.console.print(Text(f"failed  {name}: {reason}"))
+        if reason:
+            self.console.print(Text(f"{status:7} {name}: {reason}"))
 
     def _render(self) -> RenderableType:
         now = time.monotonic()

@@ -241,7 +241,8 @@ def _details(results: Sequence[CellResult]) -> list[list[str]]:
     for result in results:
         for name, value in result.details.items():
             found.setdefault((result.cell.method, name), []).append(value)
-    return [[m, name, f"{sum(v) / len(v):.2g}"] for (m, name), v in sorted(found.items())]
+    means = {key: sum(values) / len(values) for key, values in found.items()}
+    return [[*key, f"{mean:,.0f}" if mean >= 100 else f"{mean:.2g}"] for key, mean in sorted(means.items())]
 
 
 def _scores_csv(rows: Sequence[Row], request: Request, results: Sequence[CellResult]) -> str:

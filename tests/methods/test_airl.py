@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from envs.spec import Model
+from envs.spec import Model, Tabular
 from methods.airl import AIRL, Logit, Shaped, as_transitions, described, known, log_density
 from methods.base import ABSORBING_STEPS, Array, Episodes, StochasticPolicy
 from methods.network import mlp
@@ -111,9 +111,9 @@ def test_densities_count_within_bounds(demonstrate: Callable[..., Episodes]) -> 
             return 40.0 * np.sign(act[:, 0])
 
     steps = as_transitions(demonstrate(lambda obs: obs[:, :2], count=2, lifetime=3))
-    logs = log_density(cast(StochasticPolicy, Sure()), steps, most=3.0, uniform=-0.7)
+    logs = log_density(cast(StochasticPolicy, Sure()), steps, uniform=-0.7, most=3.0)
     living = ~steps.absorbing
-    np.testing.assert_array_equal(logs[living], 3.0 * np.sign(steps.act[living, 0]))
+    np.testing.assert_allclose(logs[living], -0.7 + 3.0 * np.sign(steps.act[living, 0]))
     np.testing.assert_array_equal(logs[~living], -0.7)
 
 
@@ -127,3 +127,62 @@ def test_it_plays_with_a_soft_agent_and_returns_the_mean(
     assert [type(payment) for payment in payments] == [Shaped] * 3 + [MeanReward]
     assert learned.reward is payments[-1]
     assert len(payments[-1].rewards) == 2
+
+
+def test_the_reward_of_a_fit_is_the_true_one_where_the_model_is_known(finite_world: Any) -> None:
+    model = leading(1)
+    world = finite_world(
+        Tabular(model.P, model.start, model.obs, REWARD, features=model.obs), horizon=HORIZON, gamma=GAMMA
+    )
+    chances, drawn = soft_policy(soft_value_iteration(model.P, REWARD, GAMMA)[1]), np.random.default_rng(4)
+
+    def draw(obs: Array) -> Array:
+        likely = chances[model.states(obs)].cumsum(axis=1)
+        return np.eye(ACTIONS)[(drawn.random((len(obs), 1)) < likely).argmax(axis=1)]
+
+    demos = world.rollout(draw, 400, np.random.default_rng(1))
+    learned = AIRL(actions=False).fit(demos, world, np.random.default_rng(0))
+    assert np.corrcoef(learned.reward.values[:, 0], REWARD)[0, 1] > 0.95
+    # Of a part of the steps it is the same, for shares are what counts.
+    part = AIRL(actions=False).fit(demos.every(5, np.random.default_rng(0)), world, np.random.default_rng(0))
+    assert np.corrcoef(part.reward.values[:, 0], REWARD)[0, 1] > 0.95
+
+
+def test_demonstrated_states_pay_more(world: Any) -> None:
+    rng = np.random.default_rng(0)
+    obs = tuple(np.abs(rng.uniform(-1, 1, (21, 3))) for _ in range(20))
+    demos = Episodes(obs, tuple(np.zeros((20, 2)) for _ in obs), (False,) * 20)
+    learned = AIRL(iterations=3, averaged=1, actions=False).fit(demos, world, np.random.default_rng(0))
+    there, act = np.full((1, 3), 0.5), np.zeros((1, 2))
+    assert learned.reward(there, act, there)[0] > learned.reward(-there, act, there)[0] + 0.3
+
+
+def test_what_the_agent_is_sure_of_tells_less(world: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """f makes up for its density: of steps that are alike but for how sure the agent is of them, f is higher
+    where it is surer."""
+
+    def log_prob(self: object, obs: Array, act: Array) -> Array:
+        return np.where(obs[:, 0] > 0, 1.5, -1.5)
+
+    monkeypatch.setattr("methods.stochastic.SquashedGaussian.log_prob", log_prob)
+    rng = np.random.default_rng(0)
+    obs = tuple(rng.uniform(-1, 1, (21, 3)) for _ in range(20))
+    demos = Episodes(obs, tuple(rng.uniform(-1, 1, (20, 2)) for _ in obs), (False,) * 20)
+    method = AIRL(iterations=3, averaged=1, actions=False, slope_penalty=0.01, reward_steps=500)
+    learned = method.fit(demos, world, np.random.default_rng(0))
+    sure, act = np.tile([[0.5, 0.0, 0.0]], (1, 1)), np.zeros((1, 2))
+    assert learned.reward(sure, act, sure)[0] > learned.reward(-sure, act, -sure)[0] + 1
+
+
+def test_an_end_that_is_shown_pays_more_than_one_that_is_not(
+    world: Any, mortal_world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    def absorbing(lifetime: int, where: Any) -> float:
+        """What it pays, above a step elsewhere."""
+        demos = demonstrate(lambda obs: 0 * obs[:, :2], lifetime=lifetime)
+        method = AIRL(iterations=3, averaged=1, actions=False)
+        reward = method.fit(demos, where, np.random.default_rng(0)).reward
+        at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
+        return float(reward.absorbing - reward(*at)[0])
+
+    assert absorbing(10, mortal_world) < 0 < absorbing(2, world)

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from envs.gridworld import grid
-from methods.base import Array, Episodes
-from methods.f_irl import FIRL, forward_divergence, weigh
+from methods.base import ABSORBING_STEPS, Array, Episodes
+from methods.f_irl import FIRL, forward_divergence, trajectory, weigh
 from methods.tabular import (
     finite_soft_value_iteration,
     greedy,
@@ -60,20 +60,39 @@ def test_trajectories_weighed_by_their_ratios_estimate_it() -> None:
         counts[np.arange(len(counts)), t, states] = 1
         choices = (rng.random((len(counts), 1)) < policies[t][states].cumsum(axis=1)).argmax(axis=1)
         states = model.P[states, choices].argmax(axis=1)
-    weighted = weigh(list(counts), logit)
+    weighted = weigh([(rows, np.ones(HORIZON)) for rows in counts], logit)
     estimate = (weighted[:, -1:] * weighted[:, :STATES]).mean(axis=0)
     gradient = forward_divergence(model, r, shown, HORIZON, 1.0)[1]
     assert np.corrcoef(estimate, -gradient)[0, 1] > 0.98
 
 
-def test_long_trajectories_count_as_short_ones() -> None:
+def first_entry() -> torch.nn.Module:
+    """A logit of two entries that is the first."""
     logit = torch.nn.Linear(2, 1, bias=False)
     with torch.no_grad():
         logit.weight[0] = torch.tensor([1.0, 0.0])
+    return logit
+
+
+def test_long_trajectories_count_as_short_ones_and_steps_by_their_number() -> None:
     likely, unlikely = np.array([[1.0, 0]] * 6), np.array([[-1.0, 0]] * 2)
-    weighted = weigh([likely, unlikely], logit)
+    weighted = weigh([(likely, np.ones(6)), (unlikely, np.ones(2))], first_entry())
     assert weighted[:6, -1].sum() == pytest.approx(-weighted[6:, -1].sum())
     assert weighted[0, -1] > 0 > weighted[-1, -1]
+    weighted = weigh([(likely[:2], np.array([1.0, 3.0])), (unlikely, np.ones(2))], first_entry())
+    assert weighted[1, -1] == pytest.approx(3 * weighted[0, -1])
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_an_end_counts_beside_all_steps_whether_they_are_shown_or_not(every: int) -> None:
+    obs, act = np.random.default_rng(0).normal(size=(41, 3)), np.zeros((40, 2))
+    ended = Episodes((obs,), (act,), (True,))
+    shown = ended if every == 1 else ended.every(every, np.random.default_rng(0))
+    rows, counts = trajectory(shown, np.zeros(3), np.ones(3))
+    np.testing.assert_array_equal(rows[-1], [0, 0, 0, 1])
+    assert counts[-1] / counts[:-1].sum() == pytest.approx(ABSORBING_STEPS / 40)
+    lives = Episodes((obs,), (act,), (False,))
+    assert trajectory(lives, np.zeros(3), np.ones(3))[0][:, -1].max() == 0
 
 
 def test_where_the_model_is_known_it_visits_what_is_shown(finite_world: Any) -> None:
@@ -95,6 +114,33 @@ def test_where_the_model_is_known_it_visits_what_is_shown(finite_world: Any) -> 
     )
     truth = [tabular.start @ policy_value(tabular.P, tabular.reward, p, GAMMA) for p in (best, found)]
     assert truth[1] > 0.98 * truth[0]
+
+
+def test_a_penalty_on_its_slope_makes_the_reward_flat(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    def spread(slope_penalty: float) -> float:
+        method = FIRL(iterations=2, averaged=1, slope_penalty=slope_penalty)
+        reward = method.fit(demonstrate(lambda o: o[:, :2]), world, np.random.default_rng(0)).reward
+        obs = np.random.default_rng(1).uniform(-1, 1, (100, 3))
+        return float(np.ptp(reward(obs, obs[:, :2], obs)))
+
+    assert spread(100.0) < 0.2 * spread(0.0)
+
+
+def test_its_trajectories_are_of_what_the_agent_explores_with(
+    world: Any, demonstrate: Callable[..., Episodes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sampled: list[int] = []
+
+    def draw(self: object, obs: Array, rng: np.random.Generator) -> Array:
+        sampled.append(len(obs))
+        return np.zeros((len(obs), 2))
+
+    monkeypatch.setattr("methods.stochastic.SquashedGaussian.sample", draw)
+    method = FIRL(iterations=2, rollouts=3, reward_steps=5)
+    method.fit(demonstrate(lambda obs: obs[:, :2]), world, np.random.default_rng(0))
+    assert len(sampled) == 2 * 3  # of each iteration, each episode
 
 
 def test_demonstrated_states_pay_more(world: Any) -> None:

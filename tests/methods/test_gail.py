@@ -103,6 +103,18 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(
     np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
 
 
+def test_a_penalty_on_its_slope_makes_the_logit_flat(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    def spread(slope_penalty: float) -> float:
+        method = GAIL(iterations=2, slope_penalty=slope_penalty)
+        reward = method.fit(demonstrate(constant(0.7, -0.4)), world, np.random.default_rng(0)).reward
+        obs = np.random.default_rng(1).uniform(-1, 1, (100, 3))
+        return float(np.ptp(reward(obs, obs[:, :2], obs)))
+
+    assert spread(10.0) < 0.5 * spread(0.0)
+
+
 def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
     demos = demonstrate(constant(0.5, 0.0))
     reward = GAIL(iterations=2, actions=False).fit(demos, world, np.random.default_rng(0)).reward

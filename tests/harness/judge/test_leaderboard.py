@@ -152,6 +152,16 @@ def test_overall_without_an_env_is_that_of_the_others() -> None:
     assert {line.envs for line in lines} == {2}
 
 
+def test_who_asks_the_expert_is_not_among_them() -> None:
+    results = make_results(("cartpole", "pendulum"))
+    for env in ("cartpole", "pendulum"):
+        row = make_row(env, "dagger", 0, "pi_star", return_mean=499.0)
+        results.append(CellResult(Cell(env, "dagger", 0), [row]))
+    found = {line.method for line in overall(scored_rows(results))}
+    assert "bc" in found
+    assert "dagger" not in found
+
+
 def test_a_score_beyond_all_scales_is_none() -> None:
     expert, random = (
         make_row("cartpole", "reference", 0, policy, return_mean=1e-208 * (policy == "expert"))
