@@ -46,7 +46,7 @@ class AIRL(Game):
 
     actions: bool = True
     """Whether g sees actions, besides observations."""
-    most_sure: float = 2.5
+    most_sure: float = 1.0
     """Bound, for each entry of actions, on the logarithm of their density over that of uniform ones."""
     known_steps: int = 1000
     """Where the model is known: steps of gradient descent, after each of which the policy is solved for."""
