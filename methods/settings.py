@@ -57,7 +57,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     ),
     (
         *(GAMES, ("halfcheetah",), ("quick", "full")),
-        {"rl_steps": 5000, "latest": 15_000, "final_steps": 20_000},
+        {"rl_steps": 5000, "latest": 15_000, "averaged": 30, "final_steps": 20_000},
     ),
     (
         *(GAMES, ("hopper", "walker2d"), ("full",)),
