@@ -5,7 +5,7 @@ this file, of the two runs' scores.
 From the root:
 
     for p in native absorbing; do irl-bench run --methods all,gail_mean,airl,dagger --envs pendulum \\
-        --budget quick --seeds 2 --protocol $p --record none --out results/reference/signs/$p; done
+        --budget quick --seeds 1 --protocol $p --record none --out results/reference/signs/$p; done
     python results/reference/signs/figure.py
 """
 
