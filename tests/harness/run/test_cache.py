@@ -164,6 +164,8 @@ def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch)
     def key(name: str = "expert", env: str = "cartpole", asked: object = "smoke") -> Path:
         return cache_file(name, env, asked)
 
+    for variable in SAME_INSTRUCTIONS:  # which whoever runs this may have set
+        monkeypatch.delenv(variable, raising=False)
     keys = [key(), key("other"), key(env="pendulum"), key(asked="quick")]
     with monkeypatch.context() as changed:
         changed.setattr(importlib.metadata, "version", lambda package: "0")
