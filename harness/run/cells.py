@@ -17,6 +17,7 @@ from harness.judge.controls import control_reward
 from harness.judge.evaluation import Evaluation, evaluate, total
 from harness.judge.results import (
     CONTROLS,
+    LONGEST_TEXT,
     MOST_CURVES,
     MOST_POINTS,
     NOMINAL,
@@ -38,6 +39,7 @@ from harness.learn.simulator import drawings
 from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, SPECS, load_method
 from harness.run.artifacts import KIND, artifact
+from harness.run.codec import printable
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
@@ -96,8 +98,10 @@ class Task:
     def during(self, stage: str) -> Iterator[None]:
         """Counts the time until the context ends as the stage's."""
         started = time.perf_counter()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
 
     @property
     def spec(self) -> EnvSpec:
@@ -153,7 +157,9 @@ def policies(task: Task) -> list[Made]:
     try:
         star = carried(task) or elsewhere(task, fit(task, demonstrations(task)))
     except Unsuitable as error:
-        return [Made(name, None, columns={"reason": str(error)}) for name in policies_of(task.cell)]
+        task.noted.clear()
+        reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
+        return [Made(name, None, columns={"reason": reason}) for name in policies_of(task.cell)]
     if star.reward is None:
         return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
     if not task.conditions.retrain:

@@ -25,7 +25,7 @@ from harness.run import orphans
 from harness.run.environment import for_cells
 from harness.run.keys import write_program
 from harness.run.scratch import scratch_folder
-from harness.run.signals import STOPS, deaf_to
+from harness.run.signals import STOPS, deaf_to, stops_wait
 
 NAME = "irl-bench cell"
 SERVER_DIED = 255
@@ -204,8 +204,9 @@ class _Popen(popen_forkserver.Popen):
 
     def __init__(self, process: Any) -> None:
         self._asking = threading.Lock()
-        super().__init__(process)
-        _started.add(self.pid)
+        with stops_wait():  # amid a request the server would end with a traceback
+            super().__init__(process)
+            _started.add(self.pid)
 
     def poll(self, flag: int = os.WNOHANG) -> int | None:
         if flag != os.WNOHANG:

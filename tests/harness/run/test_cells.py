@@ -16,6 +16,7 @@ from harness.judge.evaluation import evaluate, total
 from harness.judge.results import (
     CONTROLS,
     LEARNED,
+    LONGEST_TEXT,
     MOST_CURVES,
     MOST_POINTS,
     Cell,
@@ -38,7 +39,7 @@ from harness.run.codec import decode, encode
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for, expert_for
 from harness.run.files import sha256_of
-from methods.base import Array, Episodes, Learned, Policy, Reward, World
+from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 
 BC = Cell("cartpole", "bc", 0)
 SMOKE = Conditions("smoke", "absorbing", "sb3")
@@ -116,7 +117,31 @@ def test_what_a_method_is_not_made_for_is_skipped_and_says_why(tmp_path: Path, d
     assert {row.reason for row in result.rows} == {
         "SQIL learns from demonstrations of which every step is shown"
     }
+    assert all(row.pairs == 0 for row in result.rows)
+    assert "fit" in result.seconds
     assert result.files == {}
+
+
+@pytest.mark.parametrize(
+    "said, kept",
+    [("two\nlines \x1b[31m", "two lines \\x1b[31m"), ("long " * 1000, None), ("", "Unsuitable")],
+    ids=["lines", "long", "nothing"],
+)
+def test_whatever_it_says_its_cell_can_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, kept: str | None
+) -> None:
+    @dataclasses.dataclass
+    class Refuses:
+        steps: int = 0
+        iterations: int = 0
+
+        def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+            raise Unsuitable(said)
+
+    monkeypatch.setattr(cells, "load_method", lambda name: Refuses)
+    result = decode(encode(run(BC, tmp_path)))
+    assert {row.status for row in result.rows} == {"skipped"}
+    assert {row.reason for row in result.rows} == {kept or said[:LONGEST_TEXT]}
 
 
 @dataclasses.dataclass

@@ -4,14 +4,17 @@ import json
 import os
 import signal
 import threading
-from multiprocessing import resource_tracker
+import time
+from multiprocessing import reduction, resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import psutil
+import pytest
 
 from harness.run.environment import FIXED, SAME_INSTRUCTIONS
 from harness.run.processes import NAME, fresh_processes
+from harness.run.signals import STOPS, stop_cleanly, stops_wait
 
 WATCHERS = 8
 
@@ -40,6 +43,46 @@ def test_nothing_of_them_is_left(tmp_path: Path) -> None:
         assert os.environ == before
     assert len(folders) == 2
     assert not any(map(os.path.exists, folders))
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_stop_amid_the_start_of_a_process_is_no_traceback(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    send = reduction.sendfds
+
+    def stopped_amid(*arguments: object) -> None:
+        signal.raise_signal(number)
+        send(*arguments)
+
+    monkeypatch.setattr(reduction, "sendfds", stopped_amid)
+    before = {each: signal.getsignal(each) for each in STOPS}
+    stop_cleanly()
+    try:
+        with fresh_processes("harness.judge.results") as context:
+            with pytest.raises(KeyboardInterrupt):
+                context.Process(name=NAME, target=print).start()  # type: ignore[attr-defined]
+            time.sleep(0.5)  # for whatever its server would say
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert capfd.readouterr().err == ""
+
+
+def test_of_what_waits_the_rest_stays_as_it_is() -> None:
+    """What is ignored, as under nohup, stays so; what did not come is not there afterwards."""
+    before = {each: signal.getsignal(each) for each in STOPS}
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stops_wait():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGINT) == before[signal.SIGINT]
+        with pytest.raises(KeyboardInterrupt), stops_wait():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
 
 
 def _tell(file: Path) -> None:
