@@ -123,7 +123,7 @@ def test_what_a_method_is_not_made_for_is_skipped_and_says_why(tmp_path: Path, d
 
 
 @pytest.mark.parametrize(
-    "said, kept",
+    ("said", "kept"),
     [("two\nlines \x1b[31m", "two lines \\x1b[31m"), ("long " * 1000, None), ("", "Unsuitable")],
     ids=["lines", "long", "nothing"],
 )
