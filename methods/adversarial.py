@@ -57,8 +57,8 @@ class Game:
     latest: int = 3000
     """Steps of the agent, its last, that are sampled from."""
     slope_penalty: float = 1.0
-    """Weight of the reward's mean squared slope between the two (`methods.network.squared_slope`),
-    observations being standardised."""
+    """Weight of the reward's mean squared slope between the two (`slope_among_living`), observations being
+    standardised."""
     averaged: int = 15
     """Latest rewards, of whose mean the agent learns at the end."""
     final_steps: int = 5000
@@ -119,8 +119,20 @@ class Discriminator:
         for _ in range(self.game.reward_steps):
             d, e = (sample(visits, self.game.batch, rng) for visits in (shown, own))
             errors = softplus(-self.logit(d)).mean() + softplus(self.logit(e)).mean()
-            loss = errors + self.game.slope_penalty * squared_slope(self.logit, d, e, self.generator)
+            loss = errors + self.game.slope_penalty * slope_among_living(self.logit, d, e, self.generator)
             self.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
         return errors.item()
+
+
+def slope_among_living(
+    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
+) -> torch.Tensor:
+    """`squared_slope` between rows of a (B, K) and b (B, K), whose last entry is the absorbing indicator,
+    where both are of living steps; 0 where none are. The absorbing state is beside no other: were its slope
+    penalised too, it would pay almost what the mean of observations does, and ends more than a fall."""
+    living = (a[:, -1] == 0) & (b[:, -1] == 0)
+    if not living.any():
+        return torch.zeros(())
+    return squared_slope(network, a[living], b[living], generator)

@@ -21,9 +21,9 @@ import numpy as np
 import torch
 
 from envs.spec import Model
-from methods.adversarial import Game, Turn
+from methods.adversarial import Game, Turn, slope_among_living
 from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Transitions, World
-from methods.network import ADAM, mlp, squared_slope
+from methods.network import ADAM, mlp
 from methods.rewards import NetworkReward
 from methods.tabular import TabularReward, finite_soft_value_iteration, state_visitations
 from methods.visits import demonstrated, sample, visitations, visited
@@ -67,7 +67,7 @@ class FIRL(Game):
                 rows = sample(weighted, self.batch, rng)
                 gain = (rows[:, -1:] * network(rows[:, :-1])).mean()
                 a, b = rows[:, :-1].chunk(2)
-                loss = 0.5 * self.slope_penalty * squared_slope(network, a, b, generator) - gain
+                loss = 0.5 * self.slope_penalty * slope_among_living(network, a, b, generator) - gain
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()

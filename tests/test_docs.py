@@ -153,7 +153,7 @@ def test_the_tables_of_the_two_by_two_are_those_of_the_files() -> None:
 
 def test_the_table_of_hyper_parameters_is_that_of_the_code() -> None:
     text = (ROOT / "docs/settings.md").read_text(encoding="utf-8")
-    ((table,),) = [re.findall(r"<!-- hyper-parameters -->\n(.*?)<!-- end", text, re.DOTALL)]
+    (table,) = re.findall(r"<!-- hyper-parameters -->\n(.*?)<!-- end", text, re.DOTALL)
     assert table == hyper_parameters()
 
 
