@@ -49,7 +49,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     ),
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
     (("gail_mean_state", "airl_state"), ANY, ANY, {"actions": False}),
-    (GAMES, ANY, ("quick",), {"iterations": 15, "averaged": 8, "final_steps": 4000}),
+    (GAMES, ANY, ("quick",), {"iterations": 10, "rl_steps": 600, "averaged": 5, "final_steps": 3000}),
     (GAMES, ("cartpole", "pendulum"), ("full",), {"final_steps": 15_000}),
     (
         *(GAMES, ("cartpole_swingup",), ("full",)),
@@ -65,7 +65,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     ),
     (GAMES, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
     (("airl", "airl_state", "f_irl"), ("gridworld",), ("smoke",), {"known_steps": 20}),
-    (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 20_000}),
+    (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 8000}),
     (("sqil",), ANY, ("smoke",), {"rl_steps": 320}),
     (("csil",), ("cartpole_swingup", "halfcheetah"), ANY, {"layers": (128, 128)}),
     (("csil",), ANY, ("smoke",), {**SMOKE_CLONE, "rl_steps": 320}),
