@@ -8,7 +8,8 @@ demonstrated stand among them, as in the authors' code. Where the model is known
 where the dynamics are by chance, for which the theorem is not.
 
 Deviates from the paper: only the gradient's direction counts, for its size is divided by the spread of the
-trajectories' ratios; several steps go along each; the reward has a penalty on its slope instead of bounds;
+trajectories' ratios; several steps go along each; the reward has a penalty on its slope instead of bounds, of
+half the weight of the discriminator's, which has one as well; ratios have bounds (`LARGEST_LOG`);
 the ratio is of the agent's latest steps, and so of slightly older policies too; where actions are choices the
 policy is Q-learning's, which has no entropy; R* is the mean of the latest networks, for single ones swing.
 """

@@ -8,7 +8,7 @@ choices that converges, while the last need not (Freund & Schapire 1999; Syed & 
 2021).
 
 Deviates from the papers: the gradient penalty is on the discriminator's squared slope, without the target of
-1 that Kostrikov et al. have from Gulrajani et al. 2017, and not on the way to the absorbing state
+1 that Kostrikov et al. have from Gulrajani et al. 2017, and among living steps alone
 (`methods.adversarial.slope_among_living`).
 """
 
