@@ -130,10 +130,10 @@ def slope_among_living(
     network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
 ) -> torch.Tensor:
     """`squared_slope` between rows of a (B, K) and b (B, K), whose last entry is the absorbing indicator,
-    where both are of living steps, one that ends being one; 0 where none are. The absorbing state is beside no
-    other: were the slope on all the way there penalised too, it would pay almost what the mean of observations
-    does, and an end more than a fall. Slopes are along the indicators as well; without that, rewards retrained
-    worse on the swing-up (`docs/tuning.md`)."""
+    where both are of living steps, one that ends being one; 0 where none are. The absorbing state is beside
+    no other: were the slope on all the way there penalised too, it would pay almost what the mean of
+    observations does, and an end more than a fall. Slopes are along the indicators as well; without that,
+    rewards retrained worse on the swing-up (`docs/tuning.md`)."""
     living = (a[:, -1] == 0) & (b[:, -1] == 0)
     if not living.any():
         return torch.zeros(())

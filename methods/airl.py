@@ -10,9 +10,9 @@ true reward up to a constant (the paper's appendix C). Where the model is known 
 Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et al. 2019); the agent is paid
 f and, instead of -log pi, the entropy that soft actor-critic adds with a weight of its own (Q-learning none),
 so what the theorem asks for is not met; densities count within bounds, for an agent that is sure of itself
-would say all there is to tell; the logit has a penalty on its slope, along the absorbing indicators too, and so
-on the level of h; R* is the mean of the latest g, for
-single ones swing, and pi* comes of reinforcement learning on that (`methods.adversarial`).
+would say all there is to tell; the logit has a penalty on its slope, along the absorbing indicators too, and
+so on the level of h; R* is the mean of the latest g, for single ones swing, and pi* comes of reinforcement
+learning on that (`methods.adversarial`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Coherent soft imitation learning (Watson, Huang & Heess 2023): behaviour cloning read as a reward.
 
-R*(s, a) = alpha (log q(a|s) - log p(a)), q a cloned policy and p a prior one, alpha being 1 over the number of
-an action's entries. Under the entropy that alpha weighs, and with p as what is preferred, q is the best policy
-of R*. Where q returns to p far from the demonstrations, R* is 0 there, and higher in demonstrated states. Soft
-actor-critic goes on from a clone.
+R*(s, a) = alpha (log q(a|s) - log p(a)), q a cloned policy and p a prior one, alpha being 1 over the number
+of an action's entries. Under the entropy that alpha weighs, and with p as what is preferred, q is the best
+policy of R*. Where q returns to p far from the demonstrations, R* is 0 there, and higher in demonstrated
+states. Soft actor-critic goes on from a clone.
 
 q is a Gaussian process, whose posterior is known without any descent; its width and noise have the highest
 evidence.
@@ -11,9 +11,9 @@ evidence.
 Deviates from the paper: its q is a network with a periodic last layer, fitted with its variance by gradient;
 its critic is trained on the demonstrations first, where here they are half of what it learns from all along
 (if every step is shown); its reward goes on learning, by a bound on the policy's distance, which here it
-does not, and has a floor here; and soft actor-critic weighs entropy as it finds best, that over uniform actions
-and not over p, so what is played is not the game of which q is the solution. Where the model is known, q
-counts.
+does not, and has a floor here; and soft actor-critic weighs entropy as it finds best, that over uniform
+actions and not over p, so what is played is not the game of which q is the solution. Where the model is
+known, q counts.
 """
 
 from __future__ import annotations
