@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from multiprocessing import reduction, resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -45,6 +46,16 @@ def test_nothing_of_them_is_left(tmp_path: Path) -> None:
     assert not any(map(os.path.exists, folders))
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Every stop interrupts, also where the tests themselves run in the background, deaf to them."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in STOPS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", STOPS)
 def test_a_stop_amid_the_start_of_a_process_is_no_traceback(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -56,34 +67,25 @@ def test_a_stop_amid_the_start_of_a_process_is_no_traceback(
         send(*arguments)
 
     monkeypatch.setattr(reduction, "sendfds", stopped_amid)
-    before = {each: signal.getsignal(each) for each in STOPS}
     stop_cleanly()
-    try:
-        with fresh_processes("harness.judge.results") as context:
-            with pytest.raises(KeyboardInterrupt):
-                context.Process(name=NAME, target=print).start()  # type: ignore[attr-defined]
-            time.sleep(0.5)  # for whatever its server would say
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+    with fresh_processes("harness.judge.results") as context:
+        with pytest.raises(KeyboardInterrupt):
+            context.Process(name=NAME, target=print).start()  # type: ignore[attr-defined]
+        time.sleep(0.5)  # for whatever its server would say
     assert capfd.readouterr().err == ""
 
 
-def test_of_what_waits_the_rest_stays_as_it_is() -> None:
-    """What is ignored, as under nohup, stays so; what did not come is not there afterwards."""
-    before = {each: signal.getsignal(each) for each in STOPS}
+@pytest.mark.usefixtures("interruptible")
+def test_what_is_ignored_stays_so_while_stops_wait() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with stops_wait():
-            signal.raise_signal(signal.SIGHUP)
-        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-        assert signal.getsignal(signal.SIGINT) == before[signal.SIGINT]
-        came = []
-        with pytest.raises(KeyboardInterrupt), stops_wait():
-            came += [signal.raise_signal(signal.SIGINT) for _ in range(2)]
-        assert len(came) == 2
-    finally:
-        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
+    with stops_wait():
+        signal.raise_signal(signal.SIGHUP)
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    came = []
+    with pytest.raises(KeyboardInterrupt), stops_wait():
+        came += [signal.raise_signal(signal.SIGINT) for _ in range(2)]
+    assert len(came) == 2
 
 
 def _tell(file: Path) -> None:
