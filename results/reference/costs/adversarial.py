@@ -14,8 +14,9 @@ Hyper-parameters are those of the library's examples, the policy and its feature
 configurations. Under `native` episodes end as the environment ends them, which teaches GAIL, whose reward is
 positive, to stay alive, and AIRL to die. Under `absorbing` what would terminate goes to an absorbing state
 that observations mark, and every episode lasts to the horizon. The policy is evaluated after each round; that
-is not counted. Further arguments change PPO's settings and the discriminator's updates a round, as in
-`n_steps=256 n_disc_updates_per_round=4`, and are told in the line; seeds from 100 are for tuning.
+is not counted. Further arguments, told in the line, are how many demonstrations there are (`demos=5`) and
+after how many environment steps it gives up (`limit=300000`); all others change PPO's settings and the
+discriminator's updates a round, as in `n_steps=256 n_disc_updates_per_round=4`. Seeds from 100: tuning.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -69,24 +71,24 @@ def copy_of(spec: EnvSpec, protocol: str) -> gym.Env:
 
 
 def cost(
-    env: str, method: str, protocol: str, seed: int, changes: dict[str, float]
+    env: str, method: str, protocol: str, seed: int, changes: dict[str, Any]
 ) -> tuple[bool, float, int, float]:
     """Whether 0.95 was reached, the seconds and environment steps until then, and the score at last."""
     torch.manual_seed(seed)
     judge = Judge(env, seed)
     spec, trainer, network, learning_rate, options = judge.spec, *TRAINERS[method]
-    demos = judge.demonstrations()
+    demos = judge.demonstrations()[: changes.pop("demos", None)]
+    limit = changes.pop("limit", LIMIT)
     options = {name: changes.pop(name, value) for name, value in options.items()}
     started = time.perf_counter()
     copies = DummyVecEnv([lambda: copy_of(spec, protocol)] * COPIES)
     copies.seed(seed)
     settings: dict[str, float] = {"batch_size": 64, "ent_coef": 0.0, "learning_rate": learning_rate}
-    settings |= {"clip_range": 0.1, "vf_coef": 0.1, "n_epochs": 5}
+    settings |= {"clip_range": 0.1, "vf_coef": 0.1, "n_epochs": 5, "gamma": spec.gamma}
     learner = PPO(
         FeedForward32Policy,
         copies,
         **(settings | changes),
-        gamma=spec.gamma,
         seed=seed,
         device="cpu",
         policy_kwargs={
@@ -111,7 +113,7 @@ def cost(
         return np.clip(learner.predict(alive(obs), deterministic=True)[0], -1, 1).astype(float)
 
     seconds, score = time.perf_counter() - started, -np.inf
-    while score < ENOUGH and learner.num_timesteps < LIMIT:
+    while score < ENOUGH and learner.num_timesteps < limit:
         started = time.perf_counter()
         rounds.train(rounds.gen_train_timesteps)
         seconds += time.perf_counter() - started
