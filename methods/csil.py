@@ -11,7 +11,7 @@ evidence.
 Deviates from the paper: its q is a network with a periodic last layer, fitted with its variance by gradient;
 its critic is trained on the demonstrations first, where here they are half of what it learns from all along
 (if every step is shown); its reward goes on learning, by a bound on the policy's distance, which here it
-does not, and has a floor here; and soft actor-critic weighs entropy as it finds best, that over uniform
+does not, and is never below 0 here; and soft actor-critic weighs entropy as it finds best, that over uniform
 actions and not over p, so what is played is not the game of which q is the solution. Where the model is
 known, q counts.
 """
@@ -49,8 +49,8 @@ class CSIL(BehaviourCloning):
     """Demonstrated observations at which q is told."""
     least_noise: float = 0.03
     """Standard deviation of q's actions at least."""
-    floor: float = -5.0
-    """Of R*."""
+    floor: float = 0.0
+    """Of R*. At 0 no step pays less than an end, or than a step where q is p; in the paper one can."""
     kept: int = 20_000
     """Demonstrated pairs that q is fitted to at most."""
     rl_steps: int = 40_000

@@ -87,6 +87,14 @@ def test_noise_is_found() -> None:
     assert fitted().noise == 0.01
 
 
+def test_no_step_pays_less_than_an_end(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+    reward = METHOD.fit(demonstrate(wave, count=30), world, np.random.default_rng(0)).reward
+    assert isinstance(reward, CoherentReward)
+    obs = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
+    assert reward(obs, wave(obs), obs).min() > 0
+    assert reward(obs, -wave(obs), obs).min() == reward.absorbing
+
+
 def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> None:
     reward = CoherentReward(fitted(), -5.0)
     rng = np.random.default_rng(1)
