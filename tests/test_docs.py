@@ -186,15 +186,27 @@ def told(settings: Mapping[str, object]) -> str:
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
-def test_the_script_of_what_methods_cost_prints_its_line() -> None:
-    costs = ROOT / "results/reference/costs"
-    command = [sys.executable, str(costs / "ours.py"), "gridworld", "bc", "0"]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
-    env_name, method, seed, reached, seconds, *used, score = done.stdout.strip().split(",")
-    assert (env_name, method, seed, used) == ("gridworld", "bc", "0", ["0", "0", "0"])
+def test_the_scripts_of_what_methods_cost_print_their_line() -> None:
+    seed, reached, seconds, *used, score = costs_of("ours.py", "gridworld", "bc", "0")
+    assert (seed, used) == ("0", ["0", "0", "0"])
     assert float(seconds) > 0
     assert reached == str(float(score) >= 0.95)
+    protocol, seed, reached, seconds, steps, score, told = costs_of("games.py", "gridworld", "gail", "0", "5")
+    assert (protocol, seed, told) == ("absorbing", "0", "5 demonstrations")
+    assert float(seconds) > 0
+    assert int(steps) > 0
+    assert reached == str(float(score) >= 0.95)
+
+
+def costs_of(script: str, *arguments: str) -> list[str]:
+    """What it prints after environment and method."""
+    costs = ROOT / "results/reference/costs"
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(costs / script), *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    told = done.stdout.strip().split(",")
+    assert told[:2] == list(arguments[:2])
+    return told[2:]
 
 
 def test_every_command_and_option_of_the_documents_exists() -> None:
