@@ -20,7 +20,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.learners import PPO
+from envs.learners import PPO, SAC
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -152,14 +152,14 @@ SPEC = EnvSpec(
     gamma=0.99,
     time_step=FRAME_SKIP * FRAME,
     bar=lambda seeds: -6.0,
-    rl_steps={"smoke": 5000, "quick": 250_000, "full": 500_000},
+    rl_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
     batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
-    shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500),
-    rl=PPO(),
+    shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
+    rl=SAC(final_learning_rate=1e-4, batch=256, n_steps=5, checkpoint_every=2500),
     variants={
         "wall_moved": {"physics": Physics(wall=(LOW, 0.4))},
         "flipped": {"physics": Physics(gear=-1.0)},

@@ -12,7 +12,7 @@ GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
-MANY_STEPS = ("acrobot", "point_maze", "double_pendulum", "hopper", "walker2d")
+MANY_STEPS = ("acrobot", "double_pendulum", "hopper", "walker2d")
 """Environments where RL is PPO, which takes many steps."""
 LARGE = ("halfcheetah", "hopper", "walker2d")
 """Environments whose experts the usual networks are too small to clone."""
