@@ -1,8 +1,8 @@
 """What the benchmark's own GAIL and AIRL cost until their policy scores 0.95 of the expert, by the rule of
 adversarial.py: the policy is evaluated after each of the agent's turns, which is not counted.
 
-From the root; prints one line as adversarial.py does, whose last column says how many demonstrations there were
-(swingup_5.csv has both, with the library's name before it):
+From the root; prints one line as adversarial.py does, whose last column says how many demonstrations there
+were (swingup_5.csv has both, with the library's name before it):
 
     python results/reference/costs/games.py swingup gail 0 5
 """
