@@ -214,7 +214,7 @@ class CellResult:
     curves: Annotated[dict[Text, Curve], Meta(max_length=MOST_CURVES)] = field(default_factory=dict)
     """Training curves by name, as (x, y) points. 'pi_R' and 'expert' are RL learning curves:
     x environment steps, y mean return under the reward that was learned from, at each checkpoint; 'pi_R_true'
-    is the true return of the same episodes."""
+    is the true return of the same episodes, and 'pi_R_chosen' the point of 'pi_R' whose policy is pi_R."""
     endings: dict[PolicyName, Annotated[dict[Text, Count], Meta(max_length=100)]] = field(
         default_factory=dict
     )

@@ -10,7 +10,7 @@ a constant, and 0 by the offset, the solve ends after the warm-up, for the untra
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,7 @@ class Solution:
     """What a solve found. curve: (environment steps of this solve, mean return under the learner's
     reward) at each checkpoint; true_curve: the same episodes' true return, which nothing is decided by.
     env_steps: steps that were learned from; check_steps: those of the episodes that checkpoints are judged
-    by. checkpoints: the policies of the curve."""
+    by. checkpoints: the policies of the curve. best: the number of the one that the policy is."""
 
     policy: Policy
     curve: list[tuple[float, float]]
@@ -46,13 +46,15 @@ class Solution:
     env_steps: int = 0
     check_steps: int = 0
     checkpoints: tuple[Policy, ...] = ()
+    best: int = 0
 
 
 class Agent:
     """A learner in one environment, with that one's settings unless others are given. It goes on learning
     with the same networks and the same experience, whatever it was paid by before.
 
-    init, demonstrations: as of `methods.base.World.agent`.
+    init, demonstrations: as of `methods.base.World.agent`. told: called now and then with how many steps of
+    the present solve are done.
     env_steps, check_steps: what it took so far, as in `Solution`.
     """
 
@@ -66,6 +68,7 @@ class Agent:
         *,
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
+        told: Callable[[int], None] = lambda done: None,
     ) -> None:
         if protocol not in PROTOCOLS:
             raise ValueError(f"no protocol named {protocol!r}")
@@ -77,7 +80,7 @@ class Agent:
         staggered = isinstance(self.settings, PPO)
         self._env = TrainingEnv(spec, protocol, rng, self.settings.copies, staggered)
         self._checks = Simulator(spec)
-        self._demonstrations = demonstrations
+        self._demonstrations, self._told = demonstrations, told
         self._init = None if init is None else models.actor_layers(init, spec, self.settings)
         self._model: models.Model | None = None
         self._progress = 0.0
@@ -128,24 +131,24 @@ class Agent:
             raise ValueError("an agent that has not learned yet has no best policy")
         self._env.reward = reward
         steps_before = self.check_steps
-        curve, true_curve, equals = [], [], list[Network]()
+        curve, true_curve, equals = [], [], list[int]()
         best_return = -np.inf
-        checked = self.check([policy for _, policy in self._checkpoints])
-        for (done_steps, policy), (score, truth) in zip(self._checkpoints, checked, strict=True):
-            curve.append((float(done_steps), score))
-            true_curve.append((float(done_steps), truth))
-            if score > best_return:
-                equals, best_return = [policy], score
-            elif score == best_return > curve[0][1]:
-                equals.append(policy)
-        best = equals[0] if len(equals) == 1 else self._steadiest(equals)
         checkpoints = tuple(policy for _, policy in self._checkpoints)
-        return Solution(best, curve, true_curve, 0, self.check_steps - steps_before, checkpoints)
+        for i, (score, truth) in enumerate(self.check(checkpoints)):
+            done_steps = float(self._checkpoints[i][0])
+            curve.append((done_steps, score))
+            true_curve.append((done_steps, truth))
+            if score > best_return:
+                equals, best_return = [i], score
+            elif score == best_return > curve[0][1]:
+                equals.append(i)
+        best = equals[0] if len(equals) == 1 else self._steadiest(equals)
+        took = self.check_steps - steps_before
+        return Solution(checkpoints[best], curve, true_curve, 0, took, checkpoints, best)
 
-    def _steadiest(self, equals: list[Network]) -> Network:
-        noisy = [disturbed(policy, self.spec, self.settings.noise) for policy in equals]
-        steadiness = [score for score, _ in self.check(noisy)]
-        return equals[max(range(len(equals)), key=lambda i: (steadiness[i], i))]
+    def _steadiest(self, equals: list[int]) -> int:
+        noisy = [disturbed(self._checkpoints[i][1], self.spec, self.settings.noise) for i in equals]
+        return max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """`learn` and `best`."""
@@ -189,6 +192,7 @@ class Agent:
     def keep(self, done_steps: int) -> None:
         """Makes a checkpoint of the policy after so many steps of what is being learned."""
         self._checkpoints.append((done_steps, self.policy))
+        self._told(done_steps)
 
     def advance(self, progress: float) -> None:
         """Says what share of the present solve is done; the learning rate follows."""

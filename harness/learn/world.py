@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,11 +30,19 @@ class Features:
 class TaskWorld:
     """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave.
 
-    expert: whom a method that is marked so may ask.
+    expert: whom a method that is marked so may ask. told: called now and then with how many environment
+    steps were taken.
     answers: actions that the expert told.
     """
 
-    def __init__(self, spec: EnvSpec, protocol: str, library: Library, expert: Policy | None = None) -> None:
+    def __init__(
+        self,
+        spec: EnvSpec,
+        protocol: str,
+        library: Library,
+        expert: Policy | None = None,
+        told: Callable[[int], None] = lambda done: None,
+    ) -> None:
         self.obs_size = spec.obs_size
         self.act_size = spec.act_size
         self.horizon = spec.horizon
@@ -50,6 +58,7 @@ class TaskWorld:
         self._protocol = protocol
         self._library = library
         self._expert = expert
+        self._told = told
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return self._spec.random_actions(count, rng)
@@ -78,6 +87,7 @@ class TaskWorld:
             soft=soft,
             init=init,
             demonstrations=demonstrations,
+            told=lambda done: self._told(self.env_steps + done),
         )
         return WorldAgent(self, solver)
 
@@ -126,12 +136,15 @@ def solver_for(
     soft: bool = False,
     init: Policy | StochasticPolicy | None = None,
     demonstrations: Episodes | None = None,
+    told: Callable[[int], None] = lambda done: None,
 ) -> Agent | ExactSolver:
     """What solves an environment: dynamic programming where its model is known, else RL by that library. The
-    rest as of `methods.base.World.agent`."""
+    rest as of `methods.base.World.agent`, and `Agent`."""
     if spec.tabular is None:
         settings = learner_of(spec.rl) if soft else spec.rl
-        return Agent(spec, protocol, rng, library, settings, init=init, demonstrations=demonstrations)
+        return Agent(
+            *(spec, protocol, rng, library, settings), init=init, demonstrations=demonstrations, told=told
+        )
     if init is not None or demonstrations is not None:
         raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
     return ExactSolver(spec.tabular, spec.gamma, rng)

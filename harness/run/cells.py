@@ -1,62 +1,37 @@
-"""What one cell does, in stages that hand values on: demonstrate, fit, retrain, score, measure, record."""
+"""One cell: its stages, what is kept of what was learned, and the recordings. What its numbers come from is
+`harness.run.stages`."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
-from envs import EnvSpec
-from harness.judge.advantage import known_comparison, sampled_comparison
-from harness.judge.controls import control_reward
-from harness.judge.evaluation import Evaluation, evaluate, total
-from harness.judge.results import (
-    CONTROLS,
-    LONGEST_TEXT,
-    MOST_CURVES,
-    MOST_POINTS,
-    NOMINAL,
-    REFERENCE,
-    UNSHOWN,
-    Cell,
-    CellResult,
-    Conditions,
-    Curve,
-    PolicyName,
-    Row,
-    policies_of,
-    row_of,
-    thinned,
-)
-from harness.learn.learned import check_learned
-from harness.learn.seeds import evaluation_seeds, rng_for
+from harness.judge.evaluation import Evaluation
+from harness.judge.results import LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
 from harness.learn.simulator import drawings
-from harness.learn.world import TaskWorld, solver_for
-from harness.registry import ASKING, SPECS, load_method
 from harness.run.artifacts import KIND, artifact
-from harness.run.codec import printable
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
-from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
-from methods.settings import settings_for
+from harness.run.stages import Made, Task, missed_bar, policies, row, score
+from methods.base import Policy, Reward
 
 
 def run_cell(
-    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+    cell: Cell,
+    conditions: Conditions,
+    inputs: Mapping[str, bytes],
+    tell: Callable[[str], None] = lambda doing: None,
 ) -> tuple[CellResult, dict[str, bytes]]:
-    """Everything of one cell, and the files that it adds to the run, by their path there. inputs: of
-    `prepare`. Raises what its method raises."""
-    task = Task(cell, conditions, Shared(inputs))
+    """Everything of one cell, and the files that it adds to the run, by their path there; where nothing is to
+    be kept of what it learned, that as `LEARNED`. inputs: of `prepare`. tell: called with what is being done.
+    Raises what its method raises."""
+    task = Task(cell, conditions, Shared(inputs), tell=tell)
     made = policies(task)
     scored = {one.name: score(task, one.policy, one.reward) for one in made if one.policy}
     missed = [missed_bar(task, scored["expert"])] if cell.method == REFERENCE else []
-    artifacts, lost = kept(task, made)
+    learned, lost = learned_file(task, made)
+    keeps = conditions.record != "none"
+    artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
     recordings = {
         f"{cell.name}__{one.name}.rrd": recorded(task, one, scored[one.name]) for one in shown(task, made)
     }
@@ -65,7 +40,8 @@ def run_cell(
         rows=[row(task, one, scored.get(one.name)) for one in made],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
-        warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost],
+        warnings=[w for one in made for w in one.warnings]
+        + [*filter(None, missed), *(lost if keeps else ())],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
         below_bar=any(missed),
@@ -73,7 +49,8 @@ def run_cell(
         seconds=task.seconds,
     )
     folders = {"recordings": recordings, "artifacts": artifacts}
-    return result, {f"{at}/{name}": data for at, files in folders.items() for name, data in files.items()}
+    files = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
+    return result, files if keeps or not learned else files | {LEARNED: learned}
 
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
@@ -82,235 +59,8 @@ def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     return shared_by(cells[0].env, cells[0].seed, sorted(shown), conditions)
 
 
-@dataclass(frozen=True)
-class Task:
-    """A cell, and what its stages need to know of it."""
-
-    cell: Cell
-    conditions: Conditions
-    shared: Shared
-    seconds: dict[str, float] = field(default_factory=dict)
-    """That each stage took so far."""
-    noted: dict[str, float] = field(default_factory=dict)
-    """Columns of all its rows that became known so far."""
-
-    @contextmanager
-    def during(self, stage: str) -> Iterator[None]:
-        """Counts the time until the context ends as the stage's."""
-        started = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
-
-    @property
-    def spec(self) -> EnvSpec:
-        """Where demonstrations are of, and methods learn."""
-        return SPECS[self.cell.env]
-
-    @cached_property
-    def place(self) -> EnvSpec:
-        """Where what was learned is used."""
-        nominal = self.cell.dynamics == NOMINAL
-        return self.spec if nominal else self.spec.variant(self.cell.dynamics)
-
-    @property
-    def seeds(self) -> range:
-        """Of the evaluation episodes."""
-        return evaluation_seeds(self.cell.seed, self.spec.eval_episodes[self.conditions.budget])
-
-    @property
-    def rl_steps(self) -> int:
-        return self.spec.rl_steps[self.conditions.budget]
-
-    def rng(self, purpose: str) -> np.random.Generator:
-        return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
-
-    def world(self) -> TaskWorld:
-        expert = self.shared.expert.policy if self.cell.method in ASKING else None
-        return TaskWorld(self.spec, self.conditions.protocol, self.conditions.rl, expert)
-
-
-@dataclass(frozen=True)
-class Made:
-    """A policy to be scored, None where there is none and why, and what is known of how it came.
-
-    reward: what it was trained on or found with, None where that is the true one or none.
-    columns: of its row, besides the scores.
-    """
-
-    name: PolicyName
-    policy: Policy | None
-    reward: Reward | None = None
-    columns: Mapping[str, Any] = field(default_factory=dict)
-    curves: Mapping[str, Curve] = field(default_factory=dict)
-    details: Mapping[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-
-
-def policies(task: Task) -> list[Made]:
-    """What a cell scores."""
-    if task.cell.method == REFERENCE:
-        return reference(task)
-    if task.cell.method in CONTROLS:
-        return [retrain(task, control(task))]
-    try:
-        star = carried(task) or elsewhere(task, fit(task, demonstrations(task)))
-    except Unsuitable as error:
-        task.noted.clear()
-        reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
-        return [Made(name, None, columns={"reason": reason}) for name in policies_of(task.cell)]
-    if star.reward is None:
-        return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
-    if not task.conditions.retrain:
-        return [star, Made("pi_R", None, columns={"reason": "not asked for"})]
-    return [star, retrain(task, star.reward)]
-
-
-def reference(task: Task) -> list[Made]:
-    """The expert and a random policy."""
-    expert, spec, rng = task.shared.expert, task.place, task.rng("random policy")
-    took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
-    took |= {"check_steps": expert.check_steps, "rl_solves": 1}
-    return [
-        Made("expert", expert.policy, columns=took, curves={"expert": expert.curve}),
-        Made("random", lambda obs: spec.random_actions(len(obs), rng)),
-    ]
-
-
-def demonstrations(task: Task) -> Episodes:
-    """Those of this environment and seed, the same for every method."""
-    with task.during("demonstrate"):
-        demos = task.shared.demonstrations(task.cell.shown)
-    task.noted["pairs"] = sum(map(len, demos.act))
-    return demos
-
-
-def carried(task: Task) -> Made | None:
-    """pi_star, with R*, of the same cell in the env's own dynamics, where that was kept; what `fit` finds,
-    at once."""
-    learned = task.shared.learned
-    both = {"pi_star", "reward"} <= learned.keys()
-    return Made("pi_star", learned["pi_star"], learned["reward"]) if both else None
-
-
-def elsewhere(task: Task, fitted: Made) -> Made:
-    """What was fitted, as `carried` has it where the cell is of other dynamics: what the fit took is told by
-    the cell of the env's own."""
-    if task.place is task.spec:
-        return fitted
-    task.noted.clear()
-    return Made("pi_star", fitted.policy, fitted.reward)
-
-
-def learned_by(task: Task, method: str, demos: Episodes, world: World) -> Learned:
-    """What a method learns with the settings of its environment and budget."""
-    settings = settings_for(method, task.cell.env, task.conditions.budget)
-    rng = rng_for(task.cell.seed, task.cell.env, method, "fit")
-    learned = load_method(method)(**settings).fit(demos, world, rng)
-    check_learned(learned, task.spec, demos)
-    return learned
-
-
-def fit(task: Task, demos: Episodes) -> Made:
-    """pi_star, with R*."""
-    world = task.world()
-    with task.during("fit"):
-        learned = learned_by(task, task.cell.method, demos, world)
-    if learned.reward is not None and demos.whole:
-        both = zip(demos.obs, demos.act, strict=True)
-        paid = [total(learned.reward, obs, act) for obs, act in both]
-        task.noted["own_return_shown"] = float(np.mean(paid))
-    took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
-    took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
-    most = MOST_CURVES - len(("pi_R", "pi_R_true"))
-    curves = {name: curve(values) for name, values in list(learned.curves.items())[:most]}
-    many = f"{task.cell.name}: of {len(learned.curves)} curves the first {most} are kept"
-    warnings = (many,) if len(learned.curves) > most else ()
-    details = {**learned.details, **({"answers of the expert": world.answers} if world.answers else {})}
-    return Made("pi_star", learned.policy, learned.reward, took, curves, details, warnings)
-
-
-def curve(values: Sequence[float]) -> Curve:
-    """What is kept of one value an iteration."""
-    return [(float(x), float(y)) for x, y in thinned(list(enumerate(values, 1)), MOST_POINTS)]
-
-
-def control(task: Task) -> Reward | None:
-    """The reward of a control, None for the true one."""
-    known = task.shared.learned
-    if (reward := known.get("reward")) is not None:  # which bc has none of
-        return cast(Reward, reward)
-
-    def fitted(method: str, demos: Episodes) -> Learned:
-        if task.cell.method == "control_clone" and "pi_star" in known:
-            return Learned(known["pi_star"], None)
-        return learned_by(task, method, demos, task.world())
-
-    rng, spec = task.rng("control"), task.spec
-    return control_reward(task.cell.method, lambda: demonstrations(task), fitted, spec.random_actions, rng)
-
-
-def retrain(task: Task, reward: Reward | None) -> Made:
-    """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
-    with task.during("retrain"):
-        solver = solver_for(task.place, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl)
-        solution = solver.solve(reward, task.rl_steps)
-    took = {"fit_seconds": task.seconds["retrain"], "env_steps": solution.env_steps}
-    took |= {"check_steps": solution.check_steps, "rl_solves": 1}
-    curves = {"pi_R": solution.curve, "pi_R_true": solution.true_curve}
-    return Made("pi_R", solution.policy, reward, took | measured(task, reward), curves)
-
-
-def measured(task: Task, reward: Reward | None) -> dict[str, float]:
-    """How far the reward is from the true one, in the env's own dynamics."""
-    spec = task.spec
-    if task.place is not spec:
-        return {}
-    with task.during("measure"):
-        if spec.tabular:
-            compared = known_comparison(reward, spec.tabular, spec.gamma)
-        else:
-            compared = sampled_comparison(reward, task.shared.replays)
-        found = {f"reward_{name}": value for name, value in compared._asdict().items()}
-        if ranked := task.shared.ranked:
-            found["policy_ranking"] = ranked.ranking(reward)
-    return found
-
-
-def score(task: Task, policy: Policy, reward: Reward | None) -> Evaluation:
-    """In the original environment, by the true reward, and by the one that it was trained on or found
-    with."""
-    with task.during("score"):
-        return evaluate(task.place, policy, task.seeds, reward)
-
-
-def row(task: Task, made: Made, scored: Evaluation | None) -> Row:
-    """Of scores.csv."""
-    columns = {"expert": task.shared.expert.name, **task.noted, **made.columns}
-    columns |= scored.columns() if scored else {}
-    columns["status"] = "ok" if scored else "skipped"
-    return row_of(task.cell, made.name, task.conditions.protocol, **columns)
-
-
-def missed_bar(task: Task, expert: Evaluation) -> str:
-    """Why the expert is none to be trusted, '' where it meets its bar."""
-    episodes, allowed = len(expert.returns), task.place.max_terminated[task.conditions.budget]
-    terminated = (episodes - expert.endings.get("time limit", 0)) / episodes
-    bar = task.place.bar(task.seeds)
-    if expert.returns.mean() >= bar and terminated <= allowed:
-        return ""
-    return (
-        f"{task.cell.env}, seed {task.cell.seed}: the expert misses its bar: mean return "
-        f"{expert.returns.mean():.2f} (at least {bar:.2f}), {terminated:.0%} of episodes terminated "
-        f"early (at most {allowed:.0%})"
-    )
-
-
-def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]:
-    """The file of what was learned, by its name, and why some of that is not in it."""
-    if task.conditions.record == "none":
-        return {}, []
+def learned_file(task: Task, made: Sequence[Made]) -> tuple[bytes, list[str]]:
+    """What was learned, as a file, and why some of that is not in it."""
     learned: dict[str, Policy | Reward | None] = {
         one.name: one.policy for one in made if one.policy is not None
     }
@@ -318,8 +68,7 @@ def kept(task: Task, made: Sequence[Made]) -> tuple[dict[str, bytes], list[str]]
     if learned and task.cell.method not in (REFERENCE, "control_true"):
         learned["reward"] = made[0].reward
     with task.during("record"):
-        data, lost = artifact(task.cell, task.conditions, learned)
-    return ({f"{task.cell.name}.{KIND}": data} if data else {}), lost
+        return artifact(task.cell, task.conditions, learned)
 
 
 def shown(task: Task, made: Sequence[Made]) -> list[Made]:

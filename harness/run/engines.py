@@ -8,13 +8,22 @@ import importlib
 import os
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, cast
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, files_of, policies_of, usable
+from harness.judge.results import (
+    LEARNED,
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    files_of,
+    policies_of,
+    usable,
+)
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
 from harness.run.files import sha256_of
@@ -32,9 +41,11 @@ class Work(Protocol):
         """What these cells, of one environment and seed, share, by name."""
 
     def run_cell(
-        self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+        self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
     ) -> tuple[CellResult, dict[str, bytes]]:
-        """Its result, and the files that it adds to the run, by their path there."""
+        """Its result, and the files that it adds to the run, by their path there; what it learned may be
+        among them as `LEARNED`, for the cells that go on from it alone. tell: called now and then
+        with what is being done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +96,9 @@ class Engine(Protocol):
     def finished(self) -> list[tuple[Job, Outcome]]:
         """Those that ended and were not told yet; waits for one, a second at most."""
 
+    def doing(self, name: str) -> str:
+        """What the job of that name is doing, in a few words; '' where it is not known."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(
@@ -122,22 +136,25 @@ class Inline:
         ended, self._ended = self._ended, []
         return ended
 
+    def doing(self, name: str) -> str:
+        return ""
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None: ...
 
 
-def compute(work: str, job: Job) -> Outcome:
-    """Does a job, here and now. Raises what it raises, and RuntimeError where it is not done under the job's
-    key."""
+def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: None) -> Outcome:
+    """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, and RuntimeError where it
+    is not done under the job's key."""
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
     _check_key(job, variables)
     module = cast(Work, importlib.import_module(work))
     if job.shared:
         return Outcome(files=module.prepare(job.cells, job.conditions))
     (cell,) = job.cells
-    result, files = module.run_cell(cell, job.conditions, job.inputs)
+    result, files = module.run_cell(cell, job.conditions, job.inputs, tell)
     _check(result, files, cell, job.conditions.protocol)
     encoded = encode(result)
     decode(encoded)
@@ -160,7 +177,7 @@ def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol:
         raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
     if (policies := tuple(row.policy for row in result.rows)) != policies_of(cell):
         raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
-    if result.files != {name: sha256_of(data) for name, data in files.items()}:
+    if result.files != {name: sha256_of(data) for name, data in files.items() if name != LEARNED}:
         raise ValueError("its files are not those that its result names")
     if others := sorted(result.files.keys() - files_of(cell)):
         raise ValueError(f"{others[0]} is no file of {cell.name}")

@@ -73,7 +73,7 @@ class Grid:
                 ahead[source.name] += expected[job.name]
         # Seed by seed, so that what cells share need not be there for all of them at once.
         jobs.sort(key=lambda job: (job.cells[0].seed, not job.shared, -ahead[job.name]))
-        with self.engine, progress_for(expected, self.engine.workers) as progress:
+        with self.engine, progress_for(expected, self.engine.workers, self.engine.doing) as progress:
             try:
                 _Schedule(self, jobs, progress, costs).run()
             finally:
@@ -98,6 +98,8 @@ class _Schedule:
         self.left = {group: len(held) for group, held in self.held.items()}
         """Cells that have not ended, of each group."""
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
+        self.learned: dict[Group, dict[Cell, bytes]] = {}
+        """What cells learned that others go on from, as far as it is not kept."""
         self.started: dict[str, float] = {}
         """When each job that runs began, in seconds of `time.monotonic`."""
         self.lost: list[Job] = []
@@ -122,7 +124,8 @@ class _Schedule:
             (cell,) = job.cells
             shared, source = self.inputs[_group(job)], before(cell)
             inputs = {name: data for name, data in shared.items() if needs(cell, name)}
-            if source and (learned := self.grid.sink.learned(source)):
+            unkept = self.learned.get(_group(job), {})
+            if source and (learned := unkept.get(source) or self.grid.sink.learned(source)):
                 inputs[LEARNED] = learned
             job = replace(job, inputs=inputs)
         self.grid.engine.start(job)
@@ -159,16 +162,19 @@ class _Schedule:
     def _keep(self, job: Job, outcome: Outcome, seconds: float) -> None:
         (cell,) = job.cells
         error = outcome.error
+        files = dict(outcome.files)
+        if (learned := files.pop(LEARNED, b"")) and self.later[cell]:
+            self.learned.setdefault(_group(job), {})[cell] = learned
         if not error:
             result = decode(outcome.result)
             own = result.files.keys() <= files_of(cell)
-            if result.cell != cell or not own or result.files.keys() != outcome.files.keys():
+            if result.cell != cell or not own or result.files.keys() != files.keys():
                 error = "what came back is not the cell's"
         if error:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
         else:
             start = max(0.0, seconds - sum(result.seconds.values()))
-            self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
+            self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), files)
         unsuitable = "" if error or any(row.status == "ok" for row in result.rows) else result.rows[0].reason
         label = "failed" if error else "skipped" if unsuitable else "ok"
         self.progress.finished(cell.name, label, error or unsuitable)
@@ -177,6 +183,7 @@ class _Schedule:
         self.left[_group(job)] -= 1
         if not self.left[_group(job)]:
             self.inputs.pop(_group(job), None)
+            self.learned.pop(_group(job), None)
 
 
 def _group(job: Job) -> Group:

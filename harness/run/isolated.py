@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -23,15 +24,17 @@ from pebble.concurrent import process as in_a_process
 
 from harness.run.engines import WORK, Job, Outcome, compute, describe
 from harness.run.environment import PRELOAD_VARIABLE, numeric
-from harness.run.files import appending, opened
+from harness.run.files import appending, opened, write_atomic
 from harness.run.orphans import end_descendants, end_orphans
 from harness.run.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
 from harness.run.scratch import scratch_folder
 
 LOOK_EVERY = 1.0
 """Seconds between looks for processes that jobs left behind."""
-LOG, TEMPORARY = "log", "tmp"
+LOG, TEMPORARY, DOING = "log", "tmp", "doing"
 """In the folder of a job."""
+MOST_TOLD = 100
+"""Bytes of what a job says that it does that are shown."""
 LONGEST_LOG = 1 << 20
 """Bytes of what a job printed that are kept: the last ones."""
 
@@ -80,6 +83,11 @@ class Isolated:
         folder = self._folders / job.name
         (folder / TEMPORARY).mkdir(parents=True, exist_ok=True)
         self._running[_launched(self._launch, self._work, job, folder)] = job, folder
+
+    def doing(self, name: str) -> str:
+        with contextlib.suppress(OSError, ValueError), opened(self._folders / name / DOING) as file:
+            return file.read(MOST_TOLD).decode()
+        return ""
 
     def finished(self) -> list[tuple[Job, Outcome]]:
         ended = []
@@ -136,7 +144,7 @@ def _do(work: str, job: Job, folder: Path) -> Outcome:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
         faulthandler.enable()
-        return compute(work, job)
+        return compute(work, job, partial(_tell, folder))
     except BaseException as error:
         with contextlib.suppress(BaseException):
             print(f"\n{job.name}:", file=sys.stderr)
@@ -148,6 +156,12 @@ def _do(work: str, job: Job, folder: Path) -> Outcome:
         for stream in (sys.stdout, sys.stderr):  # A process that has told its result may be stopped.
             with contextlib.suppress(Exception):
                 stream.flush()
+
+
+def _tell(folder: Path, doing: str) -> None:
+    """Says what a job does, to whoever looks into its folder."""
+    with contextlib.suppress(OSError):
+        write_atomic(folder / DOING, doing)
 
 
 def _printed(log: Path) -> bytes:

@@ -12,7 +12,6 @@ import json
 import platform
 import subprocess
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
@@ -20,14 +19,16 @@ from harness.registry import ENVS, METHODS, VARIANTS, BadInput, Entry
 from harness.run import environment
 from methods.settings import settings_for
 
-CELLS, EXPERTS_MODULE = "harness.run.cells", "harness.run.experts"
-"""What computes cells, and what they share."""
+STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
+"""What computes cells' numbers, and what they share."""
 NO_NUMBER = {
-    *("harness/registry.py", "methods/settings.py"),
-    *("harness/run/files.py", "harness/run/keys.py"),
+    *("harness/registry.py", "methods/settings.py", "harness/judge/results.py"),
+    *(f"harness/run/{name}.py" for name in ("artifacts", "cache", "codec", "files", "keys", "sums")),
 }
-"""Files that a cell imports and that change none of its numbers: what the first two say of its own method is
-in its key."""
+"""Files that those import and that change none of the numbers. What the first two say of a cell's own method
+is in its key; the others name what was found, and keep it bit for bit."""
+DRAWING = "draw"
+"""How the names of functions begin that make pictures, and no numbers."""
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """What decides, besides the program, how cells are reported."""
 PACKAGES = (
@@ -98,8 +99,8 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     keys = {}
     for cell in cells:
         if cell.env not in tasks:
-            asked = [dataclasses.asdict(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
-            tasks[cell.env] = _digest(sources(CELLS, *_module(ENVS, cell.env)), asked, installed)
+            asked = [_asked(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
+            tasks[cell.env] = _digest(sources(STAGES, *_module(ENVS, cell.env)), asked, installed)
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)
             settings = settings_for(method, cell.env, conditions.budget)
@@ -107,12 +108,22 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
                 method,
                 _target(METHODS | VARIANTS, method),
                 settings,
-                dataclasses.asdict(cell.shown),
+                _asked(cell.shown),
                 cell.dynamics,
             ]
             methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, [])
         keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
     return keys
+
+
+def _asked(value: Conditions | Shown) -> dict[str, object]:
+    """Its fields, without what is recorded and without those that have their default: one more of those
+    changes no key."""
+    return {
+        field.name: told
+        for field in dataclasses.fields(value)
+        if (told := getattr(value, field.name)) != field.default and field.name != "record"
+    }
 
 
 def task_of(key: str) -> str:
@@ -128,8 +139,12 @@ def expert_key(env: str, asked: object) -> str:
 
 def report_key(cells: object) -> str:
     """Of what a report is made of: the program, and cells that JSON can hold."""
-    harness = {name for name in program() if name.startswith("harness/")}
-    return _digest(harness, cells, [_installed(), versions(REPORT_PACKAGES)])
+    shown_by = {
+        name: hashlib.sha256(data).hexdigest()
+        for name, data in program().items()
+        if name.startswith("harness/")
+    }
+    return _digest((), [cells, shown_by], [_installed(), versions(REPORT_PACKAGES)])
 
 
 def sources(*modules: str) -> set[str]:
@@ -139,7 +154,7 @@ def sources(*modules: str) -> set[str]:
     while waiting:
         if (name := waiting.pop()) not in found:
             found.add(name)
-            waiting += [n for module in _imported(program()[name]) for n in _files_of(module)]
+            waiting += [n for module in _code(program()[name])[1] for n in _files_of(module)]
     return found - NO_NUMBER
 
 
@@ -150,17 +165,32 @@ def _files_of(module: str) -> list[str]:
     return [name for start in starts for name in (f"{start}.py", f"{start}/__init__.py") if name in program()]
 
 
+class _Code(ast.NodeTransformer):
+    """Leaves out docstrings, of fields as well, and `DRAWING`."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        told = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if told else node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST | None:
+        return None if node.name.startswith(DRAWING) else self.generic_visit(node)
+
+
 @functools.cache
-def _imported(source: bytes) -> tuple[str, ...]:
-    """The modules, and names in modules, that a file imports, lazily or not; none where it cannot be read."""
+def _code(source: bytes) -> tuple[str, tuple[str, ...]]:
+    """A digest of what a file does, whatever it says of that; and the modules, and names in modules, that it
+    imports, lazily or not. What cannot be read imports nothing."""
     found = []
-    with suppress(SyntaxError, ValueError):
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.Import):
-                found += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return tuple(found)
+    try:
+        tree = _Code().visit(ast.parse(source))
+    except (SyntaxError, ValueError):
+        return hashlib.sha256(source).hexdigest(), ()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), tuple(found)
 
 
 def _target(known: Mapping[str, Entry], name: str) -> str:
@@ -178,7 +208,8 @@ def _installed() -> list[object]:
 
 
 def _digest(sources: Iterable[str], ingredients: object, more: object) -> str:
-    digests = {name: hashlib.sha256(program()[name]).hexdigest() for name in sources}
+    """Of what these files do, and of what JSON can hold."""
+    digests = {name: _code(program()[name])[0] for name in sources}
     everything = json.dumps([ingredients, digests, more], sort_keys=True)
     return hashlib.sha256(everything.encode()).hexdigest()[:16]
 

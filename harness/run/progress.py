@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -30,10 +31,11 @@ class Progress(Protocol):
     ) -> None: ...
 
 
-def progress_for(costs: dict[str, float], workers: int) -> Progress:
-    """The one that suits standard output. costs: what each task is expected to take, in any unit."""
+def progress_for(costs: dict[str, float], workers: int, doing: Callable[[str], str]) -> Progress:
+    """The one that suits standard output. costs: what each task is expected to take, in any unit. doing: what
+    a task that runs does, in a few words."""
     if sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
-        return _Display(_Tally(costs, workers))
+        return _Display(_Tally(costs, workers), doing)
     return _Lines(_Tally(costs, workers))
 
 
@@ -139,8 +141,8 @@ class _Lines:
 class _Display:
     """What runs and how far the whole is, redrawn in place; failures stay above it."""
 
-    def __init__(self, tally: _Tally) -> None:
-        self.tally = tally
+    def __init__(self, tally: _Tally, doing: Callable[[str], str]) -> None:
+        self.tally, self.doing = tally, doing
         self.console = Console()
         self.live = Live(
             get_renderable=self._render, console=self.console, refresh_per_second=2, transient=True
@@ -164,7 +166,10 @@ class _Display:
 
     def _render(self) -> RenderableType:
         now = time.monotonic()
-        running = [Text(f"  {name}  {clock(now - t)}") for name, t in list(self.tally.running.items())]
+        running = [
+            Text(f"  {name}  {clock(now - t)}  {printable(self.doing(name))}".rstrip())
+            for name, t in list(self.tally.running.items())
+        ]
         total = len(self.tally.costs)
         return Group(
             *running, ProgressBar(total=total, completed=total - self.tally.left), Text(self.tally.line())

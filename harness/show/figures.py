@@ -75,7 +75,7 @@ def draw(
     file = file_of(env)
     most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
     with styled():
-        rl, truth, training = _curves([entry.method for entry in entries], results)
+        rl, truth, chosen, training = _curves([entry.method for entry in entries], results)
         scored = any(entry.method != REFERENCE for entry in entries)
         pictures = [_scores(env, entries, rows, flag)] if scored else []
         if rl:
@@ -83,11 +83,12 @@ def draw(
             pictures.append(
                 _panels(
                     f"{file}_rl.png",
-                    f"{env}: RL on R* (the top of blue counts; each panel has its own scale)",
+                    f"{env}: RL on R* (the ringed checkpoints count; each panel has its own scale)",
                     alt + ", ".join(rl) + ".",
                     "environment steps (left, blue: return learned from; right, orange: true return)",
                     rl,
                     truth,
+                    chosen,
                     flag,
                     most,
                 )
@@ -101,6 +102,7 @@ def draw(
                     alt + ", ".join(training) + ".",
                     "iteration",
                     training,
+                    {},
                     {},
                     flag,
                     most,
@@ -179,13 +181,14 @@ Curves = dict[str, list[list[tuple[float, float]]]]
 """Lines by the title of their panel, one a seed."""
 
 
-def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves]:
-    """RL's curves under the reward learned from, their true returns, and the methods' own curves, in the
-    order of `methods`."""
+def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves, Curves]:
+    """RL's curves under the reward learned from, their true returns, the checkpoints that count, and the
+    methods' own curves, in the order of `methods`."""
     ranked = [result for result in results if result.cell.method in methods]
     ranked.sort(key=lambda result: (methods.index(result.cell.method), result.cell.seed))
     rl: Curves = {}
     truth: Curves = {}
+    chosen: Curves = {}
     training: Curves = {}
     for result in ranked:
         method = result.cell.method
@@ -195,18 +198,26 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
                 continue
             if name in ("pi_R", "expert"):
                 rl.setdefault("expert" if name == "expert" else method, []).append(finite)
-            elif name == "pi_R_true":
-                truth.setdefault(method, []).append(finite)
+            elif name in ("pi_R_true", "pi_R_chosen"):
+                (truth if name == "pi_R_true" else chosen).setdefault(method, []).append(finite)
             else:
                 training.setdefault(f"{method}: {name}", []).append(finite)
-    return rl, truth, training
+    return rl, truth, chosen, training
 
 
 def _panels(
-    file: str, title: str, alt: str, xlabel: str, curves: Curves, second: Curves, flag: str, most: int
+    file: str,
+    title: str,
+    alt: str,
+    xlabel: str,
+    curves: Curves,
+    second: Curves,
+    ringed: Curves,
+    flag: str,
+    most: int,
 ) -> Picture:
     """A panel for each title of `curves`, up to `most`; those of `second` have an axis of their own, on the
-    right."""
+    right, and points of `ringed` a ring."""
     if len(curves) > most:
         title += f" (the first {most} of {len(curves)} panels)"
         curves = dict(list(curves.items())[:most])
@@ -216,6 +227,8 @@ def _panels(
     for place, (name, seeds) in enumerate(curves.items()):
         axes: Axes = figure.add_subplot(lines, columns, place + 1)
         plot_seeds(axes, seeds, BLUE)
+        points = [point for points in ringed.get(name, []) for point in points]
+        axes.plot(*(zip(*points, strict=True) if points else ([], [])), "o", color=BLUE, fillstyle="none")
         axes.set_title(name, parse_math=False)
         if name in second:
             twin = axes.twinx()

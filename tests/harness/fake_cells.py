@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -76,8 +76,9 @@ def prepare(cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]
 
 
 def run_cell(
-    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes]
+    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
 ) -> tuple[CellResult, dict[str, bytes]]:
+    tell("computing")
     assert inputs == {"shared": cell.env.encode()}
     files = {f"recordings/{RECORDED.get(cell.method)}": b"a recording"} if cell.method in RECORDED else {}
     return faked(cell, conditions, Path(os.environ[FOLDER])), files

@@ -32,8 +32,8 @@ from harness.learn import world
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS, load_method
-from harness.run import cells
-from harness.run.artifacts import read_artifact
+from harness.run import stages
+from harness.run.artifacts import learned_in, read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.codec import decode, encode
 from harness.run.environment import CACHE_VARIABLE
@@ -104,7 +104,7 @@ def test_who_is_marked_so_may_ask_the_expert_and_nobody_else(
     assert result.details == {"answers of the expert": result.rows[0].env_steps}
     assert result.rows[0].env_steps > 0
     asking = load_method("dagger")
-    monkeypatch.setattr(cells, "load_method", lambda name: asking)
+    monkeypatch.setattr(stages, "load_method", lambda name: asking)
     with pytest.raises(ValueError, match="only methods that are marked"):
         run(BC, tmp_path)
 
@@ -138,7 +138,7 @@ def test_whatever_it_says_its_cell_can_be_kept(
         def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
             raise Unsuitable(said)
 
-    monkeypatch.setattr(cells, "load_method", lambda name: Refuses)
+    monkeypatch.setattr(stages, "load_method", lambda name: Refuses)
     result = decode(encode(run(BC, tmp_path)))
     assert {row.status for row in result.rows} == {"skipped"}
     assert {row.reason for row in result.rows} == {kept or said[:LONGEST_TEXT]}
@@ -190,7 +190,7 @@ def ones(obs: Array) -> Array:
 def test_what_breaks_the_contract_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: Policy, reward: Reward, message: str
 ) -> None:
-    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Method(policy, reward))
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Method(policy, reward))
     with pytest.raises((ValueError, FloatingPointError), match=message):
         run(Cell("cartpole", "shaped", 1), tmp_path)
 
@@ -205,7 +205,7 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
                 self.policy, None, {"long": [float(x) for x in range(123_456)], "none": [], **many}
             )
 
-    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Talkative(still, Pays(ones)))
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Talkative(still, Pays(ones)))
     result = decode(encode(run(BC, tmp_path)))
     long = result.curves["long"]
     assert len(result.curves) < len(long) <= MOST_POINTS
@@ -213,7 +213,7 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
     assert all(x == y + 1 for x, y in long)
     assert result.curves["none"] == []
     assert result.warnings == [
-        f"{BC.name}: of 102 curves the first {MOST_CURVES - 2} are kept",
+        f"{BC.name}: of 102 curves the first {MOST_CURVES - 3} are kept",
         f"{BC.name}: pi_star is not kept: builtins.function is no dataclass of envs, methods, "
         "harness.learn, harness.judge",
     ]
@@ -232,7 +232,7 @@ def test_demonstrations_are_the_experts_and_of_no_evaluation_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spy = Spy(still, Pays(ones))
-    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: spy)
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: spy)
     run(Cell("cartpole", "shaped", 3), tmp_path)
     env, count = SPECS["cartpole"].make(), len(spy.demos.act)
     assert count == SPECS["cartpole"].demo_episodes["smoke"]
@@ -260,9 +260,9 @@ def test_every_solve_of_a_cell_is_under_its_protocol(
         asked.append((protocol, library))
         return solver_for(spec, protocol, rng, library, **more)
 
-    for module in (cells, world):
+    for module in (stages, world):
         monkeypatch.setattr(module, "solver_for", solver)
-    monkeypatch.setattr(cells, "load_method", lambda name: lambda **settings: Spy(still, Pays(ones)))
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Spy(still, Pays(ones)))
     result = run(Cell("cartpole", "shaped", 1), tmp_path, Conditions("smoke", protocol, "sb3"))
     assert asked == [(protocol, "sb3")] * 2  # the method's, and pi_R's
     assert {row.protocol for row in result.rows} == {protocol}
@@ -288,17 +288,26 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
         demos = demonstrations_for("cartpole", 1, cell.shown, SMOKE)
         shown = [total(learned["reward"], *pair) for pair in zip(demos.obs, demos.act, strict=True)]
         assert row.own_return_shown == pytest.approx(np.mean(shown))
-    solver = solver_for(SPECS["cartpole"], "absorbing", rng_for(1, "cartpole", "shaped", "pi_R"), "sb3")
+    told: list[int] = []
+    rng = rng_for(1, "cartpole", "shaped", "pi_R")
+    solver = solver_for(SPECS["cartpole"], "absorbing", rng, "sb3", told=told.append)
     again = solver.solve(learned["reward"], SPECS["cartpole"].rl_steps["smoke"])
+    assert told == [x for x, _ in result.curves["pi_R"][1:]]
+    assert result.curves["pi_R_chosen"] == [max(result.curves["pi_R"], key=lambda point: point[1])]
     obs = np.random.default_rng(0).standard_normal((20, 4))
     assert np.array_equal(again.policy(obs), learned["pi_R"](obs))
 
 
 def test_nothing_is_recorded_where_that_was_asked(tmp_path: Path) -> None:
-    result = run(BC, tmp_path, dataclasses.replace(SMOKE, record="none"))
+    conditions = dataclasses.replace(SMOKE, record="none")
+    result, files = run_cell(BC, conditions, prepare([BC], conditions))
     assert result.rows[0].status == "ok"
     assert result.files == {}
-    assert list(tmp_path.iterdir()) == []
+    assert files.keys() == {LEARNED}
+    run(BC, tmp_path)
+    kept = read_artifact(tmp_path / f"artifacts/{BC.name}.safetensors")
+    obs = np.random.default_rng(0).standard_normal((20, 4))
+    assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
 
 
 def test_the_reference_scores_the_expert_and_a_random_policy(
@@ -336,7 +345,7 @@ def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
     scored = dataclasses.replace(
         scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
     )
-    monkeypatch.setattr(cells, "evaluate", lambda *of: scored)
+    monkeypatch.setattr(stages, "evaluate", lambda *of: scored)
     assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
 
 

@@ -1,7 +1,10 @@
 """What is stored counts as long as nothing that can change it has changed, and no longer."""
 
+import dataclasses
+import re
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,7 @@ from harness.run.keys import PROGRAM, ROOT
 from methods import settings
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+CELL = Cell("cartpole", "bc", 0)
 
 
 def cell_key(env: str, method: str) -> str:
@@ -27,7 +31,7 @@ KEYED = [
 
 
 def test_a_cells_key_covers_all_source_that_computes_it() -> None:
-    code = "import sys, harness.run.cells, harness.show.recordings, methods.maxmargin, envs.driving.highway\n"
+    code = "import sys, harness.run.stages, methods.maxmargin, envs.driving.highway\n"
     code += "import envs.mujoco_batch\n"
     code += "print(*(m.__file__ for m in list(sys.modules.values()) if getattr(m, '__file__', None)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -35,7 +39,7 @@ def test_a_cells_key_covers_all_source_that_computes_it() -> None:
     imported = {f.relative_to(ROOT).as_posix() for f in files if f.is_relative_to(ROOT)}
     imported = {name for name in imported if name.split("/")[0] in PROGRAM}
     assert "harness/learn/rl.py" in imported
-    covered = keys.sources(keys.CELLS, "methods.maxmargin", "envs.driving.highway")
+    covered = keys.sources(keys.STAGES, "methods.maxmargin", "envs.driving.highway")
     assert imported - keys.NO_NUMBER == covered
     assert covered.isdisjoint({"methods/maxent.py", "envs/balancing/cartpole.py"})
 
@@ -56,6 +60,9 @@ EDITS = {
     "methods/network.py": {*KEYED},
     "envs/driving/batch.py": {("highway", "bc"), ("highway", "reference")},
     "harness/learn/rl.py": {*KEYED},
+    "harness/run/stages.py": {*KEYED},
+    "harness/run/cells.py": set(),
+    "harness/show/recordings.py": set(),
     "harness/judge/leaderboard.py": set(),
     "harness/run/store.py": set(),
     "harness/registry.py": set(),
@@ -65,9 +72,50 @@ EDITS = {
 @pytest.mark.parametrize("file", EDITS)
 def test_an_edit_concerns_the_cells_that_it_can_change(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {cell: cell_key(*cell) for cell in KEYED}
-    edited = {**keys.program(), file: keys.program()[file] + b"# edited\n"}
+    edited = {**keys.program(), file: keys.program()[file] + b"EDITED = 1\n"}
     monkeypatch.setattr(keys, "program", lambda: edited)
     assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == EDITS[file]
+
+
+SAYINGS = {
+    "methods/bc.py": b"# said\n",
+    "harness/learn/rl.py": b'"""Said."""\n',
+    "envs/balancing/cartpole.py": b"def draw_more() -> None:\n    import methods.maxent\n",
+}
+
+
+@pytest.mark.parametrize("file", SAYINGS)
+def test_what_a_file_says_and_draws_changes_no_key(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {cell: cell_key(*cell) for cell in KEYED}
+    edited = {**keys.program(), file: keys.program()[file] + SAYINGS[file]}
+    monkeypatch.setattr(keys, "program", lambda: edited)
+    assert {cell: cell_key(*cell) for cell in KEYED} == before
+
+
+def test_fields_without_a_docstring_have_the_key_of_those_with_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, file = cell_key("cartpole", "bc"), "methods/bc.py"
+    text = keys.program()[file].decode()
+    fewer = re.sub(r'\n    """.*?"""', "", text, flags=re.DOTALL)
+    assert fewer != text
+    edited = {**keys.program(), file: fewer.encode()}
+    monkeypatch.setattr(keys, "program", lambda: edited)
+    assert cell_key("cartpole", "bc") == before
+
+
+@dataclass(frozen=True)
+class MoreConditions(Conditions):
+    """As of a later version."""
+
+    more: str = "usual"
+
+
+def test_of_conditions_what_changes_no_number_changes_no_key() -> None:
+    (before,) = keys.cell_keys([CELL], CONDITIONS, {}).values()
+    same = [dataclasses.replace(CONDITIONS, record="none"), MoreConditions(**vars(CONDITIONS))]
+    others = [dataclasses.replace(CONDITIONS, retrain=False), dataclasses.replace(same[1], more="else")]
+    others += [dataclasses.replace(CONDITIONS, experts="trained"), dataclasses.replace(CONDITIONS, rl="sb3")]
+    assert {keys.cell_keys([CELL], c, {})[CELL] for c in same} == {before}
+    assert before not in {keys.cell_keys([CELL], c, {})[CELL] for c in others}
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
-from harness.run.keys import CELLS, PROGRAM, ROOT, cell_keys, expert_key, program, sources
+from harness.run.keys import PROGRAM, ROOT, STAGES, cell_keys, expert_key, program, sources
 from harness.run.processes import NAME, fresh_processes
 from tests.harness.fake_runs import compute
 
@@ -103,12 +103,12 @@ def test_a_new_and_an_edited_method_compute_their_own_cells_and_no_others(copy: 
     line = '"mine": Entry("methods.mine:BehaviourCloning", "mine"),'
     registry.write_text(registry.read_text().replace("METHODS = {", f"METHODS = {{ {line}", 1))
     for file in ("methods/maxent.py", "envs/balancing/cartpole.py", "harness/cli.py"):
-        (copy / file).write_text((copy / file).read_text() + "\n# edited\n")
+        (copy / file).write_text((copy / file).read_text() + "\nEDITED = 1\n")
     more = ["run", "--methods", "mine,bc", *RUN[3:]]
     told, _ = (process := start(copy, *more)).communicate(timeout=120)
     assert process.returncode == 0, told
     assert "1 cells to run, 9 kept from before" in told
-    (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n# edited\n")
+    (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n\nEDITED = 1\n")
     told, _ = (process := start(copy, *more)).communicate(timeout=120)
     assert process.returncode == 0, told
     assert "1 cells to run, 9 kept from before" in told
@@ -154,7 +154,7 @@ def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path
 
 
 def test_only_what_python_would_import_counts(reading: Path) -> None:
-    before = sources(CELLS, "methods.bc"), expert_key("cartpole", None)
+    before = sources(STAGES, "methods.bc"), expert_key("cartpole", None)
     (reading / "methods/.#bc.py").symlink_to("nobody@nowhere")
     (reading / "methods/gone.py").symlink_to("nowhere")
     (reading / "methods/folder.py").mkdir()
@@ -165,11 +165,11 @@ def test_only_what_python_would_import_counts(reading: Path) -> None:
     (reading / "methods/__pycache__").mkdir()
     (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
     program.cache_clear()
-    assert (sources(CELLS, "methods.bc"), expert_key("cartpole", None)) == before
+    assert (sources(STAGES, "methods.bc"), expert_key("cartpole", None)) == before
     (reading / "methods/network.py").write_text("import methods.another\n")
     (reading / "methods/another.py").write_text("")
     program.cache_clear()
-    assert "methods/another.py" in sources(CELLS, "methods.bc")
+    assert "methods/another.py" in sources(STAGES, "methods.bc")
     assert expert_key("cartpole", None) != before[1]
 
 

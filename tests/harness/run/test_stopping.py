@@ -211,6 +211,7 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     os.close(ours)
     assert process.wait() == 1
     assert b"cartpole__reference__seed0" in shown
+    assert b"  computing" in shown
     assert b"failed  cartpole__shaped__seed0: ValueError" in shown
     total = PER_SEED + 2  # and the expert
     assert f"{total} of {total} done, 1 failed".encode() in shown
