@@ -26,8 +26,8 @@ MOST = 1000
 """Largest count that --seeds and --workers take; seeds lie below it."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
-EXIT_CODES = """Exit codes: 0 done; 1 a cell failed, a file is damaged, a bar of `bench` or of an
-expert is missed, or what was printed is lost; 2 bad input, or a file that cannot be
+EXIT_CODES = """Exit codes: 0 done; 1 a cell or a check failed, a file is damaged, a bar of `bench` or
+of an expert is missed, or what was printed is lost; 2 bad input, or a file that cannot be
 read or written; 130 stopped, such as by Ctrl-C."""
 
 
@@ -42,8 +42,19 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = top.add_subparsers(dest="command", required=True)
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
-    add.add_argument("--methods", default="all", metavar="all|A,B", help=", ".join([*METHODS, *VARIANTS]))
-    add.add_argument("--envs", default="all", metavar="all|A,B", help=", ".join([*ENVS, *GROUPS]))
+    add.add_argument(
+        "--methods",
+        default="all",
+        metavar="all|A,B",
+        help=", ".join([*METHODS, *VARIANTS]) + "; plugins: those of plug-ins, which 'all' does not include",
+    )
+    add.add_argument(
+        "--envs",
+        default="all",
+        metavar="all|A,B",
+        help=", ".join([*ENVS, *GROUPS]) + "; gym:ID, a task of Gymnasium; plugins: those of plug-ins",
+    )
+    _add_plugins(add)
     add.add_argument(
         "--seeds",
         type=_seeds,
@@ -92,6 +103,11 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add = commands.add_parser(
+        "check", help="whether methods and environments keep the contract", allow_abbrev=False
+    )
+    add.add_argument("names", nargs="+", metavar="NAME", help="methods and environments, as `run` takes them")
+    _add_plugins(add)
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
@@ -110,8 +126,19 @@ def parser() -> argparse.ArgumentParser:
         )
         if name == "train":
             add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
-    commands.add_parser("list", help="methods and environments", allow_abbrev=False)
+    add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
+    _add_plugins(add)
     return top
+
+
+def _add_plugins(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE.py|MODULE",
+        help="methods and environments of your own (docs/plugins.md); may be given more than once",
+    )
 
 
 def _version() -> str:

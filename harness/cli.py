@@ -14,8 +14,9 @@ from itertools import chain
 from pathlib import Path
 
 from harness.arguments import parser
-from harness.registry import ENVS, GROUPS, METHODS, SPECS, VARIANTS, BadInput, choose
+from harness.registry import ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
 from harness.run.signals import ignore_stops, importing
+from methods.settings import settings_for
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,12 +53,14 @@ def _dispatch(argv: list[str]) -> int:
     except SystemExit:  # --help, the only other way out of a parser whose error() raises
         return 0
     if args.command == "list":
-        return _list()
+        return _list(args.plugin)
     _check_python()
     if args.command == "verify":
         return _verify(args.directory)
     if args.command == "bench":
         return _bench(args.json)
+    if args.command == "check":
+        return _check(args.names, args.plugin)
     if args.command == "experts":
         return _experts(args)
     with importing():
@@ -85,17 +88,28 @@ def _check_python() -> None:
             raise BadInput(f"{found} hides this program's package {name!r}; run it from another folder")
 
 
-def _list() -> int:
-    methods, variants = ({n: e.summary for n, e in table.items()} for table in (METHODS, VARIANTS))
-    envs = {name: entry.summary for name, entry in ENVS.items()}
-    groups = {name: ", ".join(members) for name, members in GROUPS.items()}
-    sections = {"methods": methods, "variants of methods, not part of 'all'": variants}
-    sections |= {"envs": envs, "groups of envs": groups}
+def _list(named: Sequence[str]) -> int:
+    from harness.run import plugins
+
+    plugins.add(named)
+    troubles = plugins.add_installed()
+    tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
+    theirs = PLUGINS["method"] | PLUGINS["env"]
+    sections = {
+        title: {name: entry.summary for name, entry in table.items() if name not in theirs}
+        for title, table in tables.items()
+    }
+    sections["groups of envs"] = {name: ", ".join(members) for name, members in GROUPS.items()}
+    for kind, table in PLUGINS.items():
+        if table:
+            sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")
         for name, summary in section.items():
             print(f"  {name:{width}} {summary}")
+    for trouble in troubles:
+        print(f"not usable: {_plain(trouble)}")
     return 0
 
 
@@ -110,6 +124,33 @@ def _verify(directory: Path) -> int:
     if not damaged:
         say(f"{directory}: every file is as it was written")
     return int(bool(damaged))
+
+
+def _check(names: Sequence[str], named: Sequence[str]) -> int:
+    from harness.run import plugins
+    from harness.run.progress import say
+
+    plugins.add(named)
+    plugins.add_installed()
+    names = [plugins.task_or_name(name) for name in names]
+    methods = (*METHODS, *VARIANTS)
+    choose("method or env", ",".join(names), (*methods, *ENVS))
+    plugins.load([name for name in names if name in methods], [name for name in names if name in ENVS])
+    with importing():
+        from harness import testing
+        from harness.registry import load_method
+
+    failed = False
+    for name in names:
+        if name in methods:
+            found = testing.methods.checks(load_method(name)(**settings_for(name, "", "smoke")))
+        else:
+            found = testing.envs.checks(SPECS[name])
+        for check in found:
+            outcome, why = check.outcome()
+            failed |= outcome == "FAILED"
+            say(f"{outcome:7} {name}: {check.title}{f': {why}' if why else ''}")
+    return int(failed)
 
 
 def _bench(as_json: bool) -> int:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
-from harness.registry import ENVS, GROUPS, METHODS, SPECS, VARIANTS, BadInput, choose
-from harness.run import keys, scratch
+from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
+from harness.run import keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write, read
@@ -29,8 +29,7 @@ MOST_NAMED = 20
 
 def run(args: argparse.Namespace) -> int:
     """Computes what is asked for and not there yet, and reports all that is there."""
-    methods = choose("method", args.methods, METHODS, VARIANTS)
-    envs = choose("env", args.envs, ENVS, groups=GROUPS)
+    methods, envs = _named(args)
     _prepare()
     seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
     fixed = _is_deterministic(args)
@@ -107,6 +106,19 @@ def _prepare() -> None:
         importlib.import_module("harness.run.reporting")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
         raise BadInput(f"nothing can draw the report: {error}") from error
+
+
+def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Methods and environments, those of plug-ins included, which are imported. Raises BadInput for what
+    there is not, and where one is broken."""
+    plugins.add(args.plugin)
+    plugins.add_installed()
+    envs = ",".join(plugins.task_or_name(name.strip()) for name in args.envs.split(","))
+    methods = choose("method", args.methods, METHODS, VARIANTS, {"plugins": (*PLUGINS["method"],)})
+    groups = {**GROUPS, "plugins": (*PLUGINS["env"],)}
+    chosen = choose("env", envs, BUILT_IN["env"], (*PLUGINS["env"],), groups)
+    plugins.load(methods, chosen)
+    return methods, chosen
 
 
 def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:

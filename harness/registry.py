@@ -141,6 +141,12 @@ GROUPS = {
 """Names that stand for several environments."""
 
 
+BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
+"""What is part of this program."""
+PLUGINS: dict[str, dict[str, Entry]] = {"method": {}, "env": {}}
+"""What is not (`harness.run.plugins`); those are among `VARIANTS` and `ENVS`, too."""
+
+
 class _Specs(dict[str, "EnvSpec"]):
     """Imports an environment when it is first asked for; its length and order are of those so far."""
 
@@ -154,8 +160,8 @@ SPECS = _Specs()
 
 
 def all_specs() -> list[EnvSpec]:
-    """Every environment, imported now, in the order of `ENVS`."""
-    return [SPECS[name] for name in ENVS]
+    """Every environment of this program, imported now, in the order of `ENVS`."""
+    return [SPECS[name] for name in BUILT_IN["env"]]
 
 
 def choose(
@@ -194,5 +200,8 @@ def load_method(name: str) -> type[Method]:
 
 
 def _load(target: str) -> object:
-    module, _, attribute = target.partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    """The attribute of a module, 'module:attribute', or what that has by a key, 'module:attribute/key'."""
+    module, _, place = target.partition(":")
+    attribute, _, key = place.partition("/")
+    found = getattr(importlib.import_module(module), attribute)
+    return found[key] if key else found

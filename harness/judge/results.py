@@ -237,6 +237,9 @@ class CellResult:
     """Numbers that a method tells of its fit, by name."""
     seconds: Annotated[dict[Text, Seconds], Meta(max_length=20)] = field(default_factory=dict)
     """Wall time by stage, 'start' being all that is none; that one is given when it is stored."""
+    task_version: Text = ""
+    """Of its task, the experts and how policies are scored (`harness.run.keys.task_version`); given when it
+    is stored."""
 
     @property
     def files(self) -> dict[str, str]:

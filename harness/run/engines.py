@@ -24,6 +24,7 @@ from harness.judge.results import (
     policies_of,
     usable,
 )
+from harness.run import plugins
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
 from harness.run.files import sha256_of
@@ -149,6 +150,7 @@ def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: Non
     """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, and RuntimeError where it
     is not done under the job's key."""
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
+    plugins.in_cells([job.cells[0].env])
     _check_key(job, variables)
     module = cast(Work, importlib.import_module(work))
     if job.shared:

@@ -15,12 +15,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput, Entry
-from harness.run import environment
+from harness.registry import ENVS, METHODS, PLUGINS, VARIANTS, BadInput, Entry
+from harness.run import environment, plugins
 from methods.settings import settings_for
 
 STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
 """What computes cells' numbers, and what they share."""
+SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
+"""How policies are scored, and on which episodes."""
 NO_NUMBER = {
     *("harness/registry.py", "methods/settings.py", "harness/judge/results.py"),
     *(f"harness/run/{name}.py" for name in ("artifacts", "cache", "codec", "files", "keys", "sums")),
@@ -38,6 +40,8 @@ PACKAGES = (
 MODULES = {"sbx-rl": "sbx"}
 """Packages whose module has another name."""
 PROGRAM = ("envs", "methods", "harness")
+PUBLIC = "irl_bench.py"
+"""The module that gives plug-ins all of those under one name."""
 EXPERTS = ("results/reference/experts", "harness/shipped")
 """Where the shipped experts are: in the repository, and where the package is installed."""
 TEMPLATE = "harness/show/report.html.j2"
@@ -51,6 +55,7 @@ def program() -> dict[str, bytes]:
     `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files hold
     by then."""
     files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _counts(file)]
+    files += [ROOT / PUBLIC] * (ROOT / PUBLIC).is_file()
     files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
     files += [file for folder in EXPERTS if (file := ROOT / folder / "SHA256SUMS").is_file()]
     names = {file.relative_to(ROOT).as_posix(): file for file in files}
@@ -100,7 +105,8 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     for cell in cells:
         if cell.env not in tasks:
             asked = [_asked(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
-            tasks[cell.env] = _digest(sources(STAGES, *_module(ENVS, cell.env)), asked, installed)
+            more = [*installed, *_of_others("env", cell.env)]
+            tasks[cell.env] = _digest(sources(STAGES, *_module(ENVS, cell.env)), asked, more)
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)
             settings = settings_for(method, cell.env, conditions.budget)
@@ -111,9 +117,18 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
                 _asked(cell.shown),
                 cell.dynamics,
             ]
-            methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, [])
+            more = _of_others("method", method)
+            methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, more)
         keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
     return keys
+
+
+@functools.cache
+def task_version(env: str) -> str:
+    """Of a task, its shipped experts, and how policies are scored in it. Where it is the same, scores can be
+    compared, whatever machine and packages they were computed with."""
+    asked = [experts_version(env), _target(ENVS, env)]
+    return _digest(sources(*SCORING, *_module(ENVS, env)), asked, _of_others("env", env))
 
 
 def _asked(value: Conditions | Shown) -> dict[str, object]:
@@ -134,7 +149,8 @@ def task_of(key: str) -> str:
 def expert_key(env: str, asked: object) -> str:
     """Of an environment's expert and what is made with it; asked: what JSON can hold."""
     variables = environment.of_this_process()
-    return _digest(sources(EXPERTS_MODULE, *_module(ENVS, env)), asked, [_installed(), variables])
+    more = [_installed(), variables, *_of_others("env", env)]
+    return _digest(sources(EXPERTS_MODULE, *_module(ENVS, env)), asked, more)
 
 
 def report_key(cells: object) -> str:
@@ -201,6 +217,12 @@ def _target(known: Mapping[str, Entry], name: str) -> str:
 def _module(known: Mapping[str, Entry], name: str) -> list[str]:
     """Where it is, if it is known."""
     return [_target(known, name).partition(":")[0]] if name in known else []
+
+
+def _of_others(kind: str, name: str) -> list[object]:
+    """The version of the plug-in that has the method or environment, if one has it."""
+    known = PLUGINS[kind]
+    return [plugins.version(known[name].target)] if name in known else []
 
 
 def _installed() -> list[object]:
@@ -280,7 +302,7 @@ def _commit() -> str:
     try:
         ask = functools.partial(subprocess.run, check=True, capture_output=True, text=True, timeout=10)
         commit = ask([*git, "rev-parse", "--short=10", "HEAD"]).stdout.strip()
-        changed = ask([*git, "status", "--porcelain", "--", *PROGRAM, *EXPERTS[:1]]).stdout.strip()
+        changed = ask([*git, "status", "--porcelain", "--", *PROGRAM, PUBLIC, *EXPERTS[:1]]).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return version
     return f"{version} ({commit}{'+' if changed else ''})"

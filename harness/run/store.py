@@ -28,7 +28,7 @@ from harness.run.files import (
     share_lock,
     write_atomic,
 )
-from harness.run.keys import cell_keys, origin, report_key, task_of
+from harness.run.keys import cell_keys, origin, report_key, task_of, task_version
 from harness.run.marked import held, in_use
 from harness.run.request import (
     FOLDERS,
@@ -100,7 +100,11 @@ class RunDirectory:
         for name, data in files.items():
             write_atomic(self.path / name, data)
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
-        facts = {"key": self.keys[result.cell], "origin": origin(), "finished": now}
+        facts: dict[str, object] = {
+            "key": self.keys[result.cell],
+            "task_version": task_version(result.cell.env),
+        }
+        facts |= {"origin": origin(), "finished": now}
         keyed = dataclasses.replace(result, **facts)  # type: ignore[arg-type]
         name = f"cells/{result.cell.name}.json"
         write_atomic(self.path / name, encode(keyed))

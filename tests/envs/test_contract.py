@@ -1,19 +1,21 @@
 """What every environment must satisfy."""
 
 import dataclasses
+import re
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 
-from envs import BUDGETS, EnvSpec, from_gymnasium
+from envs import EnvSpec, Shape, from_gymnasium
 from envs.learners import DDPG, DQN
-from envs.spec import Quantity
+from envs.spec import Quantity, scaled
 from harness.registry import SPECS, all_specs
-from tests.envs.lockstep import assert_together_as_alone
+from harness.testing import ContractError, check_env
+from harness.testing.contract import Check
+from harness.testing.envs import checks
 
 # A task of others, of which nothing is told but its id: it is wrapped, never terminates and draws nothing.
 DERIVED = from_gymnasium("Pendulum-v1", "derived", variants={"moon": {"g": 1.62}})
@@ -27,50 +29,65 @@ def spec(request: pytest.FixtureRequest) -> EnvSpec:
     return request.param
 
 
-def play(spec: EnvSpec, env: gym.Env, seed: int, steps: int) -> list[tuple]:
-    rng = np.random.default_rng(seed)
-    obs, _ = env.reset(seed=seed)
-    seen = [obs.tolist()]
-    for act in spec.random_actions(steps, rng):
-        obs, reward, terminated, truncated, _ = env.step(spec.native(act))
-        seen.append((obs.tolist(), reward, terminated, truncated))
-        if terminated or truncated:
-            break
-    return seen
+CHECKS = [(spec, check) for spec in ALL for check in checks(spec)]
 
 
-def pushed(spec: EnvSpec, env: gym.Env) -> list[float]:
-    """What is observed after half a hundred times the same action."""
-    obs, _ = env.reset(seed=0)
-    for _ in range(50):
-        obs, *_ = env.step(spec.native(np.ones(spec.act_size)))
-    return obs.tolist()
+@pytest.mark.parametrize("check", [c for _, c in CHECKS], ids=[f"{s.name}: {c.title}" for s, c in CHECKS])
+def test_every_task_keeps_the_contract(check: Check) -> None:
+    assert check.outcome() == ("ok", "")
 
 
-# Unbounded velocities, and a reset that renders nothing, are both as the environments' authors meant it.
-@pytest.mark.filterwarnings("ignore:.*Box observation space (minimum|maximum) value is:UserWarning")
-@pytest.mark.filterwarnings("ignore:.*not within the observation space:UserWarning")
-@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
-def test_gymnasium_accepts_it(spec: EnvSpec) -> None:
-    check_env(spec.make(), skip_render_check=True)
+def broken(**fields: object) -> EnvSpec:
+    return dataclasses.replace(DERIVED, **fields)  # type: ignore[arg-type]
 
 
-def test_the_same_seed_gives_the_same_episode(spec: EnvSpec) -> None:
-    env = spec.make()
-    first = play(spec, env, 5, 60)
-    assert play(spec, env, 5, 60) == first
-    assert play(spec, spec.make(), 5, 60) == first
-    assert play(spec, env, 6, 60) != first
+class Forgetful(gym.Wrapper):
+    """Its episodes do not depend on the seed alone."""
+
+    resets = 0
+
+    def reset(self, **given: object) -> tuple:
+        self.resets += 1
+        return self.env.reset(seed=self.resets)
 
 
-def test_actions_are_scaled_and_sizes_are_as_said(spec: EnvSpec) -> None:
-    env = spec.make()
-    if spec.discrete:
-        assert env.action_space == spaces.Discrete(spec.act_size)
-    else:
-        assert np.array_equal(env.action_space.low, -np.ones(spec.act_size, np.float32))
-        assert np.array_equal(env.action_space.high, np.ones(spec.act_size, np.float32))
-    assert env.reset(seed=0)[0].shape == (spec.obs_size,)
+class Deaf(gym.Wrapper):
+    """It hears neither seeds nor actions."""
+
+    def reset(self, **given: object) -> tuple:
+        return self.env.reset(seed=0)
+
+    def step(self, action: np.ndarray) -> tuple:
+        return self.env.step(0 * action)
+
+
+BROKEN = [
+    (broken(rl_steps={"smoke": 900, "quick": 600, "full": 600}), "budgets grow", "rl_steps must not fall"),
+    (broken(phi=lambda obs, act: obs), "features are bounded", r"within \[-1, 1\]"),
+    (broken(phi=lambda obs, act: np.ones((1, 1))), "features are bounded", "a row for each"),
+    (
+        *(broken(wrap=lambda env: Forgetful(scaled(env))), "the same seed gives the same episode"),
+        "differs after a reset",
+    ),
+    (broken(wrap=lambda env: Deaf(scaled(env))), "the same seed gives the same episode", "two seeds"),
+    (broken(draw=lambda env: {"a b": Shape(np.zeros((2, 2)), (0, 0, 0))}), "drawings keep", "identifiers"),
+    (
+        broken(draw=lambda env: {"a": Shape(np.zeros((2, 2)), (0, 0, 0))}),
+        "drawings keep",
+        "nothing that is drawn moves",
+    ),
+    (broken(variants={"same": {"g": 10.0}}), "the variant same", "everything is as in the task itself"),
+    (broken(wrap=lambda env: env), "actions are scaled", "bounds"),
+]
+
+
+@pytest.mark.parametrize(("spec", "title", "why"), BROKEN)
+def test_what_breaks_the_contract_is_told_how(spec: EnvSpec, title: str, why: str) -> None:
+    failed = {check.title: check.outcome()[1] for check in checks(spec) if check.outcome()[0] == "FAILED"}
+    (found,) = [text for its_title, text in failed.items() if its_title.startswith(title)]
+    assert re.search(why, found)
+    with pytest.raises(ContractError):
+        check_env(spec)
 
 
 def test_of_choices_the_largest_acts_and_the_first_of_equals(spec: EnvSpec) -> None:
@@ -112,49 +129,6 @@ def test_random_actions_are_uniform(spec: EnvSpec) -> None:
         )
 
 
-def test_drawings_keep_their_names_and_lie_in_the_plane(spec: EnvSpec) -> None:
-    env = spec.make()
-    env.reset(seed=1)
-    before = spec.draw(env)
-    env.step(spec.native(np.ones(spec.act_size)))
-    after = spec.draw(env)
-    assert before.keys() == after.keys()
-    assert all(name.isidentifier() for name in before), "recordings use them as paths"
-    assert all(
-        s.points.ndim == 2 and s.points.shape[1] == 2 and np.isfinite(s.points).all() for s in after.values()
-    )
-    if before:
-        assert any(not np.array_equal(before[name].points, after[name].points) for name in before)
-
-
-def test_features_are_bounded_and_finite(spec: EnvSpec) -> None:
-    rng = np.random.default_rng(2)
-    obs = 100 * rng.standard_normal((200, spec.obs_size))
-    features = spec.features(obs, spec.random_actions(200, rng))
-    assert features.shape[0] == 200
-    assert np.abs(features).max() <= 1
-
-
-def test_where_it_terminates_it_says_why(spec: EnvSpec) -> None:
-    env = spec.make()
-    for seed in range(5):
-        env.reset(seed=seed)
-        for _ in range(spec.horizon):
-            _, _, terminated, truncated, _ = env.step(spec.native(np.ones(spec.act_size)))
-            if terminated or truncated:
-                break
-        assert terminated or truncated
-        if terminated:
-            assert spec.tabular is None, "a known model has no terminal states"
-            assert spec.why_ended(env)
-            return
-
-
-def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: EnvSpec) -> None:
-    if spec.batch:
-        assert_together_as_alone(spec, min(spec.horizon, 100))
-
-
 @pytest.mark.parametrize(("spec", "name"), VARIANTS, ids=lambda value: getattr(value, "name", value))
 def test_a_variant_is_the_task_with_other_dynamics(spec: EnvSpec, name: str) -> None:
     variant = spec.variant(name)
@@ -163,8 +137,6 @@ def test_a_variant_is_the_task_with_other_dynamics(spec: EnvSpec, name: str) -> 
     assert (variant.batch is None) == (spec.batch is None)
     assert variant.shipped is None
     assert variant.name not in {s.name for s in NOMINAL}
-    both = [(one, one.make()) for one in (spec, variant)]
-    assert play(*both[0], 0, 20) != play(*both[1], 0, 20) or pushed(*both[0]) != pushed(*both[1])
     with pytest.raises(ValueError, match="there are: none"):
         variant.variant(name)
 
@@ -194,11 +166,6 @@ def test_flipped_answers_the_opposite_action_alike(spec: EnvSpec) -> None:
             assert found[:3] == expected[:3]
             if expected[1]:
                 break
-
-
-def test_budgets_grow(spec: EnvSpec) -> None:
-    for table in (spec.rl_steps, spec.eval_episodes, spec.demo_episodes):
-        assert [table[b] for b in BUDGETS] == sorted(table[b] for b in BUDGETS)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from gymnasium.wrappers import TransformReward
 
 from envs import from_gymnasium
 from envs.mujoco_batch import MujocoBatch, twin
-from tests.envs.lockstep import assert_together_as_alone
+from harness.testing.lockstep import assert_together_as_alone
 
 
 @pytest.fixture(autouse=True)

@@ -1,16 +1,20 @@
 """What every method must satisfy."""
 
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from envs.gridworld import objectworld
 from harness import registry
 from harness.registry import load_method
+from harness.testing import ContractError, check_method
+from harness.testing.contract import Check
+from harness.testing.methods import ACT, OBS, checks
 from methods.airl import AIRL
-from methods.base import Array, Episodes, Learned, Method, Reward, Unsuitable
+from methods.base import Array, Episodes, Learned, Method, World
 from methods.settings import settings_for
 from methods.sqil import SQIL
 
@@ -43,105 +47,99 @@ METHODS: dict[str, Method] = {
     name: load_method(name)(**(settings_for(name, "cartpole", "smoke") | BRIEF.get(name, {})))
     for name in (*registry.METHODS, *registry.VARIANTS)
 }
-OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
-ACT = np.random.default_rng(8).uniform(-1, 1, (40, 2))
+CHECKS = [(name, check) for name, method in METHODS.items() for check in checks(method)]
+SHORT = [(name, check.title) for name, check in CHECKS]
+NEED_EVERY_STEP = ("so it does of every other step",)
 
 
-@pytest.fixture(params=METHODS.values(), ids=list(METHODS))
-def method(request: pytest.FixtureRequest) -> Method:
-    return request.param
+@pytest.mark.parametrize(("name", "check"), CHECKS, ids=[f"{name}: {title}" for name, title in SHORT])
+def test_every_method_keeps_the_contract(name: str, check: Check) -> None:
+    outcome, why = check.outcome()
+    if check.title in NEED_EVERY_STEP and isinstance(METHODS[name], AIRL | SQIL):
+        assert (outcome, "every step is shown" in why) == ("skipped", True)
+    else:
+        assert (outcome, why) == ("ok", "")
 
 
-@pytest.fixture(params=[10, 3], ids=["demonstrations of whole episodes", "that terminate"])
-def demos(request: pytest.FixtureRequest, demonstrate: Callable[..., Episodes]) -> Episodes:
-    return demonstrate(lambda obs: np.clip(obs[:, :2], -0.9, 0.9), count=4, lifetime=request.param)
-
-
-def check(learned: Learned, obs: Array = OBS, some: Array = ACT) -> None:
-    act = learned.policy(obs)
-    assert act.shape == some.shape
-    assert np.abs(act).max() <= 1
-    np.testing.assert_array_equal(learned.policy(obs), act)
-    np.testing.assert_allclose(learned.policy(obs[3:4]), act[3:4])
-    for curve in learned.curves.values():
-        assert len(curve) > 0
-        assert np.isfinite(curve).all()
-    reward = learned.reward
-    if reward is None:
-        return
-    assert isinstance(reward, Reward)
-    assert isinstance(reward.absorbing, float)
-    assert np.isfinite(reward.absorbing)
-    values = reward(obs, some, obs)
-    assert values.shape == (len(obs),)
-    assert np.isfinite(values).all()
-    np.testing.assert_array_equal(reward(obs, some, obs), values)
-    np.testing.assert_allclose(reward(obs[3:4], some[3:4], obs[3:4]), values[3:4])
-
-
-def test_it_returns_a_deterministic_policy_and_a_finite_reward(
-    method: Method, demos: Episodes, world: Any
+@pytest.mark.parametrize("method", [METHODS[name] for name in BRIEF], ids=list(BRIEF))
+def test_these_methods_draw_from_their_generator(
+    method: Method, world: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
-    check(method.fit(demos, world, np.random.default_rng(0)))
-
-
-def test_so_it_does_of_steps_that_are_far_apart(method: Method, demos: Episodes, world: Any) -> None:
-    few = demos.every(2, np.random.default_rng(0))
-    if isinstance(method, AIRL | SQIL):
-        with pytest.raises(Unsuitable, match="every step is shown"):
-            method.fit(few, world, np.random.default_rng(0))
-        return
-    check(method.fit(few, world, np.random.default_rng(0)))
-
-
-def test_so_it_does_where_the_model_is_known(method: Method, finite_world: Any) -> None:
-    def fit(seed: int) -> Learned:
-        world = finite_world(objectworld(4, 3, 2, 0.3, np.random.default_rng(0)))
-        demos = world.rollout(world.optimal(), 4, np.random.default_rng(1))
-        return method.fit(demos, world, np.random.default_rng(seed))
-
-    rng = np.random.default_rng(2)
-    obs, act = rng.normal(size=(40, 6)), np.eye(5)[rng.integers(5, size=40)]
-    one, same = fit(0), fit(0)
-    check(one, obs, act)
-    np.testing.assert_array_equal(one.policy(obs), same.policy(obs))
-    if one.reward is not None and same.reward is not None:
-        np.testing.assert_array_equal(one.reward(obs, act, obs), same.reward(obs, act, obs))
-
-
-def outcome(method: Method, demos: Episodes, world: Any, seed: int) -> list[Array]:
-    learned = method.fit(demos, world, np.random.default_rng(seed))
-    found = [learned.policy(OBS), *map(np.array, learned.curves.values())]
-    if learned.reward is not None:
-        found += [learned.reward(OBS, ACT, OBS), np.array(learned.reward.absorbing)]
-    return found
-
-
-def test_nothing_but_the_generator_decides(method: Method, demos: Episodes, world: Any) -> None:
-    one = outcome(method, demos, world, seed=0)
-    # Nor may a global generator matter.
-    np.random.seed(5)  # noqa: NPY002
-    for first, second in zip(one, outcome(method, demos, world, seed=0), strict=True):
-        np.testing.assert_array_equal(first, second)
-
-
-@pytest.mark.parametrize("method", [METHODS[name] for name in BRIEF], ids=list(BRIEF), indirect=True)
-def test_these_methods_draw_from_it(method: Method, demos: Episodes, world: Any) -> None:
     """Not every method: one that is deterministic keeps the contract."""
-    both = (outcome(method, demos, world, seed) for seed in (0, 1))
-    assert any((first != other).any() for first, other in zip(*both, strict=True))
+    demos = demonstrate(lambda obs: np.clip(obs[:, :2], -0.9, 0.9), count=4)
+    one, other = (method.fit(demos, world, np.random.default_rng(seed)) for seed in (0, 1))
+    differ = [
+        np.array(a) != np.array(b) for a, b in zip(one.curves.values(), other.curves.values(), strict=True)
+    ]
+    if one.reward is not None and other.reward is not None:
+        differ.append(one.reward(OBS, ACT, OBS) != other.reward(OBS, ACT, OBS))
+    assert any(some.any() for some in [one.policy(OBS) != other.policy(OBS), *differ])
 
 
-def test_it_leaves_the_demonstrations_as_they_are(method: Method, demos: Episodes, world: Any) -> None:
-    before = [array.copy() for array in (*demos.obs, *demos.act)]
-    learned = method.fit(demos, world, np.random.default_rng(0))
-    learned.policy(OBS)
-    for array, copy in zip((*demos.obs, *demos.act), before, strict=True):
-        np.testing.assert_array_equal(array, copy)
-        assert not array.flags.writeable
+def linear(obs: Array) -> Array:
+    return np.clip(obs[:, :2], -1, 1)
 
 
-@pytest.mark.parametrize("terminated", [False, True])
-def test_one_demonstration_of_one_step_is_enough(method: Method, world: Any, terminated: bool) -> None:
-    one = Episodes((np.array([[0.1, 0.2, 0.3], [0.3, 0.2, 0.1]]),), (np.array([[0.5, -0.5]]),), (terminated,))
-    check(method.fit(one, world, np.random.default_rng(0)))
+@dataclass(frozen=True)
+class Pays:
+    value: float = 1.0
+    absorbing: Any = 0.0
+    size: int = 1
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
+        return np.full(len(obs) * self.size, self.value)
+
+
+@dataclass(frozen=True)
+class Returns:
+    """A method that returns what it is told."""
+
+    learned: Any
+
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Any:
+        return self.learned(demos, rng) if callable(self.learned) else self.learned
+
+
+@dataclass
+class Thawed:
+    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+        return Learned(linear, None)
+
+
+def change(demos: Episodes, rng: np.random.Generator) -> Learned:
+    for obs in demos.obs:
+        obs.flags.writeable = True
+        obs[:] = obs + 1
+    return Learned(linear, None)
+
+
+def draw(demos: Episodes, rng: np.random.Generator) -> Learned:
+    shift = np.random.uniform(-0.1, 0.1)  # noqa: NPY002
+    return Learned(lambda obs: 0.5 * linear(obs) + shift, None)
+
+
+BROKEN = [
+    (Thawed(), "it is a frozen dataclass", "must be frozen"),
+    (Returns(None), "fit returns a policy and a reward", "fit must return a Learned, not NoneType"),
+    (Returns(Learned(lambda obs: obs[:, 0], None)), "fit returns", r"actions \(40, 2\) .* not \(40,\)"),
+    (Returns(Learned(lambda obs: obs[:, :2], None)), "fit returns", r"must lie in \[-1, 1\]"),
+    (Returns(Learned(lambda obs: np.full((len(obs), 2), np.nan), None)), "fit returns", "finite"),
+    (Returns(Learned(lambda obs: linear(obs - len(obs)), None)), "fit returns", "same batch"),
+    (Returns(Learned(linear, None, {"loss": []})), "fit returns", "the curve 'loss'"),
+    (Returns(Learned(linear, linear)), "fit returns", "needs `absorbing`"),  # type: ignore[arg-type]
+    (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "must be a finite float, not None"),
+    (Returns(Learned(linear, Pays(size=2))), "fit returns", r"one number a step, \(40,\), not \(80,\)"),
+    (Returns(Learned(linear, Pays(np.inf))), "fit returns", "rewards must be finite"),
+    (Returns(change), "it leaves demonstrations as they are", "changed the demonstrations"),
+    (Returns(draw), "nothing but its generator decides", "draw from `rng` alone"),
+    (Returns(lambda demos, rng: 1 / 0), "fit returns", "ZeroDivisionError"),
+]
+
+
+@pytest.mark.parametrize(("method", "title", "why"), BROKEN)
+def test_who_breaks_the_contract_is_told_how(method: Method, title: str, why: str) -> None:
+    failed = {check.title: check.outcome()[1] for check in checks(method) if check.outcome()[0] == "FAILED"}
+    (found,) = [text for its_title, text in failed.items() if its_title.startswith(title)]
+    assert re.search(why, found)
+    with pytest.raises(ContractError):
+        check_method(method)

@@ -77,6 +77,25 @@ def test_an_edit_concerns_the_cells_that_it_can_change(file: str, monkeypatch: p
     assert {cell for cell in KEYED if cell_key(*cell) != before[cell]} == EDITS[file]
 
 
+def test_of_a_tasks_version_are_what_scores_mean_and_not_how_they_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    edits = {
+        "envs/balancing/cartpole.py": True,
+        "harness/learn/simulator.py": True,
+        "harness/judge/evaluation.py": True,
+        "harness/learn/seeds.py": True,
+        "harness/learn/rl.py": False,
+        "methods/bc.py": False,
+        "envs/driving/highway.py": False,
+    }
+    version = keys.task_version.__wrapped__
+    before, program = version("cartpole"), keys.program()
+    for file, changes in edits.items():
+        monkeypatch.setattr(keys, "program", lambda f=file: {**program, f: program[f] + b"EDITED = 1\n"})
+        assert (version("cartpole") != before) == changes, file
+
+
 SAYINGS = {
     "methods/bc.py": b"# said\n",
     "harness/learn/rl.py": b'"""Said."""\n',

@@ -1,0 +1,230 @@
+"""Methods and environments of others: of files and modules that `--plugin` names, of installed packages that
+say so in their metadata, and tasks of Gymnasium by their id alone.
+
+A plug-in's module says `METHODS = {"mine": Mine}`, dataclasses as of `methods.base.Method`, or
+`ENVS = {"task": SPEC}`, of `envs.EnvSpec`, or both. A package's metadata names single ones, as entry points
+of the groups `irl_bench.methods` and `irl_bench.envs`; those are imported when they are asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from harness.registry import BUILT_IN, ENVS, GROUPS, PLUGINS, SPECS, VARIANTS, BadInput, Entry, load_method
+
+if TYPE_CHECKING:
+    from envs import EnvSpec
+
+VARIABLE = "IRL_BENCH_PLUGINS"
+"""Tells the processes of cells which plug-ins were named, and where they are."""
+ENTRY_POINTS = {"method": "irl_bench.methods", "env": "irl_bench.envs"}
+TABLES = {"method": "METHODS", "env": "ENVS"}
+"""What a plug-in's module calls its methods and its environments."""
+GYMNASIUM = "gym:"
+"""Before the id of a task of Gymnasium, where environments are named."""
+TASK = "gym_"
+"""Before that id in the environment's name, which is part of files' names and has no slash."""
+FILE_MODULE = "irl_bench_plugin_"
+"""How the names of modules begin that are made of files."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
+READ = "docs/plugins.md"
+
+
+def add(named: Sequence[str]) -> None:
+    """Makes known what plug-ins, each a file or a module, name, here and in the processes of cells. Raises
+    BadInput for a broken one."""
+    told = _told()
+    for name in named:
+        module = _of_file(Path(name).absolute()) if name.endswith(".py") else _of_module(name)
+        _add(module, name)
+        file = str(module.__file__ or "")
+        told.append([name, file] if name.endswith(".py") else [name, _folder_of(module)])
+    if named:
+        os.environ[VARIABLE] = json.dumps(told)
+
+
+def add_installed() -> list[str]:
+    """Makes known what installed packages name. Why some of that cannot be used."""
+    troubles = []
+    for kind, group in ENTRY_POINTS.items():
+        for point in sorted(importlib.metadata.entry_points(group=group)):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
+            try:
+                _register(kind, point.name, Entry(point.value, f"of the package {package}"))
+            except BadInput as error:
+                troubles.append(f"{package}: {error}")
+    return troubles
+
+
+def add_task(env_id: str) -> str:
+    """Makes a task of Gymnasium known; its name here. Raises BadInput where that cannot be one."""
+    name = f"{TASK}{env_id.replace('/', '+')}"
+    if not env_id or not NAME.fullmatch(name) or "__" in name:
+        raise BadInput(f"{env_id[:80]!r} is no id of Gymnasium that can be used: letters, digits, - and _")
+    entry = Entry(f"{__name__}:gymnasium/{env_id}", f"Gymnasium's {env_id}")
+    ENVS[name] = PLUGINS["env"][name] = entry
+    return name
+
+
+def task_or_name(name: str) -> str:
+    """The name of an environment that may be given as 'gym:ID', which is then known. Raises BadInput as
+    `add_task` does."""
+    return add_task(name.removeprefix(GYMNASIUM)) if name.startswith(GYMNASIUM) else name
+
+
+def in_cells(envs: Sequence[str]) -> None:
+    """Makes known, in a process of cells, what the run that it is of knows. Raises BadInput as `add` does."""
+    for name, place in _told():
+        if name.endswith(".py"):
+            _add(_of_file(Path(place)), name)
+        else:
+            sys.path += [place] if place not in sys.path else []
+            _add(_of_module(name), name)
+    add_installed()
+    for env in envs:
+        if env.startswith(TASK):
+            add_task(env.removeprefix(TASK).replace("+", "/"))
+
+
+def load(methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Imports those of these that are plug-ins'. Raises BadInput where one is broken."""
+    for kind, names in (("method", methods), ("env", envs)):
+        for name in names:
+            if name in PLUGINS[kind]:
+                try:
+                    thing = load_method(name) if kind == "method" else SPECS[name]
+                except BadInput:
+                    raise
+                except (Exception, SystemExit) as error:
+                    raise BadInput(f"the {kind} {name} cannot be loaded: {_in_words(error)}") from error
+                _check(kind, name, thing)
+
+
+def version(target: str) -> list[str]:
+    """What tells one version of a plug-in's object, by its target, from another: its distributions, and
+    digests of its source as it is now."""
+    module, _, rest = target.partition(":")
+    if module == __name__:
+        import gymnasium
+
+        entry = gymnasium.spec(rest.partition("/")[2]).entry_point
+        module = entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
+        return _distributions(module)
+    loaded = sys.modules.get(module) or importlib.import_module(module)
+    top = sys.modules.get(module.partition(".")[0], loaded)
+    folders = [Path(folder) for folder in getattr(top, "__path__", [])]
+    files = [(folder, file) for folder in folders for file in sorted(folder.rglob("*.py"))]
+    files = files or [(Path(str(top.__file__)).parent, Path(str(top.__file__)))]
+    digests = [
+        f"{file.relative_to(folder).as_posix()} {hashlib.sha256(file.read_bytes()).hexdigest()}"
+        for folder, file in files
+    ]
+    return [*_distributions(module), *digests]
+
+
+class _Gymnasium(dict[str, "EnvSpec"]):
+    """Specs by the ids of Gymnasium."""
+
+    def __missing__(self, env_id: str) -> EnvSpec:
+        from envs import from_gymnasium
+
+        self[env_id] = from_gymnasium(env_id, f"{TASK}{env_id.replace('/', '+')}")
+        return self[env_id]
+
+
+gymnasium = _Gymnasium()
+"""Tasks of Gymnasium by their id, derived when one is asked for."""
+
+
+def _told() -> list[list[str]]:
+    found: list[list[str]] = json.loads(os.environ.get(VARIABLE, "[]"))
+    return found
+
+
+def _add(module: ModuleType, name: str) -> None:
+    if not any(hasattr(module, table) for table in TABLES.values()):
+        raise BadInput(f"the plug-in {name} says neither METHODS nor ENVS ({READ})")
+    for kind, table in TABLES.items():
+        things = getattr(module, table, {})
+        if not isinstance(things, Mapping):
+            raise BadInput(f"the plug-in {name}: {table} must be a dict of what it has, by name ({READ})")
+        for its_name, thing in things.items():
+            _check(kind, its_name, thing)
+            _register(kind, its_name, Entry(f"{module.__name__}:{table}/{its_name}", f"of {name}"))
+
+
+def _of_file(path: Path) -> ModuleType:
+    name = f"{FILE_MODULE}{path.stem}"
+    if name in sys.modules and sys.modules[name].__file__ != str(path):
+        raise BadInput(f"two plug-ins are called {path.name}; rename one")
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise BadInput(f"there is no plug-in {path}")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise BadInput(f"the plug-in {path} cannot be loaded: {_in_words(error)}") from error
+    return module
+
+
+def _of_module(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        raise BadInput(f"the plug-in {name} cannot be loaded: {_in_words(error)}") from error
+
+
+def _folder_of(module: ModuleType) -> str:
+    """Where Python must look to import it."""
+    top = sys.modules[module.__name__.partition(".")[0]]
+    place = next(iter(getattr(top, "__path__", [])), None) or top.__file__
+    return str(Path(str(place)).absolute().parent)
+
+
+def _check(kind: str, name: object, thing: object) -> None:
+    """Raises BadInput unless the object can be a method, or a task of that name."""
+    from envs import EnvSpec
+
+    if kind == "method" and not (isinstance(thing, type) and callable(getattr(thing, "fit", None))):
+        raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60} ({READ})")
+    if kind == "env" and not (isinstance(thing, EnvSpec) and thing.name == name):
+        raise BadInput(f"the env {name} must be an EnvSpec of that name, not {thing!r:.60} ({READ})")
+
+
+def _register(kind: str, name: object, entry: Entry) -> None:
+    """Raises BadInput for a name that cannot be used, or is another's."""
+    if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
+        raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
+    taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", *GROUPS}
+    if taken or name.startswith(("control_", TASK)):
+        raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
+    known = PLUGINS[kind]
+    if known.get(name, entry).target != entry.target:
+        raise BadInput(f"two plug-ins name a {kind} {name!r}: {known[name].summary}, and {entry.summary}")
+    known[name] = entry
+    (VARIANTS if kind == "method" else ENVS)[name] = entry
+
+
+def _distributions(module: str) -> list[str]:
+    """Installed distributions that a module may be of, with versions."""
+    names = importlib.metadata.packages_distributions().get(module.partition(".")[0], [])
+    return sorted({f"{name} {importlib.metadata.version(name)}" for name in names})
+
+
+def _in_words(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300]

@@ -1,0 +1,143 @@
+"""What every task must satisfy, cheap checks first."""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env as gymnasium_accepts
+
+from envs import BUDGETS, EnvSpec
+from harness.testing.contract import Check, expect
+from harness.testing.lockstep import assert_together_as_alone
+
+LARGE = 100
+"""Observations that features are tried on have this standard deviation."""
+
+
+def checks(spec: EnvSpec) -> list[Check]:
+    """What it must satisfy; each is to be called."""
+    found = [
+        Check("budgets grow", partial(_budgets, spec)),
+        Check("actions are scaled and sizes are as said", partial(_sizes, spec)),
+        Check("features are bounded", partial(_features, spec)),
+        Check("the same seed gives the same episode", partial(_reproducible, spec)),
+        Check("drawings keep their names", partial(_drawings, spec)),
+        Check("where it terminates it says why", partial(_endings, spec)),
+        Check("Gymnasium's own checks accept it", partial(_gymnasium, spec)),
+    ]
+    if spec.batch:
+        found.append(Check("copies step together as they do alone", partial(_batch, spec)))
+    for name in spec.variants:
+        found.append(Check(f"the variant {name} is another task", partial(_variant, spec, name)))
+    return found
+
+
+def play(spec: EnvSpec, env: gym.Env[Any, Any], seed: int, steps: int) -> list[Any]:
+    """What random actions of that seed meet with."""
+    obs, _ = env.reset(seed=seed)
+    seen: list[Any] = [obs.tolist()]
+    for act in spec.random_actions(steps, np.random.default_rng(seed)):
+        obs, reward, terminated, truncated, _ = env.step(spec.native(act))
+        seen.append((obs.tolist(), reward, terminated, truncated))
+        if terminated or truncated:
+            break
+    return seen
+
+
+def _budgets(spec: EnvSpec) -> None:
+    for name in ("rl_steps", "eval_episodes", "demo_episodes"):
+        counts = [getattr(spec, name)[budget] for budget in BUDGETS]
+        expect(counts == sorted(counts), f"{name} must not fall from {BUDGETS[0]} on, as {counts} does")
+
+
+def _sizes(spec: EnvSpec) -> None:
+    env = spec.make()
+    if spec.discrete:
+        expected: spaces.Space[Any] = spaces.Discrete(spec.act_size)
+    else:
+        expected = spaces.Box(-1.0, 1.0, (spec.act_size,), np.float32)
+    expect(env.action_space == expected, f"the action space must be {expected}, not {env.action_space}")
+    shape = env.reset(seed=0)[0].shape
+    expect(shape == (spec.obs_size,), f"reset must give observations ({spec.obs_size},), not {shape}")
+
+
+def _features(spec: EnvSpec) -> None:
+    rng = np.random.default_rng(2)
+    obs = LARGE * rng.standard_normal((200, spec.obs_size))
+    features = spec.features(obs, spec.random_actions(200, rng))
+    expect(len(features) == 200, f"phi must give a row for each of 200 steps, not {len(features)}")
+    largest = np.abs(features).max()
+    expect(largest <= 1, f"phi must lie within [-1, 1] whatever is observed, not reach {largest:.3g}")
+
+
+def _reproducible(spec: EnvSpec) -> None:
+    env = spec.make()
+    first = play(spec, env, 5, 60)
+    expect(play(spec, env, 5, 60) == first, "an episode of the same seed differs after a reset")
+    expect(play(spec, spec.make(), 5, 60) == first, "an episode of the same seed differs in another copy")
+    expect(play(spec, env, 6, 60) != first, "episodes of two seeds are the same")
+
+
+def _drawings(spec: EnvSpec) -> None:
+    env = spec.make()
+    env.reset(seed=1)
+    before = spec.draw(env)
+    env.step(spec.native(np.ones(spec.act_size)))
+    after = spec.draw(env)
+    changed = sorted(before.keys() ^ after.keys())
+    expect(not changed, f"a drawing must have the same names throughout; these come or go: {changed}")
+    odd = [name for name in before if not name.isidentifier()]
+    expect(not odd, f"names of shapes must be identifiers, not {odd}")
+    for name, shape in after.items():
+        flat = shape.points.ndim == 2 and shape.points.shape[1] == 2 and np.isfinite(shape.points).all()
+        expect(flat, f"the points of {name!r} must be finite, (P, 2), not {shape.points.shape}")
+    moved = any(not np.array_equal(before[name].points, after[name].points) for name in before)
+    expect(moved or not before, "nothing that is drawn moves")
+
+
+def _endings(spec: EnvSpec) -> None:
+    env = spec.make()
+    for seed in range(5):
+        env.reset(seed=seed)
+        terminated = truncated = False
+        for _ in range(spec.horizon):
+            _, _, terminated, truncated, _ = env.step(spec.native(np.ones(spec.act_size)))
+            if terminated or truncated:
+                break
+        expect(terminated or truncated, f"an episode goes on after the horizon of {spec.horizon} steps")
+        if terminated:
+            expect(spec.tabular is None, "a known model has no terminal states, but an episode terminated")
+            expect(spec.why_ended(env), "why_ended must say in a few words why an episode terminated")
+            return
+
+
+def _gymnasium(spec: EnvSpec) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of unbounded observations, which are allowed
+        gymnasium_accepts(spec.make(), skip_render_check=True)
+
+
+def _batch(spec: EnvSpec) -> None:
+    assert_together_as_alone(spec, min(spec.horizon, 100))
+
+
+def _variant(spec: EnvSpec, name: str) -> None:
+    variant = spec.variant(name)
+    both = [(one, one.make()) for one in (spec, variant)]
+    one, other = (play(*pair, 0, 20) for pair in both)
+    same = one == other and _pushed(*both[0]) == _pushed(*both[1])
+    expect(not same, f"in the variant {name} everything is as in the task itself")
+
+
+def _pushed(spec: EnvSpec, env: gym.Env[Any, Any]) -> list[float]:
+    """What is observed after half a hundred times the same action."""
+    obs, _ = env.reset(seed=0)
+    for _ in range(50):
+        obs, *_ = env.step(spec.native(np.ones(spec.act_size)))
+    found: list[float] = obs.tolist()
+    return found

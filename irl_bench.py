@@ -1,0 +1,72 @@
+"""All that a plug-in, a notebook or another program needs of this benchmark, under one name.
+
+import irl_bench
+
+frames = irl_bench.run(methods=["bc", "gail"], envs=["swingup"], seeds=3, budget="smoke")
+scores = irl_bench.load("results/reference/board/swingup_5").scores
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from envs import EnvSpec, from_gymnasium
+    from envs.learners import DDPG, DQN, PPO, SAC, TD3
+    from envs.spec import Quantity, Shape
+    from harness.frames import Frames, load, run
+    from harness.testing import ContractError, check_env, check_method
+    from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
+    from methods.network import Network
+
+_FROM = {
+    "envs": ("EnvSpec", "from_gymnasium"),
+    "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
+    "envs.spec": ("Quantity", "Shape"),
+    "harness.frames": ("Frames", "load", "run"),
+    "harness.testing": ("ContractError", "check_env", "check_method"),
+    "methods.base": (
+        *("Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
+    ),
+    "methods.network": ("Network",),
+}
+_WHERE = {name: module for module, names in _FROM.items() for name in names}
+
+__all__ = [
+    "DDPG",
+    "DQN",
+    "PPO",
+    "SAC",
+    "TD3",
+    "ContractError",
+    "EnvSpec",
+    "Episodes",
+    "Frames",
+    "Learned",
+    "Method",
+    "Network",
+    "Policy",
+    "Quantity",
+    "Reward",
+    "Shape",
+    "Transitions",
+    "Unsuitable",
+    "World",
+    "check_env",
+    "check_method",
+    "from_gymnasium",
+    "load",
+    "run",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Imports what is asked for when it is first asked for, for torch takes a second."""
+    if name not in _WHERE:
+        raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(importlib.import_module(_WHERE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,226 @@
+"""Methods and tasks of others: named, installed, broken, computed, and never mistaken for one another."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import irl_bench
+from harness import registry
+from harness.cli import main
+from harness.judge.results import Cell, Conditions
+from harness.registry import ENVS, PLUGINS, SPECS, VARIANTS, BadInput, load_method
+from harness.run import keys, plugins
+
+ROOT = Path(__file__).parents[3]
+SAMPLE = ROOT / "tests/sample_plugin"
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+MINE = """
+from dataclasses import dataclass
+from irl_bench import Learned, from_gymnasium
+from methods.bc import BehaviourCloning
+
+@dataclass(frozen=True)
+class Mine(BehaviourCloning):
+    steps: int = 30
+
+METHODS = {"mine": Mine}
+ENVS = {"moon": from_gymnasium("Pendulum-v1", "moon", kwargs={"g": 1.62})}
+"""
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What is made known here is forgotten again."""
+    for table in (VARIANTS, ENVS, SPECS, PLUGINS["method"], PLUGINS["env"]):
+        for name in ("mine", "moon", "still", "broken", "slow_swingup", "gym_Pendulum-v1"):
+            monkeypatch.setitem(table, name, None)  # type: ignore[arg-type]
+            monkeypatch.delitem(table, name)
+    monkeypatch.delenv(plugins.VARIABLE, raising=False)
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.startswith(plugins.FILE_MODULE):
+            del sys.modules[name]
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    (tmp_path / "mine.py").write_text(MINE)
+    return tmp_path / "mine.py"
+
+
+def key(cell: Cell) -> str:
+    return keys.cell_keys([cell], CONDITIONS, {})[cell]
+
+
+def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> None:
+    plugins.add([str(mine)])
+    assert load_method("mine").__name__ == "Mine"
+    assert SPECS["moon"].name == "moon"
+    assert "mine" not in registry.choose("method", "all", registry.METHODS, VARIANTS)
+    assert json.loads(os.environ[plugins.VARIABLE]) == [[str(mine), str(mine)]]
+    plugins.add([str(mine)])  # once more
+
+
+def test_a_key_is_of_the_plugins_source_and_of_no_others(mine: Path) -> None:
+    plugins.add([str(mine)])
+    cells = [Cell("swingup", "mine", 0), Cell("moon", "bc", 0), Cell("swingup", "bc", 0)]
+    before = [key(cell) for cell in cells]
+    mine.write_text(MINE + "# edited\n")
+    after = [key(cell) for cell in cells]
+    assert [a == b for a, b in zip(after, before, strict=True)] == [False, False, True]
+    assert keys.task_of(before[0]) == keys.task_of(before[2]) == keys.task_of(after[0])
+
+
+BROKEN = {
+    "syntax": ("def broken(:", "cannot be loaded: SyntaxError"),
+    "raises": ("1 / 0", "cannot be loaded: ZeroDivisionError"),
+    "exits": ("import sys; sys.exit(3)", "cannot be loaded: SystemExit"),
+    "import": ("import nowhere_to_be_found", "cannot be loaded: ModuleNotFoundError"),
+    "nothing": ("", "says neither METHODS nor ENVS"),
+    "no dict": ("METHODS = 3", "METHODS must be a dict"),
+    "no class": ("METHODS = {'mine': 3}", "must be a class with a method fit, not 3"),
+    "no fit": ("class A: ...\nMETHODS = {'mine': A}", "must be a class with a method fit"),
+    "shadows": ("class A:\n fit = print\nMETHODS = {'bc': A}", "'bc': the name is this program's"),
+    "control": ("class A:\n fit = print\nMETHODS = {'control_x': A}", "the name is this program's"),
+    "all": ("class A:\n fit = print\nMETHODS = {'all': A}", "the name is this program's"),
+    "odd name": ("class A:\n fit = print\nMETHODS = {'a b': A}", "'a b' is no name of methods"),
+    "two parts": ("class A:\n fit = print\nMETHODS = {'a__b': A}", "'a__b' is no name of methods"),
+    "no spec": ("ENVS = {'moon': 3}", "must be an EnvSpec of that name, not 3"),
+    "other name": (
+        MINE.replace('"moon": from', '"mars": from'),
+        "the env mars must be an EnvSpec of that name",
+    ),
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_broken_plugin_is_one_line_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str
+) -> None:
+    text, reason = BROKEN[how]
+    (tmp_path / "odd.py").write_text(text)
+    out = tmp_path / "run"
+    assert main(["run", "--plugin", str(tmp_path / "odd.py"), "--methods", "bc", "--out", str(out)]) == 2
+    err = capsys.readouterr().err
+    assert reason in err
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_what_is_no_plugin_is_said(tmp_path: Path) -> None:
+    for name in ("nowhere.py", str(tmp_path / "folder.py"), "no_such_module"):
+        (tmp_path / "folder.py").mkdir(exist_ok=True)
+        with pytest.raises(BadInput, match=r"there is no plug-in|cannot be loaded"):
+            plugins.add([name])
+
+
+def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
+    (tmp_path / "other.py").write_text(MINE.replace("moon", "mars"))
+    with pytest.raises(
+        BadInput, match=r"two plug-ins name a method 'mine': of .*mine\.py, and of .*other\.py"
+    ):
+        plugins.add([str(mine), str(tmp_path / "other.py")])
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/mine.py").write_text(MINE)
+    with pytest.raises(BadInput, match=r"two plug-ins are called mine\.py"):
+        plugins.add([str(tmp_path / "folder/mine.py")])
+
+
+def test_a_task_of_gymnasium_needs_its_id_alone() -> None:
+    assert plugins.task_or_name("gym:Pendulum-v1") == "gym_Pendulum-v1"
+    assert SPECS["gym_Pendulum-v1"].env_id == "Pendulum-v1"
+    plugins.load([], ["gym_Pendulum-v1"])
+    assert key(Cell("gym_Pendulum-v1", "bc", 0)) != key(Cell("swingup", "bc", 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("gym:NoSuchTask-v0", "NameNotFound"),
+        ("gym:Blackjack-v1", "observations must be a flat box"),
+        ("gym:../run-v0", "no id of Gymnasium"),
+        ("gym:", "no id of Gymnasium|cannot be loaded"),
+    ],
+)
+def test_of_a_task_that_cannot_be_derived_it_is_said_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reason: str
+) -> None:
+    out = tmp_path / "run"
+    assert main(["run", "--methods", "bc", "--envs", name, "--out", str(out)]) == 2
+    err = capsys.readouterr().err
+    assert pd.Series([err]).str.contains(reason).all(), err
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def command(folder: Path, *words: str, code: int = 0, **variables: str) -> str:
+    """What the command line prints, run in a folder."""
+    env = {**os.environ, "IRL_BENCH_CACHE": str(folder / "cache"), **variables}
+    program = [sys.executable, "-c", "from harness.cli import main; import sys; sys.exit(main())"]
+    done = subprocess.run(
+        [*program, *words], cwd=folder, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+SMOKE = ("--budget", "smoke", "--no-retrain", "--record", "none")
+
+
+def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
+    told = command(
+        mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,plugins", "--envs", "swingup", *SMOKE
+    )
+    assert "3 cells to run" in told
+    frames = irl_bench.load(mine.parent / "results/latest")
+    stars = frames.scores[frames.scores.policy == "pi_star"]
+    assert dict(zip(stars.method, stars.status, strict=True)) == {"bc": "ok", "mine": "ok"}
+    assert "methods of plug-ins:\n  mine " in command(mine.parent, "list", "--plugin", "mine.py")
+    assert "ok      mine: it is a frozen dataclass" in command(
+        mine.parent, "check", "mine", "--plugin", "mine.py"
+    )
+    # It is edited: its own cell is computed anew, and no other.
+    mine.write_text(MINE.replace("30", "40"))
+    told = command(
+        mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,mine", "--envs", "swingup", *SMOKE
+    )
+    assert "1 cells to run, 2 kept from before" in told
+
+
+def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+    ]
+    source = tmp_path / "source"
+    source.mkdir()
+    for file in SAMPLE.glob("*.*"):
+        (source / file.name).write_bytes(file.read_bytes())
+    subprocess.run([*install, "--target", str(site), str(source)], check=True, capture_output=True)
+    listed = command(tmp_path, "list", PYTHONPATH=str(site))
+    assert "still        " in listed.partition("methods of plug-ins:")[2] or "  still" in listed
+    assert "of the package irl-bench-sample 0.3" in listed
+    assert "not usable: irl-bench-sample 0.3: no plug-in may name its method 'bc'" in listed
+    asked = ("--methods", "still", "--envs", "slow_swingup", *SMOKE, "--out", "run")
+    told = command(tmp_path, "run", *asked, PYTHONPATH=str(site))
+    assert "2 cells to run" in told
+    scores = irl_bench.load(tmp_path / "run").scores
+    assert set(scores[scores.policy == "pi_star"].status) == {"ok"}
+    broken = command(
+        tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=str(site), code=2
+    )
+    assert "the method broken cannot be loaded: AttributeError" in broken
