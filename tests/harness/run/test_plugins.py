@@ -37,13 +37,13 @@ ENVS = {"moon": from_gymnasium("Pendulum-v1", "moon", kwargs={"g": 1.62})}
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What is made known here is forgotten again."""
-    for table in (VARIANTS, ENVS, SPECS, PLUGINS["method"], PLUGINS["env"]):
-        for name in ("mine", "moon", "still", "broken", "slow_swingup", "gym_Pendulum-v1"):
-            monkeypatch.setitem(table, name, None)  # type: ignore[arg-type]
-            monkeypatch.delitem(table, name)
+    tables = [VARIANTS, ENVS, SPECS, PLUGINS["method"], PLUGINS["env"]]
+    known, before = [dict(table) for table in tables], set(sys.modules)
     monkeypatch.delenv(plugins.VARIABLE, raising=False)
-    before = set(sys.modules)
     yield
+    for table, its in zip(tables, known, strict=True):
+        for name in table.keys() - its.keys():
+            del table[name]
     for name in set(sys.modules) - before:
         if name.startswith(plugins.FILE_MODULE):
             del sys.modules[name]
