@@ -90,6 +90,14 @@ def parser() -> argparse.ArgumentParser:
         "on R* there",
     )
     add.add_argument("--no-retrain", action="store_true", help="pi* alone: neither pi_R nor controls")
+    add.add_argument(
+        "--baseline",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="DIR",
+        help="a run, or a folder of runs, to be shown beside: what it has is not computed again",
+    )
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser(
@@ -103,6 +111,9 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add = commands.add_parser("compare", help="what differs between runs", allow_abbrev=False)
+    add.add_argument("directory", type=Path, metavar="A", help="the run that others are compared with")
+    add.add_argument("others", nargs="+", type=Path, metavar="B")
     add = commands.add_parser(
         "check", help="whether methods and environments keep the contract", allow_abbrev=False
     )

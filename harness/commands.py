@@ -12,7 +12,7 @@ from pathlib import Path
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
 from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
-from harness.run import keys, plugins, scratch
+from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write, read
@@ -22,6 +22,7 @@ from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
 from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_verify
 from harness.run.sums import SUMS
+from harness.show.compare import Run as Comparable
 
 MOST_NAMED = 20
 """Files that a line names, but for the first."""
@@ -50,10 +51,13 @@ def run(args: argparse.Namespace) -> int:
     engine = _engine(args, envs)
     if args.engine == "inline":
         _check_all_inline(args.out, engine)
+    beside = baseline.comparable(args.baseline, request, engine.variables) if args.baseline else []
     with open_for_run(args.out, request, engine.variables) as run:
+        if beside:
+            run.keep_beside(beside)
         results = _compute(run, request, args, engine)
         whole = _write_report(run, list(results.values()), anew=False)
-        failed = _tell_troubles([results[cell] for cell in request.cells])
+        failed = _tell_troubles([results[cell] for cell in request.cells if cell in results])
     return int(failed or not whole)
 
 
@@ -91,6 +95,34 @@ def report(directory: Path) -> int:
         whole = _write_report(run, list(results.values()), anew=True)
     failed = _tell_troubles(list(results.values()))
     return int(failed or not whole or bool(unusable))
+
+
+def compare(directory: Path, others: Sequence[Path]) -> int:
+    """Shows what differs between a run and each of the others."""
+    from harness.show import compare as comparison
+    from harness.show.report import markdown
+
+    first, *rest = [_read(path) for path in (directory, *others)]
+    for other in rest:
+        say(f"# {first.name}, and there: {other.name}\n")
+        for line in comparison.differing(first, other):
+            say(f"- {line}")
+        for env in comparison.other_versions(first, other):
+            say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
+        found = comparison.as_lines(comparison.differences(first, other))
+        say("\n" + markdown(comparison.HEADINGS, found) if found else "\nthere is nothing that both have")
+    return 0
+
+
+def _read(path: Path) -> Comparable:
+    """A run to be compared. Raises BadInput where there is none with a finished cell."""
+    with open_to_verify(path) as run:
+        results, unusable = run.load()
+        beside, damaged = run.beside()
+    _tell_unusable(unusable | damaged, "left out")
+    if not results and not beside:
+        raise BadInput(f"{path} holds no finished cell")
+    return Comparable(str(path), run.request.conditions, [*results.values(), *beside])
 
 
 def _prepare() -> None:
@@ -179,8 +211,9 @@ def _compute(
 
     known, unusable = run.load()
     _tell_unusable(unusable, "left out, computed again if asked for")
+    beside = _beside(run, request, engine)
     again = {cell for cell, result in known.items() if args.retry_failed and _has_failed(result)}
-    cells = [cell for cell in request.cells if cell not in known or cell in again]
+    cells = [cell for cell in request.cells if (cell not in known and cell not in beside) or cell in again]
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
@@ -189,19 +222,34 @@ def _compute(
     grid = Grid(conditions, run, engine)
     grid.run(cells)
     results, _ = run.load()
-    if lost := [cell for cell in request.cells if cell not in results]:
+    if lost := [cell for cell in request.cells if cell not in results and cell not in beside]:
         tell(f"lost or damaged while the run went on, computed again: {lost[0].name}, {len(lost)} in all")
         grid.run(lost)
         results, unusable = run.load()
-        for cell in [cell for cell in request.cells if cell not in results]:
+        for cell in [cell for cell in lost if cell not in results]:
             reason = unusable.get(run.path / "cells" / f"{cell.name}.json", "it is gone")
             results[cell] = failed_rows(
                 cell, conditions.protocol, f"its stored result cannot be used: {reason}"
             )
             run.save(results[cell])
-    if any(_has_failed(results[cell]) for cell in request.cells) and (run.path / LOG).exists():
+    if (
+        any(_has_failed(results[cell]) for cell in request.cells if cell in results)
+        and (run.path / LOG).exists()
+    ):
         tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
     return results
+
+
+def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, CellResult]:
+    """What the run is shown beside and need not compute."""
+    found, unusable = run.beside()
+    _tell_unusable(unusable, "left out of the baseline")
+    tasks = baseline.tasks_now(run.request, engine.variables)
+    if not all(baseline.is_comparable(result, tasks) for result in found):
+        raise BadInput(
+            f"the baseline in {run.path} is {baseline.OTHER_VERSION}; give it again, or another --out"
+        )
+    return {result.cell: result for result in found}
 
 
 def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
@@ -212,23 +260,24 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
     damaged = run.damaged_files(results) | run.swapped(results)
+    beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
-        run.seal(results, write_report(run.path, run.request, results))
+        run.seal(results, write_report(run.path, run.request, [*results, *beside]))
     say("\n" + _text(run.path / "leaderboard.md"))
     shown = ["scores.csv", "report.html"]
     shown += ["recordings"] * any(result.recordings for result in results)
     shown += ["artifacts"] * any(result.artifacts for result in results)
     for name in shown:
         say(f"{name:11} {run.path / name}")
-    there = {result.cell for result in results}
+    there = {result.cell for result in [*results, *beside]}
     if absent := [cell.name for cell in run.request.cells if cell not in there]:
         say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
-    _tell_unusable(damaged, "damaged")
+    _tell_unusable(damaged | unusable, "damaged")
     if forgotten:
         tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
     if incomplete:
         tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
-    return not (forgotten or damaged or incomplete)
+    return not (forgotten or damaged or unusable or incomplete)
 
 
 def _and_more(names: Sequence[str]) -> str:

@@ -106,7 +106,7 @@ class Entry:
     check_steps: float
     rl_solves: float
     note: str
-    """Which seeds were skipped, failed or not scored, and why."""
+    """Where it comes from, if from a baseline; which seeds were skipped, failed or not scored, and why."""
 
     @property
     def task(self) -> str:
@@ -308,8 +308,13 @@ def _entry(
         check_steps=_mean([row.check_steps for row in ok]),
         rl_solves=_mean([row.rl_solves for row in ok]),
         note="; ".join(
-            f"{status} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(seeds)}): {reason}"
-            for (status, reason), seeds in reasons.items()
+            [
+                *sorted({row.source for row in rows if row.source}),
+                *(
+                    f"{status} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(seeds)}): {reason}"
+                    for (status, reason), seeds in reasons.items()
+                ),
+            ]
         ),
     )
 

@@ -2,6 +2,7 @@
 
 DIR/run.json               the request: methods, envs, seeds, conditions, and the format's version
 DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
+DIR/baseline/*.json        cells of other runs that this one is shown beside, where it has any
 DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
@@ -190,6 +191,8 @@ class Row:
     """Whose demonstrations (`harness.run.experts.Expert.name`)."""
     pairs: Count = 0
     """Pairs of observation and action that were shown; 0 where none were, or it is not known."""
+    source: Text = ""
+    """Where it comes from, where it was not computed for this run (`harness.run.baseline`)."""
 
     @property
     def task(self) -> str:

@@ -69,6 +69,15 @@ def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> t
     return float(low), float(high)
 
 
+def probability_of_improvement(values: Sequence[float], others: Sequence[float]) -> float:
+    """How probable it is that one of the values is larger than one of the others, equal ones counting half
+    (Agarwal et al. 2021, after Mann & Whitney 1947). NaN where there are none of either."""
+    if not len(values) or not len(others):
+        return math.nan
+    apart = np.subtract.outer(np.asarray(values, np.float64), np.asarray(others, np.float64))
+    return float(((apart > 0) + 0.5 * (apart == 0)).mean())
+
+
 def _middle_means(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Interquartile means along the last axis."""
     cut = values.shape[-1] // 4

@@ -25,10 +25,13 @@ SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
 """How policies are scored, and on which episodes."""
 NO_NUMBER = {
     *("harness/registry.py", "methods/settings.py", "harness/judge/results.py"),
-    *(f"harness/run/{name}.py" for name in ("artifacts", "cache", "codec", "files", "keys", "sums")),
+    *(
+        f"harness/run/{name}.py"
+        for name in ("artifacts", "cache", "codec", "files", "keys", "plugins", "sums")
+    ),
 }
 """Files that those import and that change none of the numbers. What the first two say of a cell's own method
-is in its key; the others name what was found, and keep it bit for bit."""
+is in its key, as is a plug-in's version; the others name what was found, and keep it bit for bit."""
 DRAWING = "draw"
 """How the names of functions begin that make pictures, and no numbers."""
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")

@@ -18,7 +18,11 @@ LOCK = ".lock"
 LOCK_MARK = "irl-bench "
 """What a lock says before the number of the process that has it."""
 REQUEST = "run.json"
-FOLDERS = {"cells": "json", "recordings": "rrd", "artifacts": "safetensors", "figures": "png"}
+BASELINE = "baseline"
+FOLDERS = {
+    **{"cells": "json", BASELINE: "json", "recordings": "rrd", "artifacts": "safetensors"},
+    "figures": "png",
+}
 """Of a run's directory, and how the names of files end that a run writes there."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 

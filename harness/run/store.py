@@ -31,6 +31,7 @@ from harness.run.files import (
 from harness.run.keys import cell_keys, origin, report_key, task_of, task_version
 from harness.run.marked import held, in_use
 from harness.run.request import (
+    BASELINE,
     FOLDERS,
     LOCK,
     REQUEST,
@@ -56,7 +57,7 @@ LOG = "run.log"
 REPORT_KEY = "report.key"
 REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REPORT_KEY)
 """Beside figures, what is rebuilt from cells."""
-OF_CELLS = ("cells/", "recordings/", "artifacts/")
+OF_CELLS = ("cells/", f"{BASELINE}/", "recordings/", "artifacts/")
 """How the names of files begin that a cell wrote."""
 OTHER_VERSION = "computed by another version of the program, its packages or its experts"
 CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
@@ -140,8 +141,8 @@ class RunDirectory:
         return dict(sorted(results.items())), unusable
 
     def seal(self, results: Sequence[CellResult], files: Iterable[Path]) -> None:
-        """Notes what the run holds: these results and `files`, rebuilt from them by this version. Of cells
-        that were noted before and are not among these, the lines stay."""
+        """Notes what the run holds: these results, those that they are shown beside, and `files`, rebuilt
+        from them by this version. Of cells that were noted before and are not among these, the lines stay."""
         self.check()
         known = {"", *(result.cell.name for result in results)}
         lines = {name: digest for name, digest in self._listed().items() if _cell_of(name) not in known}
@@ -149,7 +150,7 @@ class RunDirectory:
             name = f"cells/{result.cell.name}.json"
             lines[name] = sha256(self.path / name)
             lines |= result.files
-        lines |= {file.relative_to(self.path).as_posix(): sha256(file) for file in files}
+        lines |= {f.relative_to(self.path).as_posix(): sha256(f) for f in [*files, *self._baseline_files()]}
         listed = as_lines((digest, name) for name, digest in sorted(lines.items()))
         write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{seal_of(listed.encode())}\n")
         write_atomic(self.path / SUMS, listed + as_lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
@@ -167,6 +168,33 @@ class RunDirectory:
             )
         except (OSError, ValueError):
             return False
+
+    def keep_beside(self, results: Iterable[CellResult]) -> None:
+        """Keeps cells of other runs to be shown beside its own, in the place of those that it had. Raises
+        OSError where one cannot be written."""
+        self.check()
+        folder = self.path / BASELINE
+        folder.mkdir(exist_ok=True)
+        texts = {f"{result.cell.name}.json": encode(result) for result in results}
+        for name, text in texts.items():
+            write_atomic(folder / name, text)
+        for file in self._baseline_files():
+            if file.name not in texts:
+                file.unlink()
+
+    def beside(self) -> tuple[list[CellResult], dict[Path, str]]:
+        """The cells of other runs that it is shown beside, and why files that should hold one do not. A cell
+        that the run has itself by now is none."""
+        found, unusable = [], {}
+        for path in self._baseline_files():
+            try:
+                result = decode(read(path))
+            except (ValueError, OSError) as error:
+                unusable[path] = in_words(error)
+                continue
+            if not (self.path / "cells" / path.name).exists():
+                found.append(result)
+        return found, unusable
 
     def swapped(self, results: Iterable[CellResult]) -> dict[Path, str]:
         """Cells among these whose files are not those that were noted when they were stored."""
@@ -228,6 +256,9 @@ class RunDirectory:
             if why_damaged(self.path / name, digest)
         }
 
+    def _baseline_files(self) -> list[Path]:
+        return sorted((self.path / BASELINE).glob("*.json"))
+
     def _cell_files(self) -> list[Path]:
         folder = self.path / "cells"
         try:
@@ -272,8 +303,8 @@ class RunDirectory:
             return {}
 
     def _key_of_report(self, results: Iterable[CellResult]) -> str:
-        cells = [sha256(self.path / "cells" / f"{result.cell.name}.json") for result in results]
-        return report_key(cells)
+        cells = [self.path / "cells" / f"{result.cell.name}.json" for result in results]
+        return report_key([sha256(file) for file in [*cells, *self._baseline_files()]])
 
     def _report_key(self) -> tuple[str, str]:
         """Which cells and which version the report was built from, and the seal of the list that was written

@@ -105,14 +105,14 @@ def report_files(
     parts = [f"# {flag}Leaderboard\n", "".join(f"- {_escaped(line)}\n" for line in made)]
     if across or apart:
         said = "".join(f"- {_escaped(line)}\n" for line in apart)
-        table = _markdown(OVERALL_HEADINGS, across) if across else ""
+        table = markdown(OVERALL_HEADINGS, across) if across else ""
         parts.append(f"## Across environments\n\n{said}\n{table}")
     for name, its_tables in tables.items():
-        text = "\n".join(_markdown(headings, table) for headings, table in its_tables if table)
+        text = "\n".join(markdown(headings, table) for headings, table in its_tables if table)
         parts.append(f"## {name}{f': {NO_RESULT}, {flags[name]}' if flags[name] else ''}\n\n{text}")
     origins, spent = _origins(results), _spent(results)
     if spent:
-        parts.append(f"## Where the time went\n\n{_markdown(SPENT_HEADINGS, spent)}")
+        parts.append(f"## Where the time went\n\n{markdown(SPENT_HEADINGS, spent)}")
     parts.append("## Computed with\n\n" + "".join(f"- {_escaped(line)}\n" for line in origins))
     files["leaderboard.md"] = "\n".join(parts)
 
@@ -326,7 +326,7 @@ def _costs(entry: Entry) -> list[str]:
     ]
 
 
-def _markdown(headings: Sequence[str], table: Sequence[Sequence[str]]) -> str:
+def markdown(headings: Sequence[str], table: Sequence[Sequence[str]]) -> str:
     lines = [headings, ["---"] * len(headings), *table]
     return "".join("| " + " | ".join(map(_escaped, line)) + " |\n" for line in lines)
 

@@ -1,0 +1,135 @@
+"""What differs between runs: how they were computed, and what their methods score."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
+from harness.judge.results import REFERENCE, CellResult, Conditions, Row
+from harness.judge.statistics import mean_interval, probability_of_improvement
+
+HEADINGS = (
+    "Task",
+    "Method",
+    "Policy",
+    "Seeds",
+    "Score",
+    "Score there",
+    "Difference [95 %]",
+    "P(better there)",
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that was read: its name, the conditions of its request, and its cells."""
+
+    name: str
+    conditions: Conditions
+    results: Sequence[CellResult]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A policy of a method in two runs, over the seeds that both have; scores are normalized, each by its own
+    run. low, high: 95 % interval of the mean of the paired differences, NaN with one seed. better: the
+    probability that a seed there scores more than one here (Agarwal et al. 2021)."""
+
+    board: str
+    method: str
+    policy: str
+    seeds: int
+    here: float
+    there: float
+    difference: float
+    low: float
+    high: float
+    better: float
+
+
+def differing(one: Run, other: Run) -> list[str]:
+    """In what else than their scores the runs differ, a line each."""
+    lines = []
+    for field in dataclasses.fields(Conditions):
+        a, b = (getattr(run.conditions, field.name) for run in (one, other))
+        if a != b:
+            lines.append(f"{field.name}: {a}, there {b}")
+    facts = [_facts(run) for run in (one, other)]
+    for name in dict.fromkeys([*facts[0], *facts[1]]):
+        a, b = (", ".join(sorted(its.get(name, {"unknown"}))) for its in facts)
+        if a != b:
+            lines.append(f"{name}: {a}, there {b}")
+    return lines
+
+
+def _facts(run: Run) -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for result in run.results:
+        for name, value in result.origin.items():
+            found.setdefault(name, set()).add(value)
+    return found
+
+
+def other_versions(one: Run, other: Run) -> list[str]:
+    """Environments whose scores cannot be compared, for their task, its experts or the way of scoring are not
+    known to be the same."""
+    versions = [
+        {result.cell.env: (result.task_version, result.key.partition(":")[0]) for result in run.results}
+        for run in (one, other)
+    ]
+    return sorted(
+        env
+        for env in versions[0].keys() & versions[1].keys()
+        if not any(a == b != "" for a, b in zip(versions[0][env], versions[1][env], strict=True))
+    )
+
+
+def differences(one: Run, other: Run) -> list[Difference]:
+    """Of every policy that both have, in the order of the first run's leaderboard."""
+    apart = other_versions(one, other)
+    here, there = (scored_rows(run.results) for run in (one, other))
+    found = []
+    for entry in leaderboard(here):
+        mine, theirs = (_of(rows, entry) for rows in (here, there))
+        seeds = sorted(mine.keys() & theirs.keys())
+        if entry.env in apart or entry.method == REFERENCE or not seeds:
+            continue
+        pairs = [(mine[seed], theirs[seed]) for seed in seeds]
+        gained = [b - a for a, b in pairs]
+        a, b = ([pair[i] for pair in pairs] for i in (0, 1))
+        found.append(
+            Difference(
+                *(entry.board, entry.method, entry.policy, len(seeds)),
+                *(math.fsum(a) / len(a), math.fsum(b) / len(b), math.fsum(gained) / len(gained)),
+                *mean_interval(gained),
+                probability_of_improvement(b, a),
+            )
+        )
+    return found
+
+
+def _of(rows: Sequence[Row], entry: Entry) -> dict[int, float]:
+    """By seed, the scores that the entry is of."""
+    names = ("env", "dynamics", "method", "policy", "protocol")
+    return {
+        row.seed: row.normalized_score
+        for row in rows
+        if all(getattr(row, name) == getattr(entry, name) for name in names)
+        and is_on(row, entry.shown)
+        and math.isfinite(row.normalized_score)
+    }
+
+
+def as_lines(found: Sequence[Difference]) -> list[list[str]]:
+    """Of the table with `HEADINGS`."""
+    return [
+        [
+            *(d.board, d.method, d.policy, str(d.seeds), f"{d.here:z.2f}", f"{d.there:z.2f}"),
+            f"{d.difference:+.2f}" + (f" [{d.low:+.2f}, {d.high:+.2f}]" if math.isfinite(d.low) else ""),
+            f"{d.better:.2f}",
+        ]
+        for d in found
+    ]

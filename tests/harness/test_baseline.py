@@ -1,0 +1,211 @@
+"""A run is shown beside cells of others where those can be compared, and nowhere else; runs are compared."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from harness import commands
+from harness.cli import main
+from harness.judge.results import Cell, CellResult, Request, policies_of
+from harness.judge.statistics import probability_of_improvement
+from harness.registry import BadInput
+from harness.run import baseline, keys, store
+from harness.run.codec import checksum
+from harness.run.environment import numeric
+from harness.run.store import open_for_run
+from harness.show import compare
+from tests.harness.made_results import REQUEST, make_results, make_row
+
+MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
+VARIABLES = numeric(True)
+
+
+def made(path: Path, results: list[CellResult] | None = None, request: Request = REQUEST) -> Path:
+    """A run of these results."""
+    with open_for_run(path, request) as run:
+        for result in make_results() if results is None else results:
+            run.save(result)
+    return path
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    return made(tmp_path / "board/one").parent
+
+
+def computed(seeds: tuple[int, ...], score: float = 470.0, method: str = "gail") -> list[CellResult]:
+    cells = [Cell("cartpole", method, seed) for seed in seeds]
+    policy = policies_of(cells[0])[0]
+    return [CellResult(c, [make_row(c.env, method, c.seed, policy, return_mean=score)]) for c in cells]
+
+
+def edited(board: Path, change: Callable[[dict], None], cells: str = "*") -> None:
+    """What the board's cells hold is changed, and they say so."""
+    for file in board.glob(f"*/cells/{cells}.json"):
+        stored = json.loads(file.read_text())
+        change(stored["result"])
+        stored["sha256"] = checksum(stored["result"])
+        file.write_text(json.dumps(stored))
+
+
+def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> None:
+    found = baseline.comparable([board], MINE, VARIABLES)
+    assert {result.cell.env for result in found} == {"cartpole"}
+    fine = [r.cell for r in make_results(("cartpole",)) if all(row.status != "failed" for row in r.rows)]
+    assert [result.cell for result in found] == sorted(fine)
+    assert {row.source for result in found for row in result.rows} == {baseline.SAME}
+
+
+def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
+    edited(board, lambda result: result.update(key="other:other"))
+    edited(board, lambda result: result["origin"].update(processor="another"))
+    found = baseline.comparable([board], MINE, VARIABLES)
+    assert {row.source for result in found for row in result.rows} == {baseline.OTHER}
+
+
+def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Path) -> None:
+    edited(board, lambda result: result.update(task_version=""))
+    assert baseline.comparable([board], MINE, VARIABLES)
+    edited(board, lambda result: result.update(key="other:other"))
+    with pytest.raises(BadInput, match="no cartpole that can be compared: one is of another version"):
+        baseline.comparable([board], MINE, VARIABLES)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"budget": "full"}, "one has budget quick, not full"),
+        ({"protocol": "native"}, "one has protocol absorbing, not native"),
+        ({"rl": "sb3", "experts": "trained"}, "one has rl sbx, not sb3, experts shipped, not trained"),
+        ({"retrain": False}, "one has retrain True, not False"),
+    ],
+)
+def test_other_conditions_are_refused_by_name(board: Path, change: dict, why: str) -> None:
+    request = dataclasses.replace(MINE, conditions=dataclasses.replace(MINE.conditions, **change))
+    with pytest.raises(BadInput, match=why):
+        baseline.comparable([board], request, VARIABLES)
+
+
+def test_another_version_of_the_task_is_refused_by_name(board: Path) -> None:
+    edited(board, lambda result: result.update(task_version="other", key="other:other"))
+    with pytest.raises(BadInput, match="one is of another version of the task, its experts, or how"):
+        baseline.comparable([board], MINE, VARIABLES)
+
+
+def test_what_is_no_run_or_has_nothing_of_a_task_is_said(board: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadInput, match="empty holds no run"):
+        baseline.comparable([tmp_path / "empty"], MINE, VARIABLES)
+    more = dataclasses.replace(MINE, envs=("cartpole", "swingup"))
+    with pytest.raises(BadInput, match="no swingup that can be compared: none"):
+        baseline.comparable([board], more, VARIABLES)
+
+
+class Computes:
+    """A grid whose cells are there at once."""
+
+    asked: list[Cell]
+
+    def __init__(self, conditions: object, sink: store.RunDirectory, engine: object) -> None:
+        self.sink = sink
+
+    def run(self, cells: list[Cell]) -> None:
+        Computes.asked = list(cells)
+        for cell in cells:
+            self.sink.save(*computed((cell.seed,), method=cell.method))
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
+    monkeypatch.setattr("harness.run.grid.Grid", Computes)
+    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.chdir(tmp_path)
+    return lambda *words: main(["run", "--methods", "gail", "--envs", "cartpole", "--seeds", "3", *words])
+
+
+def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
+    run: Callable[..., int], board: Path, tmp_path: Path
+) -> None:
+    assert run("--baseline", str(board), "--out", "run") == 0
+    assert {cell.method for cell in Computes.asked} == {"gail", "control_shuffled", "control_clone"}
+    scores = pd.read_csv(tmp_path / "run/scores.csv", keep_default_na=False)
+    assert set(scores[scores.method == "gail"].source) == {""}
+    assert set(scores[scores.method == "shaped"].source) == {"baseline"}
+    leaderboard = pd.read_csv(tmp_path / "run/leaderboard.csv")
+    gail = leaderboard[(leaderboard.method == "gail") & (leaderboard.policy == "pi_star")]
+    assert gail.score_mean.item() == pytest.approx((470 - 20) / 480)
+    assert leaderboard[leaderboard.method == "shaped"].note.str.startswith("baseline").all()
+    assert main(["verify", "run"]) == 0
+    before = (tmp_path / "run/leaderboard.csv").read_bytes()
+    assert main(["report", "run"]) == 0  # which needs the baseline no more
+    assert (tmp_path / "run/leaderboard.csv").read_bytes() == before
+    damaged = tmp_path / "run/baseline/cartpole__shaped__seed0.json"
+    damaged.write_text("{")
+    assert main(["verify", "run"]) == 1
+    assert main(["report", "run"]) == 1
+
+
+def test_a_refused_baseline_writes_nothing(
+    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("--baseline", str(board), "--budget", "full", "--out", "run") == 2
+    assert "budget quick, not full" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_whose_baseline_is_of_another_version_by_now_is_not_mixed(
+    run: Callable[..., int], board: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run("--baseline", str(board), "--out", "run") == 0
+    monkeypatch.setattr(baseline, "task_version", lambda env: "newer")
+    monkeypatch.setattr(baseline, "task_of", lambda key: key)
+    assert run("--out", "run") == 2
+
+
+def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None:
+    results = make_results(("cartpole",))
+    request = dataclasses.replace(REQUEST, methods=("bc", "shaped", "maxmargin", "gail"), envs=("cartpole",))
+    one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
+    other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
+    runs = [commands._read(path) for path in (one, other)]
+    found = {(d.method, d.policy): d for d in compare.differences(*runs)}
+    gail = found["gail", "pi_star"]
+    assert (gail.seeds, gail.better) == (2, 1.0)
+    assert gail.difference == pytest.approx(10 / 480)
+    assert gail.low == pytest.approx(gail.high) == pytest.approx(10 / 480)
+    assert (found["shaped", "pi_R"].difference, found["shaped", "pi_R"].better) == (0.0, 0.5)
+    assert compare.differing(*runs) == []
+    assert compare.other_versions(*runs) == []
+
+
+def test_what_cannot_be_compared_is_left_out_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, other = made(tmp_path / "a/one"), made(tmp_path / "b/other")
+    edited(tmp_path / "b", lambda result: result.update(task_version="2", key="2:2"), "cartpole*")
+    edited(tmp_path / "b", lambda result: result["origin"].update(processor="another"))
+    assert main(["compare", str(one), str(other)]) == 0
+    out = capsys.readouterr().out
+    assert "- cartpole: not compared; of another version of the task" in out
+    assert "- processor: " in out
+    assert "| pendulum | shaped | pi_R |" in out
+    assert "| cartpole |" not in out
+    assert main(["compare", str(one), str(tmp_path / "nowhere")]) == 2
+
+
+def test_the_probability_of_improvement_is_mann_and_whitneys() -> None:
+    assert probability_of_improvement([1, 2, 3], [0, 0, 0]) == 1
+    assert probability_of_improvement([1, 2], [1, 2]) == 0.5
+    assert probability_of_improvement([1, 3], [2, 4]) == 0.25
+    assert math.isnan(probability_of_improvement([], [1]))
+
+
+def test_a_version_is_noted_with_each_cell(tmp_path: Path) -> None:
+    made(tmp_path / "run", computed((0,)), MINE)
+    (file,) = (tmp_path / "run/cells").iterdir()
+    assert json.loads(file.read_text())["result"]["task_version"] == keys.task_version("cartpole")
