@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -192,6 +194,51 @@ def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
         mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,mine", "--envs", "swingup", *SMOKE
     )
     assert "1 cells to run, 2 kept from before" in told
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/plugins.md"])
+def test_the_recipe_works_word_for_word(tmp_path: Path, page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    name, block = re.findall(r"<!-- the file (\S+) -->\n(.*?)<!-- end of the file -->", text, re.DOTALL)[0]
+    (tmp_path / name).write_text(textwrap.dedent(block))
+    assert sum(bool(line.strip()) for line in block.splitlines()) <= 10
+    checked = command(tmp_path, "check", "linear", "--plugin", name)
+    assert {line.split()[0] for line in checked.splitlines()} == {"ok"}
+    (asked,) = re.findall(r"irl-bench (run --plugin my_method.py --methods linear,bc --envs swingup)\n", text)
+    command(tmp_path, *asked.split(), *SMOKE)
+    scores = irl_bench.load(tmp_path / "results/latest").scores
+    assert set(scores[scores.policy == "pi_star"].method) == {"linear", "bc"}
+    assert set(scores[scores.policy == "pi_star"].status) == {"ok"}
+
+
+def test_a_run_from_python_gives_frames(tmp_path: Path, mine: Path) -> None:
+    code = f"""
+import irl_bench
+if __name__ == "__main__":
+    found = irl_bench.run(["mine"], ["swingup"], seeds=[1, 3], budget="smoke", plugins=[{str(mine)!r}],
+                          options=["--no-retrain", "--record", "none"], out="run")
+    print(sorted(set(found.scores.seed)), sorted(found.leaderboard.method))
+    try:
+        irl_bench.load("nowhere")
+    except Exception as error:
+        print(type(error).__name__, error)
+"""
+    (tmp_path / "script.py").write_text(code)
+    env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
+    )
+    said = done.stdout.splitlines()[-2:]
+    assert said[0] == "[1, 3] ['mine', 'mine', 'reference', 'reference']"
+    assert said[1].startswith("BadInput nowhere holds no finished run")
+
+
+def test_all_that_the_public_module_names_is_there() -> None:
+    for name in irl_bench.__all__:
+        assert getattr(irl_bench, name) is not None
+    assert set(irl_bench.__all__) == set(dir(irl_bench))
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'; it has DDPG"):
+        irl_bench.nothing  # noqa: B018
 
 
 def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) -> None:
