@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from envs import EnvSpec, from_gymnasium
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
     from envs.spec import Quantity, Shape
+    from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
     from harness.frames import Frames, load, run
     from harness.testing import ContractError, check_env, check_method
     from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
@@ -24,6 +25,7 @@ _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
     "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
     "envs.spec": ("Quantity", "Shape"),
+    "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
     "harness.frames": ("Frames", "load", "run"),
     "harness.testing": ("ContractError", "check_env", "check_method"),
     "methods.base": (
@@ -42,8 +44,11 @@ __all__ = [
     "ContractError",
     "EnvSpec",
     "Episodes",
+    "Exported",
+    "ExportedPolicy",
     "Frames",
     "Learned",
+    "LearnedReward",
     "Method",
     "Network",
     "Policy",
@@ -55,8 +60,11 @@ __all__ = [
     "World",
     "check_env",
     "check_method",
+    "export",
     "from_gymnasium",
     "load",
+    "load_learned",
+    "make",
     "run",
 ]
 

@@ -20,7 +20,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.learners import PPO, SAC
+from envs.learners import DDPG, PPO
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -159,7 +159,7 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
-    rl=SAC(final_learning_rate=1e-4, batch=256, n_steps=5, checkpoint_every=2500),
+    rl=DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2500, n_steps=5, critics=2),
     variants={
         "wall_moved": {"physics": Physics(wall=(LOW, 0.4))},
         "flipped": {"physics": Physics(gear=-1.0)},

@@ -111,6 +111,15 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add = commands.add_parser(
+        "export", help="a policy and reward of a run, for other programs", allow_abbrev=False
+    )
+    add.add_argument("directory", type=Path, metavar="DIR")
+    add.add_argument("--env", required=True)
+    add.add_argument("--method", required=True)
+    add.add_argument("--seed", type=_seed, default=0, metavar="K")
+    add.add_argument("--policy", default="pi_star", choices=("pi_star", "pi_R", "expert"))
+    add.add_argument("--to", type=_folder, metavar="FOLDER", help="default: named as what is exported")
     add = commands.add_parser("compare", help="what differs between runs", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="A", help="the run that others are compared with")
     add.add_argument("others", nargs="+", type=Path, metavar="B")
@@ -204,6 +213,10 @@ def _seeds(text: str) -> tuple[int, ...]:
             raise argparse.ArgumentTypeError(f"{part[:40]!r} ends before it begins")
         found |= {*range(ends[0], ends[-1] + 1)}
     return tuple(sorted(found))
+
+
+def _seed(text: str) -> int:
+    return _whole(text, MOST - 1, least=0)
 
 
 def _seconds(text: str) -> int:

@@ -114,6 +114,15 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
     return 0
 
 
+def export(args: argparse.Namespace) -> int:
+    """Writes a policy and its reward into a folder."""
+    from harness import exported
+
+    folder = exported.export(args.directory, args.env, args.method, args.seed, args.policy, args.to)
+    say(f"{folder}: {', '.join(sorted(file.name for file in folder.iterdir()))}")
+    return 0
+
+
 def _read(path: Path) -> Comparable:
     """A run to be compared. Raises BadInput where there is none with a finished cell."""
     with open_to_verify(path) as run:

@@ -55,6 +55,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
         *(GAMES, ("cartpole_swingup",), ("full",)),
         {"rl_steps": 2000, "iterations": 60, "latest": 6000, "averaged": 30, "final_steps": 40_000},
     ),
+    (GAMES, ("point_maze",), ("full",), {"iterations": 60, "averaged": 30, "final_steps": 10_000}),
     (
         *(GAMES, ("halfcheetah",), ("quick", "full")),
         {"rl_steps": 5000, "latest": 15_000, "averaged": 30, "final_steps": 20_000},

@@ -1,0 +1,190 @@
+"""What was learned leaves the house: policies for Stable-Baselines3's tools, rewards for any RL library.
+
+FOLDER/learned.json          what it is: architecture, spaces, what absorption pays, key, versions
+FOLDER/policy.safetensors    the arrays of the policy
+FOLDER/reward.safetensors    those of R*, where there is one
+
+Nothing is pickled. Outputs are those of the run, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import EnvSpec
+from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
+from harness.learn.stored import from_arrays, to_arrays
+from harness.registry import ENVS, SPECS, BadInput, choose
+from harness.run.artifacts import read_artifact
+from harness.run.cache import Kept, as_bytes, from_bytes
+from harness.run.codec import printable
+from harness.run.files import read, write_atomic
+from harness.run.store import open_to_verify
+from methods.base import Array, Policy, Reward
+
+FORMAT = 1
+FACTS = "learned.json"
+PARTS = ("policy", "reward")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A policy, R* (None: the method learns none), the task that they are of, and what learned.json says."""
+
+    policy: ExportedPolicy
+    reward: Reward | None
+    spec: EnvSpec
+    facts: Mapping[str, Any]
+
+
+class ExportedPolicy:
+    """A policy with the `predict` of Stable-Baselines3, so that its `evaluate_policy` takes it."""
+
+    def __init__(self, policy: Policy, spec: EnvSpec) -> None:
+        self.policy, self.spec = policy, spec
+
+    def __call__(self, obs: Array) -> Array:
+        """(B, A) in [-1, 1], or by choices, for observations (B, O)."""
+        return self.policy(obs)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """What the environment's `step` takes, for one observation (O,) or a batch (B, O), and the state as
+        it was. It is deterministic, whatever is asked."""
+        obs = np.asarray(observation, np.float64)
+        chosen = self.policy(obs.reshape(-1, self.spec.obs_size))
+        native = np.array([self.spec.native(act) for act in chosen])
+        return native.reshape(obs.shape[:-1] + native.shape[1:]), state
+
+
+class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """An environment that pays R*, for any RL library. The true reward is `info["true_reward"]`.
+
+    folder: of `export`. offset: pay R* less what absorption pays, so that the end of an episode, after which
+    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], folder: Path | str | Exported, offset: bool = True) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, folder=folder, offset=offset)
+        gym.Wrapper.__init__(self, env)
+        exported = folder if isinstance(folder, Exported) else load_learned(folder)
+        if exported.reward is None:
+            raise BadInput("there is no reward in it: the method learns none")
+        self.reward, self.offset, self._spec = exported.reward, offset, exported.spec
+        self._obs: NDArray[Any] | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        self._obs, info = self.env.reset(seed=seed, options=options)
+        return self._obs, info
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        before = self._obs
+        self._obs, true, terminated, truncated, info = self.env.step(action)
+        act = np.eye(self._spec.act_size)[int(action)] if self._spec.discrete else np.asarray(action)
+        rows = [np.asarray(row, np.float64)[None] for row in (before, act, self._obs)]
+        paid = float(self.reward(*rows)[0]) - (self.reward.absorbing if self.offset else 0.0)
+        return self._obs, paid, terminated, truncated, {**info, "true_reward": float(true)}
+
+
+def export(
+    directory: Path | str,
+    env: str,
+    method: str,
+    seed: int = 0,
+    policy: PolicyName = "pi_star",
+    to: Path | str | None = None,
+) -> Path:
+    """Writes what a run's cell learned into a folder, and returns that; of several cells that were shown
+    more or less, the first.
+
+    policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
+    such cell, or kept nothing of it.
+    """
+    directory = Path(directory)
+    with open_to_verify(directory) as run:
+        results, _ = run.load()
+    asked = (env, method, seed, NOMINAL)
+    cells = [cell for cell in results if (cell.env, cell.method, cell.seed, cell.dynamics) == asked]
+    if not cells:
+        known = sorted({f"{cell.env} {cell.method}" for cell in results})
+        raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {', '.join(known)[:300]}")
+    cell = cells[0]
+    if not results[cell].artifacts:
+        raise BadInput(f"{directory} kept nothing of {cell.name}: it was run with --record none")
+    learned = read_artifact(directory / artifact_of(cell))
+    if learned.get(policy) is None:
+        raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
+    to = Path(to or f"{cell.name}__{policy}")
+    to.mkdir(parents=True, exist_ok=True)
+    reward = learned.get("reward")
+    parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
+    facts = _facts(cell, policy, reward, results[cell].key, results[cell].origin)
+    for name, thing in parts.items():
+        arrays, facts[name] = to_arrays(thing, name)
+        if thing is not None:
+            write_atomic(to / f"{name}.safetensors", as_bytes(Kept(arrays, {})))
+        else:
+            (to / f"{name}.safetensors").unlink(missing_ok=True)
+    write_atomic(to / FACTS, json.dumps(facts, indent=1) + "\n")
+    return to
+
+
+def load_learned(folder: Path | str) -> Exported:
+    """What `export` wrote. Raises BadInput where that is none, or damaged, or of a task that is not known."""
+    folder = Path(folder)
+    try:
+        facts = json.loads(read(folder / FACTS))
+        if facts["format"] != FORMAT:
+            raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
+        spec = SPECS[facts["env"]]
+        found = {}
+        for name in PARTS:
+            arrays = {} if facts[name] is None else from_bytes(read(folder / f"{name}.safetensors")).arrays
+            found[name] = from_arrays(arrays, facts[name])
+        if not callable(found["policy"]) or not (found["reward"] is None or callable(found["reward"])):
+            raise ValueError("it is neither a policy nor a reward")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadInput(f"{folder} holds nothing that was exported: {printable(repr(error)[:200])}") from error
+    return Exported(ExportedPolicy(found["policy"], spec), found["reward"], spec, facts)
+
+
+def make(env: str) -> gym.Env[Any, Any]:
+    """The environment that policies of the task are for. Raises BadInput for an unknown one."""
+    choose("env", env, ENVS)
+    return SPECS[env].make()
+
+
+def _facts(
+    cell: Cell, policy: str, reward: Reward | None, key: str, origin: Mapping[str, str]
+) -> dict[str, Any]:
+    spec = SPECS[cell.env]
+    env = spec.make()
+    return {
+        "format": FORMAT,
+        "env": cell.env,
+        "gymnasium_id": spec.env_id,
+        "cell": asdict(cell),
+        "learned": policy,
+        "observation_space": str(env.observation_space),
+        "action_space": str(env.action_space),
+        "observations": [str(quantity) for quantity in spec.obs_names],
+        "actions": [str(quantity) for quantity in spec.act_names],
+        "absorbing": None if reward is None or cell.method == REFERENCE else float(reward.absorbing),
+        "key": key,
+        "computed_with": dict(origin),
+    }

@@ -1,0 +1,210 @@
+"""What is exported is what was scored, bit for bit, and other programs take it."""
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+
+import irl_bench
+from harness.cli import main
+from harness.exported import FACTS, export, load_learned
+from harness.judge.results import Cell, Conditions, Request, artifact_of
+from harness.learn.seeds import evaluation_seeds
+from harness.registry import SPECS, BadInput
+from harness.run.artifacts import read_artifact
+from harness.run.cells import prepare, run_cell
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.store import open_for_run
+
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
+CELLS = [Cell("cartpole", "shaped", 0), Cell("cartpole_discrete", "bc", 0)]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that learned a policy with a reward, and one of choices."""
+    path = tmp_path_factory.mktemp("run") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(path.parent / "cache"))
+        request = Request(("shaped", "bc"), ("cartpole", "cartpole_discrete"), (0,), CONDITIONS)
+        with open_for_run(path, request) as directory:
+            for cell in CELLS:
+                directory.save(*run_cell(cell, CONDITIONS, prepare([cell], CONDITIONS)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(run: Path) -> Path:
+    return export(run, "cartpole", "shaped", to=run.parent / "exported")
+
+
+def test_exported_and_in_process_outputs_are_bit_equal(run: Path, folder: Path) -> None:
+    kept, found = read_artifact(run / artifact_of(CELLS[0])), load_learned(folder)
+    rng = np.random.default_rng(0)
+    obs, act, after = rng.normal(size=(50, 4)), rng.uniform(-1, 1, (50, 1)), rng.normal(size=(50, 4))
+    assert np.array_equal(found.policy(obs), kept["pi_star"](obs))
+    assert found.reward is not None
+    assert np.array_equal(found.reward(obs, act, after), kept["reward"](obs, act, after))
+    assert found.reward.absorbing == kept["reward"].absorbing == found.facts["absorbing"]
+    retrained = load_learned(export(run, "cartpole", "shaped", policy="pi_R", to=folder.parent / "pi_R"))
+    assert np.array_equal(retrained.policy(obs), kept["pi_R"](obs))
+
+
+def test_it_says_what_it_is(folder: Path) -> None:
+    facts = json.loads((folder / FACTS).read_text())
+    assert facts["cell"] | {"shown": None} == {
+        "env": "cartpole",
+        "method": "shaped",
+        "seed": 0,
+        "shown": None,
+        "dynamics": "nominal",
+    }
+    assert facts["learned"] == "pi_star"
+    assert facts["actions"] == [str(name) for name in SPECS["cartpole"].act_names]
+    assert "Box(-1.0, 1.0, (1,), float32)" in facts["action_space"]
+    assert facts["policy"]["class"] == "methods.network:Network"
+    assert {"torch", "numpy", "irl-bench"} <= facts["computed_with"].keys()
+    assert sorted(file.name for file in folder.iterdir()) == [
+        *(FACTS, "policy.safetensors", "reward.safetensors")
+    ]
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.env)
+def test_stable_baselines_evaluates_an_exported_policy_to_what_the_run_scored(run: Path, cell: Cell) -> None:
+    found = load_learned(export(run, cell.env, cell.method, to=run.parent / cell.env))
+    env = Monitor(irl_bench.make(cell.env))
+    seeds = evaluation_seeds(0, SPECS[cell.env].eval_episodes["smoke"])
+    returns = []
+    for seed in seeds:
+        env.reset(seed=seed)
+        done = False
+        obs, _ = env.reset(seed=seed)
+        while not done:
+            action, _ = found.policy.predict(obs)
+            obs, _, terminated, truncated, _ = env.step(action)
+            done = terminated or truncated
+        returns.append(env.get_episode_rewards()[-1])
+    row = next(r for r in json.loads((run / f"cells/{cell.name}.json").read_text())["result"]["rows"])
+    assert np.mean(returns) == pytest.approx(row["return_mean"], rel=1e-5)
+    mean, _ = evaluate_policy(found.policy, env, n_eval_episodes=2)  # type: ignore[arg-type]
+    assert np.isfinite(mean)
+
+
+@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*Box observation space (minimum|maximum) value is:UserWarning")
+def test_any_library_learns_under_an_exported_reward(folder: Path) -> None:
+    env = irl_bench.LearnedReward(irl_bench.make("cartpole"), folder)
+    check_env(irl_bench.LearnedReward(irl_bench.make("cartpole"), folder), skip_render_check=True)
+    found = load_learned(folder)
+    obs, _ = env.reset(seed=3)
+    plain = irl_bench.make("cartpole")
+    plain.reset(seed=3)
+    for act in np.linspace(-0.5, 0.5, 5, dtype=np.float32)[:, None]:
+        after, paid, *_, info = env.step(act)
+        _, true, *_ = plain.step(act)
+        rows = [np.asarray(row, float)[None] for row in (obs, act, after)]
+        assert found.reward is not None
+        assert paid == found.reward(*rows)[0] - found.reward.absorbing
+        assert info["true_reward"] == true
+        obs = after
+    bare = irl_bench.LearnedReward(irl_bench.make("cartpole"), folder, offset=False)
+    bare.reset(seed=3)
+    assert found.reward is not None
+    assert bare.step(np.zeros(1, np.float32))[1] != 0
+    model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=1, seed=0)
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    model.learn(64)
+    assert any((value != before[name]).any() for name, value in model.policy.state_dict().items())
+
+
+def test_what_is_not_there_is_said(
+    run: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*words: str) -> str:
+        assert main(["export", str(run), *words, "--to", str(tmp_path / "to")]) == 2
+        assert not (tmp_path / "to").exists()
+        return capsys.readouterr().err
+
+    shaped, choices = ("--env", "cartpole", "--method", "shaped"), ("--env", "cartpole_discrete", "--method")
+    assert "has no cartpole_discrete gail, seed 0; it has cartpole shaped" in refused(*choices, "gail")
+    assert "has no cartpole shaped, seed 7" in refused(*shaped, "--seed", "7")
+    assert "has no pi_R; it has pi_star" in refused(*choices, "bc", "--policy", "pi_R")
+    with pytest.raises(BadInput, match="the method learns none"):
+        irl_bench.LearnedReward(
+            irl_bench.make("cartpole_discrete"), export(run, "cartpole_discrete", "bc", to=tmp_path / "bc")
+        )
+    with pytest.raises(BadInput, match="did you mean 'cartpole'"):
+        irl_bench.make("cartpol")
+    with pytest.raises(BadInput, match="holds nothing that was exported"):
+        load_learned(tmp_path / "nowhere")
+
+
+def test_without_artifacts_nothing_is_exported(run: Path, tmp_path: Path) -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3", record="none")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(run.parent / "cache"))
+        with open_for_run(
+            tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), conditions)
+        ) as directory:
+            directory.save(run_cell(CELLS[1], conditions, prepare([CELLS[1]], conditions))[0])
+    with pytest.raises(BadInput, match=r"kept nothing of .*: it was run with --record none"):
+        export(tmp_path / "none", CELLS[1].env, "bc", to=tmp_path / "to")
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_whatever_is_damaged_is_refused_in_a_line(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    copy = tmp_path_factory.mktemp("copy") / "folder"
+    shutil.copytree(folder, copy)
+    name = data.draw(st.sampled_from(["policy.safetensors", "reward.safetensors", FACTS]))
+    whole = (copy / name).read_bytes()
+    at = data.draw(st.integers(0, len(whole) - 1))
+    damaged = [whole[:at], whole[:at] + b"\x80" + whole[at + 1 :]]
+    (copy / name).write_bytes(data.draw(st.sampled_from(damaged)))
+    said = "ok"
+    try:
+        load_learned(copy)
+    except BadInput as error:
+        said = str(error)
+    assert said.isprintable()
+    assert name == FACTS or said != "ok" or whole[at] == 0x80
+
+
+def test_odd_descriptions_are_refused(
+    folder: Path, tmp_path: Path, tried: Callable[[str, Counter[str]], None]
+) -> None:
+    facts = json.loads((folder / FACTS).read_text())
+    odd = [
+        None,
+        3,
+        [],
+        {},
+        "x",
+        {"class": "os:system", "fields": {}},
+        {"class": "harness.run.cells:run_cell"},
+    ]
+    counts: Counter[str] = Counter()
+    for key in ("format", "env", "policy", "reward"):
+        for value in odd:
+            shutil.rmtree(tmp_path / "copy", ignore_errors=True)
+            shutil.copytree(folder, tmp_path / "copy")
+            (tmp_path / "copy" / FACTS).write_text(json.dumps(facts | {key: value}))
+            if (key, value) == ("reward", None):
+                assert load_learned(tmp_path / "copy").reward is None
+                continue
+            with pytest.raises(BadInput, match="nothing that was exported"):
+                load_learned(tmp_path / "copy")
+            counts["refused"] += 1
+    tried("descriptions of what was exported", counts)
