@@ -76,6 +76,13 @@ def parser() -> argparse.ArgumentParser:
         "--subsample", type=_count, metavar="K", default=1, help="show every K-th step of them (default: all)"
     )
     add.add_argument(
+        "--demos-from",
+        type=Path,
+        metavar="PATH",
+        help="demonstrations of a file instead of the experts' (docs/demonstrations.md)",
+    )
+    _add_bounds(add)
+    add.add_argument(
         "--demonstrator",
         default="expert",
         choices=DEMONSTRATORS,
@@ -120,6 +127,24 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--seed", type=_seed, default=0, metavar="K")
     add.add_argument("--policy", default="pi_star", choices=("pi_star", "pi_R", "expert"))
     add.add_argument("--to", type=_folder, metavar="FOLDER", help="default: named as what is exported")
+    add = commands.add_parser("demos", help="write, read and look at demonstrations", allow_abbrev=False)
+    what = add.add_subparsers(dest="what", required=True)
+    for name, does in (
+        ("export", "write an expert's demonstrations"),
+        ("import", "read a file of another form, and write it anew"),
+        ("inspect", "say what is in a file"),
+    ):
+        add = what.add_parser(name, help=does, allow_abbrev=False)
+        if name != "export":
+            add.add_argument("path", type=Path, metavar="PATH")
+            _add_bounds(add)
+        add.add_argument("--env", required=True)
+        if name == "export":
+            add.add_argument("--seed", type=_seed, default=0, metavar="K")
+            add.add_argument("--demos", type=_count, default=100, metavar="N", help="default 100")
+            add.add_argument("--demonstrator", default="expert", choices=DEMONSTRATORS)
+        if name != "inspect":
+            add.add_argument("--to", type=Path, required=True, metavar="FILE.npz")
     add = commands.add_parser("compare", help="what differs between runs", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="A", help="the run that others are compared with")
     add.add_argument("others", nargs="+", type=Path, metavar="B")
@@ -149,6 +174,15 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     _add_plugins(add)
     return top
+
+
+def _add_bounds(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--action-bounds",
+        type=_bounds,
+        metavar="LOW,HIGH",
+        help="of actions in that file, such as =-2,2, which are scaled to [-1, 1]",
+    )
 
 
 def _add_plugins(parser: argparse.ArgumentParser) -> None:
@@ -213,6 +247,16 @@ def _seeds(text: str) -> tuple[int, ...]:
             raise argparse.ArgumentTypeError(f"{part[:40]!r} ends before it begins")
         found |= {*range(ends[0], ends[-1] + 1)}
     return tuple(sorted(found))
+
+
+def _bounds(text: str) -> tuple[float, float]:
+    try:
+        low, high = map(float, text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not two numbers with a comma between") from error
+    if not -LONGEST <= low < high <= LONGEST:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a lower number and a higher one")
+    return low, high
 
 
 def _seed(text: str) -> int:

@@ -68,6 +68,8 @@ def _dispatch(argv: list[str]) -> int:
 
     if args.command == "report":
         return commands.report(args.directory)
+    if args.command == "demos":
+        return commands.demos(args)
     if args.command == "export":
         return commands.export(args)
     if args.command == "compare":

@@ -8,6 +8,7 @@ import logging
 import os
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
         args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
     )
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
+    if args.demos_from:
+        conditions = replace(conditions, demonstrations=_given(args, envs))
     if args.demonstrator == "medium":
         if args.experts == "trained":
             raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
@@ -111,6 +114,44 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
             say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
         found = comparison.as_lines(comparison.differences(first, other))
         say("\n" + markdown(comparison.HEADINGS, found) if found else "\nthere is nothing that both have")
+    return 0
+
+
+def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
+    """What is said of demonstrations that are given in a file, which are kept for cells. Raises BadInput for
+    those that cannot be shown."""
+    from harness import demonstrations
+    from harness.run import given
+
+    if len(envs) != 1 or args.demonstrator != "expert":
+        raise BadInput("--demos-from is for one environment, and leaves out --demonstrator")
+    found = demonstrations.read(args.demos_from, SPECS[envs[0]], args.action_bounds)
+    if max(args.demos) > len(found.episodes):
+        raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")
+    given.keep(str(found), found.episodes)
+    return str(found)
+
+
+def demos(args: argparse.Namespace) -> int:
+    """Writes, reads or describes demonstrations."""
+    from harness import demonstrations
+
+    env = plugins.task_or_name(args.env)
+    choose("env", env, ENVS)
+    plugins.load([], [env])
+    if args.what == "export":
+        demonstrations.write(
+            args.to, *demonstrations.of_expert(env, args.seed, args.demos, args.demonstrator)
+        )
+        say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
+        return 0
+    found = demonstrations.read(args.path, SPECS[env], args.action_bounds)
+    if args.what == "import":
+        demonstrations.write(args.to, found.episodes, found.rewards)
+        say(f"{args.to}: {found}")
+        return 0
+    for line in demonstrations.described(found):
+        say(line)
     return 0
 
 

@@ -86,6 +86,8 @@ class Conditions:
     """Which evaluation episodes of seed 0's policies are recorded."""
     retrain: bool = True
     """Whether there are pi_R, and so controls; or pi_star alone."""
+    demonstrations: Text = ""
+    """Where they were given in a file: the digest of what it holds, and how much that is."""
 
 
 @dataclass(frozen=True, order=True)
@@ -382,6 +384,7 @@ def command_of(request: Request) -> str:
     words += ["--experts", c.experts, "--record", c.record]
     dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
     words += ["--transfer", ",".join(dynamics)] if dynamics else []
+    words += ["--demos-from", "FILE"] if c.demonstrations else []
     words += [] if c.retrain else ["--no-retrain"]
     words += [] if c.deterministic else ["--fast"]
     many: dict[tuple[int, str], list[int]] = {}

@@ -18,7 +18,7 @@ from harness.run.store import open_to_verify
 
 SAME, OTHER = "baseline", "baseline, of another machine or packages"
 """What is said of a row's source."""
-DECIDING = ("budget", "protocol", "rl", "experts", "retrain")
+DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
 

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from harness.judge.evaluation import Evaluation
-from harness.judge.results import LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
+from harness.judge.results import LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, name_of
 from harness.learn.simulator import drawings
+from harness.run import given
 from harness.run.artifacts import KIND, artifact
+from harness.run.cache import as_bytes
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
@@ -32,12 +35,15 @@ def run_cell(
     learned, lost = learned_file(task, made)
     keeps = conditions.record != "none"
     artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
+    from_file = conditions.demonstrations and cell.method not in UNSHOWN
+    digest = conditions.demonstrations.partition(":")[0]
+    rows = [row(task, one, scored.get(one.name)) for one in made]
     recordings = {
         f"{cell.name}__{one.name}.rrd": recorded(task, one, scored[one.name]) for one in shown(task, made)
     }
     result = CellResult(
         cell,
-        rows=[row(task, one, scored.get(one.name)) for one in made],
+        rows=[replace(r, expert=f"file:{digest}") if from_file else r for r in rows],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
         warnings=[w for one in made for w in one.warnings]
@@ -55,8 +61,12 @@ def run_cell(
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     """What these cells, of one environment and seed, share."""
-    shown = {cell.shown for cell in cells if cell.method not in UNSHOWN}
-    return shared_by(cells[0].env, cells[0].seed, sorted(shown), conditions)
+    env, seed, said = cells[0].env, cells[0].seed, conditions.demonstrations
+    shown = sorted({cell.shown for cell in cells if cell.method not in UNSHOWN})
+    if not said:
+        return shared_by(env, seed, shown, conditions)
+    theirs = {name_of(one): as_bytes(given.shown(said, env, seed, one)) for one in shown}
+    return shared_by(env, seed, (), conditions) | theirs
 
 
 def learned_file(task: Task, made: Sequence[Made]) -> tuple[bytes, list[str]]:

@@ -36,6 +36,8 @@ def as_text(request: Request) -> str:
     """What run.json holds."""
     data = {"format": FORMATS[-1], **dataclasses.asdict(request)}
     data |= data.pop("conditions")
+    if not data["demonstrations"]:
+        del data["demonstrations"]
     if (request.shown, request.variants, request.conditions.retrain) == ((ALL_SHOWN,), (), True):
         data["format"] = FORMATS[0]
         for name in ("shown", "variants", "retrain"):

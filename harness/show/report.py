@@ -221,6 +221,7 @@ def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
         f"budget {conditions.budget}, protocol {conditions.protocol}, {_seeds(request.seeds)}, "
         f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",
+        *([f"demonstrations of a file, {conditions.demonstrations}"] if conditions.demonstrations else []),
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",
         f"command: {command_of(request)}",
     ]
