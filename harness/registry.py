@@ -174,18 +174,20 @@ def choose(
     """The names in a comma-separated `text`, 'all' being every known one but no variant, and a group's name
     all that are of it, without repeats, in the order of `known` and then `variants`.
 
-    Raises BadInput, with the closest match, for an unknown name; and for an empty one.
+    Raises BadInput, with the closest matches, for unknown names; and for an empty one.
     """
     names = [name.strip() for name in text.split(",")]
     choices = (*known, *variants)
     groups = {"all": (*known,), **groups}
     if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
-    for name in names:
-        if name not in groups and name not in choices:
-            near = difflib.get_close_matches(name, [*choices, *groups], n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(choices)}"
-            raise BadInput(f"no {kind} named {name!r}; {hint}")
+    if unknown := [name for name in names if name not in groups and name not in choices]:
+        as_ours = (name.lower().replace("-", "_") for name in unknown)
+        near = [difflib.get_close_matches(name, [*choices, *groups], n=1, cutoff=0.6) for name in as_ours]
+        hint = f"did you mean {', '.join(repr(one) for found in near for one in found)}?"
+        known = f"there are {', '.join(choices)}"
+        said = ", ".join(map(repr, unknown))
+        raise BadInput(f"no {kind} named {said}; {hint if all(near) else known}")
     chosen = {one for name in names for one in groups.get(name, (name,))}
     return tuple(name for name in choices if name in chosen)
 

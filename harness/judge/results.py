@@ -102,7 +102,7 @@ class Shown:
     """Who is shown: the expert, a worse one, or the expert with noise on its actions."""
 
     def __str__(self) -> str:
-        many = [f"{self.demos} demonstrations"] if self.demos else []
+        many = [f"{self.demos} demonstration{'s' * (self.demos > 1)}"] if self.demos else []
         every = [f"1 of {self.every} steps"] if self.every > 1 else []
         return ", ".join([*many, *every, *([self.demonstrator] if self.demonstrator != "expert" else [])])
 

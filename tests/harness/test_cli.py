@@ -124,6 +124,8 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
     ("argv", "message"),
     [
         ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
+        ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
+        ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),
         ("run --methods bc,,shaped", "no method named: give 'all' or some of shaped"),
         ("run --envs cartpol,highway", "no env named 'cartpol'; did you mean 'cartpole'?"),
         ("run --envs zzz", "no env named 'zzz'; there are cartpole, pendulum, highway"),
