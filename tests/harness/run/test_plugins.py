@@ -18,6 +18,8 @@ from harness.cli import main
 from harness.judge.results import Cell, Conditions
 from harness.registry import ENVS, PLUGINS, SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
+from harness.run.engines import Job, compute
+from harness.run.environment import of_this_process
 
 ROOT = Path(__file__).parents[3]
 SAMPLE = ROOT / "tests/sample_plugin"
@@ -78,6 +80,15 @@ def test_a_key_is_of_the_plugins_source_and_of_no_others(mine: Path) -> None:
     after = [key(cell) for cell in cells]
     assert [a == b for a, b in zip(after, before, strict=True)] == [False, False, True]
     assert keys.task_of(before[0]) == keys.task_of(before[2]) == keys.task_of(after[0])
+
+
+def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine: Path) -> None:
+    plugins.add([str(mine)])
+    cell = Cell("swingup", "mine", 0)
+    (its_key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
+    mine.write_text(MINE + "# edited\n")
+    with pytest.raises(RuntimeError, match="are not those that the run began with"):
+        compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key))
 
 
 BROKEN = {
