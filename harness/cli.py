@@ -16,7 +16,6 @@ from pathlib import Path
 from harness.arguments import parser
 from harness.registry import ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
 from harness.run.signals import ignore_stops, importing
-from methods.settings import settings_for
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -145,6 +144,7 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
     with importing():
         from harness import testing
         from harness.registry import load_method
+        from methods.settings import settings_for
 
     failed = False
     for name in names:
