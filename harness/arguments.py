@@ -211,8 +211,10 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         "--engine",
         default="isolated",
         choices=ENGINES,
-        help="each cell in a process of its own, or all inline, in this one, for a debugger",
+        help="each cell in a process of its own, here or on a Ray cluster (docs/cluster.md), or all inline, "
+        "in this one, for a debugger",
     )
+    add("--address", metavar="ADDRESS", help="of a Ray cluster, or 'auto'; without it ray starts one here")
     add("--cell-timeout", type=_seconds, metavar="S", help="seconds after which a cell is stopped")
     add(
         "--fast",

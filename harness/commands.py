@@ -225,9 +225,15 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
     from harness.run import engines, isolated
 
+    modules, fixed = [ENVS[env].target.partition(":")[0] for env in envs], _is_deterministic(args)
+    if args.engine == "ray":
+        from harness.run import cluster
+
+        workers = args.workers or (None if args.address else cores())
+        return cluster.Ray(args.address or "", workers, args.cell_timeout, fixed, modules)
+    if args.address:
+        raise BadInput("--address is of a Ray cluster; add --engine ray")
     if args.engine == "isolated":
-        modules = [ENVS[env].target.partition(":")[0] for env in envs]
-        fixed = _is_deterministic(args)
         return isolated.Isolated(args.workers or cores(), args.cell_timeout, fixed, modules)
     if args.workers or args.cell_timeout:
         raise BadInput("--engine inline computes one cell after the other and cannot stop any")
@@ -236,7 +242,7 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
 
 def _is_deterministic(args: argparse.Namespace) -> bool:
     """Whether cells' processes have their instructions fixed; those of this one are chosen already."""
-    return args.engine == "isolated" and not args.fast and can_fix_instructions()
+    return args.engine != "inline" and not args.fast and can_fix_instructions()
 
 
 def _check_all_inline(directory: Path, engine: Engine) -> None:

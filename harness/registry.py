@@ -16,12 +16,12 @@ Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained"]
 Record = Literal["first", "none"]
 Demonstrator = Literal["expert", "medium", "noisy"]
-EngineName = Literal["isolated", "inline"]
+EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
-ENGINES: tuple[EngineName, ...] = ("isolated", "inline")
+ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("first", "none")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
 PROTOCOLS = ("absorbing", "native", "state", "offset")

@@ -9,7 +9,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, cast
@@ -28,7 +28,7 @@ from harness.run import plugins
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
 from harness.run.files import sha256_of
-from harness.run.keys import cell_keys
+from harness.run.keys import cell_keys, machine
 
 WORK = "harness.run.cells"
 LARGEST_FILES = 1 << 28
@@ -158,7 +158,7 @@ def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: Non
     (cell,) = job.cells
     result, files = module.run_cell(cell, job.conditions, job.inputs, tell)
     _check(result, files, cell, job.conditions.protocol)
-    encoded = encode(result)
+    encoded = encode(replace(result, origin=machine()))
     decode(encoded)
     _check_key(job, variables)
     return Outcome(encoded, files)

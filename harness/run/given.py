@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from methods.base import Episodes
 def keep(said: str, episodes: Episodes) -> None:
     """Keeps them. said: what `Conditions.demonstrations` says of them, their digest first. Raises BadInput
     where the cache cannot be written to."""
-    file = cache_folder() / f"given_{said.partition(':')[0]}.safetensors"
+    file = file_of(said)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, as_bytes(_as_kept(episodes)))
@@ -26,10 +27,15 @@ def keep(said: str, episodes: Episodes) -> None:
         raise BadInput(f"the cache {file.parent} cannot be written to: {error.strerror}") from error
 
 
+def file_of(said: str) -> Path:
+    """Where they are kept."""
+    return cache_folder() / f"given_{said.partition(':')[0]}.safetensors"
+
+
 def shown(said: str, env: str, seed: int, asked: Shown) -> Kept:
     """What is shown of them to every method: as many episodes as are asked for, drawn by the run's seed, or
     all. Raises ValueError where there are not so many, or they are gone from the cache."""
-    found = load(cache_folder() / f"given_{said.partition(':')[0]}.safetensors")
+    found = load(file_of(said))
     if found is None:
         raise ValueError("the demonstrations are gone from the cache; give --demos-from again")
     arrays = found.arrays

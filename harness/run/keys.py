@@ -241,12 +241,17 @@ def _digest(sources: Iterable[str], ingredients: object, more: object) -> str:
 
 @functools.cache
 def origin() -> dict[str, str]:
-    """The processor, the system and the versions that this process computes with, for people."""
+    """What this process computes with, for people: of `machine`, and the program's version."""
+    return machine() | {PROGRAM_NAME: _commit()}
+
+
+def machine() -> dict[str, str]:
+    """The processor, the system and the versions that this process computes with."""
     system = f"{platform.system()} {platform.machine()} {' '.join(platform.libc_ver())}".strip()
     return {
         **_processor(),
         "system": system,
-        PROGRAM_NAME: _commit(),
+        PROGRAM_NAME: "",
         "python": platform.python_version(),
         **dict(zip(PACKAGES, versions(PACKAGES), strict=True)),
     }

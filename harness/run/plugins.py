@@ -15,6 +15,7 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -95,6 +96,31 @@ def in_cells(envs: Sequence[str]) -> None:
     for env in envs:
         if env.startswith(TASK):
             add_task(env.removeprefix(TASK).replace("+", "/"))
+
+
+def packed(folder: Path) -> dict[str, str]:
+    """Copies the plug-ins that were named into the folder, for another machine; the environment variables
+    that tell `unpack` there."""
+    told = []
+    for i, (name, place) in enumerate(_told()):
+        at = Path("plugins") / str(i)
+        (folder / at).mkdir(parents=True)
+        source = Path(place)
+        if not name.endswith(".py"):
+            source /= name.partition(".")[0]
+            source = source if source.is_dir() else source.with_suffix(".py")
+        if source.is_dir():
+            shutil.copytree(source, folder / at / source.name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder / at)
+        told.append([name, str(at / source.name if name.endswith(".py") else at)])
+    return {VARIABLE: json.dumps(told)} if told else {}
+
+
+def unpack() -> None:
+    """Takes the plug-ins from this process's folder, into which they were `packed`."""
+    if told := _told():
+        os.environ[VARIABLE] = json.dumps([[name, str(Path(place).absolute())] for name, place in told])
 
 
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Request, artifact_of, files_of
+from harness.judge.results import PROGRAM_NAME, REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode
 from harness.run.environment import numeric
@@ -105,7 +105,9 @@ class RunDirectory:
             "key": self.keys[result.cell],
             "task_version": task_version(result.cell.env),
         }
-        facts |= {"origin": origin(), "finished": now}
+        here = origin()
+        there = result.origin | {PROGRAM_NAME: here[PROGRAM_NAME]} if result.origin else here
+        facts |= {"origin": there, "finished": now}
         keyed = dataclasses.replace(result, **facts)  # type: ignore[arg-type]
         name = f"cells/{result.cell.name}.json"
         write_atomic(self.path / name, encode(keyed))

@@ -1,0 +1,201 @@
+"""The engine of runs on many machines: cells are tasks of a Ray cluster, each in a process of its own there,
+as `harness.run.isolated` starts it here.
+
+Only the driver, this process, reads or writes the run's directory. The program, plug-ins and shipped experts
+travel as the tasks' working directory, what cells share travels through Ray's object store, and results and
+recordings come back as bytes. No other file system is shared.
+
+Ray itself repeats no task. The driver repeats those whose node was lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any, Self
+
+from harness.judge.results import LEARNED
+from harness.registry import BadInput
+from harness.run import given, node, plugins
+from harness.run.engines import WORK, Job, Outcome, describe
+from harness.run.environment import CHOSEN, numeric
+from harness.run.keys import write_program
+from harness.run.progress import tell
+from harness.run.scratch import scratch_folder
+
+LOOK_EVERY = 1.0
+"""Seconds between looks for tasks that ended."""
+TRIES = 3
+"""Times that a cell is begun whose node is lost again and again."""
+ANSWERS = 10.0
+"""Seconds that a cluster's head has for an answer."""
+STALLED = 600.0
+"""Seconds without any result after which the user is told."""
+SILENT = {"RAY_USAGE_STATS_ENABLED": "0"}
+"""Ray sends nothing home."""
+LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+"""A cluster that is started here listens on 127.0.0.1 alone."""
+
+
+@dataclass
+class _Task:
+    """A job that a node computes: how often it was begun."""
+
+    job: Job
+    tries: int = 1
+
+
+class Ray:
+    """Cells on a Ray cluster, or on one that is started on this machine and ends with the run.
+
+    address: of the cluster's head, or 'auto'; '' starts one. workers: tasks at a time; None for as many as
+    the cluster has CPUs, looked at anew while the run goes on. The others: as of `Isolated`. Raises BadInput
+    where Ray is not installed, or no cluster can be reached.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        workers: int | None,
+        timeout: float | None = None,
+        deterministic: bool = True,
+        modules: Sequence[str] = (),
+        work: str = WORK,
+    ) -> None:
+        host, _, port = address.rpartition(":")
+        local = not address or host in ("127.0.0.1", "localhost")
+        os.environ |= SILENT | (LOOPBACK if local else {})  # which Ray reads as it is imported
+        self._ray = _imported()
+        if host:
+            _check_reachable(host, port)
+        self.variables = numeric(deterministic)
+        self._address, self._workers = address, workers
+        self._how = node.How(timeout, deterministic, tuple(modules), work)
+        self._running: dict[Any, _Task] = {}
+        self._shared: dict[tuple[str, int], dict[str, Any]] = {}
+        """References to what cells of an environment and a seed share."""
+
+    @property
+    def workers(self) -> int:
+        if self._workers:
+            return self._workers
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(scratch_folder()) / "program"
+            write_program(folder)
+            told = plugins.packed(folder)
+            variables = {name: os.environ[name] for name in CHOSEN if name in os.environ}
+            options: dict[str, Any] = {
+                "runtime_env": {"working_dir": str(folder), "env_vars": variables | told},
+                "log_to_driver": False,
+                "logging_level": "error",
+            }
+            if self._address:
+                options["address"] = self._address
+            else:
+                options |= {"address": "local", "include_dashboard": False, "num_cpus": self._workers}
+            try:
+                self._ray.init(**options)
+            except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+                raise BadInput(f"no Ray cluster {self._address}: {' '.join(str(error).split())}") from error
+            stack.callback(self._ray.shutdown)
+            remote = self._ray.remote(num_cpus=1, max_retries=0)
+            self._begin: Callable[..., Any] = remote(node.compute_there).remote
+            self._last = time.monotonic()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for reference in self._running:
+            with contextlib.suppress(Exception):
+                self._ray.cancel(reference, force=True)
+        self._running.clear()
+        self._shared.clear()
+        self._stack.__exit__(kind, error, trace)
+
+    def start(self, job: Job) -> None:
+        self._launch(_Task(job))
+
+    def doing(self, name: str) -> str:
+        return ""
+
+    def finished(self) -> list[tuple[Job, Outcome]]:
+        done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
+        if done:
+            done, _ = self._ray.wait([*self._running], num_returns=len(self._running), timeout=0)
+            self._last = time.monotonic()
+        elif time.monotonic() - self._last > STALLED:
+            self._last = time.monotonic()
+            tell(
+                f"nothing has come back from the cluster for {STALLED / 60:.0f} minutes; "
+                f"{len(self._running)} cells are there, and `ray status` says what it does"
+            )
+        ended = []
+        for reference in done:
+            task = self._running.pop(reference)
+            outcome = self._outcome(reference)
+            if outcome.lost and task.tries < TRIES:
+                tell(f"its node was lost, begun again: {task.job.name}")
+                self._launch(replace(task, tries=task.tries + 1))
+            else:
+                ended.append((task.job, replace(outcome, lost=False)))
+        return ended
+
+    def _launch(self, task: _Task) -> None:
+        job = task.job
+        shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
+        alone = {name: data for name, data in job.inputs.items() if name == LEARNED}
+        if job.shared and job.conditions.demonstrations:
+            shared = {node.GIVEN: given.file_of(job.conditions.demonstrations).read_bytes()}
+        references = self._references(job, shared)
+        sent = replace(job, inputs=alone)
+        self._running[self._begin(sent, self._how, tuple(references), *references.values())] = task
+
+    def _references(self, job: Job, shared: Mapping[str, bytes]) -> dict[str, Any]:
+        """To what is in the object store by then; what no job needs any more leaves it."""
+        group = job.cells[0].env, job.cells[0].seed
+        needed = {(task.job.cells[0].env, task.job.cells[0].seed) for task in self._running.values()}
+        for other in self._shared.keys() - needed - {group}:
+            del self._shared[other]
+        known = self._shared.setdefault(group, {})
+        for name, data in shared.items():
+            if name not in known:
+                known[name] = self._ray.put(data)
+        return {name: known[name] for name in shared}
+
+    def _outcome(self, reference: Any) -> Outcome:
+        errors = self._ray.exceptions
+        try:
+            outcome: Outcome = self._ray.get(reference)
+        except errors.OutOfMemoryError:
+            return Outcome(error="its node ran out of memory, and Ray ended it")
+        except (errors.NodeDiedError, errors.WorkerCrashedError, errors.ObjectLostError) as error:
+            return Outcome(error=f"its node was lost {TRIES} times: {type(error).__name__}", lost=True)
+        except errors.RayError as error:
+            return Outcome(error=describe(error))
+        return outcome
+
+
+def _check_reachable(host: str, port: str) -> None:
+    """Raises BadInput where nothing answers there, for which Ray itself would wait for minutes."""
+    try:
+        socket.create_connection((host, int(port)), ANSWERS).close()
+    except (OSError, ValueError) as error:
+        raise BadInput(f"no Ray cluster answers at {host}:{port}: {error}") from error
+
+
+def _imported() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'") from error
+    return ray

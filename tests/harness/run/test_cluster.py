@@ -1,0 +1,146 @@
+"""Runs on a Ray cluster: what is lost with a node or a driver is computed again, and all is as on one
+machine."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import psutil
+import pytest
+
+from harness.judge.results import Cell, CellResult
+from harness.run.codec import decode
+
+pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
+TESTS = Path(__file__).parents[1]
+PLUGIN = TESTS / "odd_methods.py"
+PATIENCE = 240.0
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[subprocess.Popen]:
+    script = [sys.executable, str(TESTS / "ray_cluster.py"), "2"]
+    with subprocess.Popen(script, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        process.address = process.stdout.readline().strip()
+        yield process
+        process.stdin.close()
+        process.wait(60)
+
+
+def start(out: Path, *more: str) -> subprocess.Popen:
+    common = [
+        "--envs",
+        "cartpole",
+        "--budget",
+        "smoke",
+        "--no-retrain",
+        "--record",
+        "none",
+        "--out",
+        str(out),
+    ]
+    command = [sys.executable, "-m", "harness", "run", "--plugin", str(PLUGIN), *common, *more]
+    environment = {**os.environ, "RAY_AUTH_MODE": "disabled"}
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str]:
+    printed, _ = process.communicate(timeout=PATIENCE)
+    return process.returncode, printed
+
+
+def wait_for(truth: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not truth():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def stored(out: Path) -> dict[Cell, CellResult]:
+    results = [decode(file.read_text()) for file in (out / "cells").glob("*.json")]
+    return {result.cell: result for result in results}
+
+
+def without_times(result: CellResult) -> CellResult:
+    rows = [replace(row, fit_seconds=0.0) for row in result.rows]
+    return replace(result, rows=rows, seconds={}, finished="")
+
+
+def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: subprocess.Popen, tmp_path: Path) -> None:
+    """24 cells. The driver is killed after a quarter of them and started again, and after half of them a node
+    is killed without grace; all are as on this machine, bit for bit."""
+    asked = ["--methods", "line", "--seeds", "12"]
+    there = [*asked, "--engine", "ray", "--address", cluster.address]
+    first = start(tmp_path / "there", *there)
+    wait_for(lambda: len(stored(tmp_path / "there")) >= 6)
+    first.kill()
+    first.communicate()
+    kept = len(stored(tmp_path / "there"))
+    second = start(tmp_path / "there", *there)
+    wait_for(lambda: len(stored(tmp_path / "there")) >= 12)
+    cluster.stdin.write("kill\n")
+    cluster.stdin.flush()
+    code, printed = finish(second)
+    assert code == 0, printed
+    assert f"{24 - kept} cells to run, {kept} kept from before" in printed
+    code, printed = finish(start(tmp_path / "here", *asked))
+    assert code == 0, printed
+    expected, found = stored(tmp_path / "here"), stored(tmp_path / "there")
+    assert len(found) == 24
+    assert {cell: without_times(result) for cell, result in found.items()} == {
+        cell: without_times(result) for cell, result in expected.items()
+    }
+
+
+def test_a_cell_that_hangs_or_takes_too_much_memory_is_a_failed_row(
+    cluster: subprocess.Popen, tmp_path: Path
+) -> None:
+    asked = ["--methods", "line,hangs,eats", "--cell-timeout", "20"]
+    code, printed = finish(start(tmp_path / "run", *asked, "--engine", "ray", "--address", cluster.address))
+    assert code == 1, printed
+    rows = {cell.method: result.rows[0] for cell, result in stored(tmp_path / "run").items()}
+    assert {name: row.status for name, row in rows.items()} == {
+        "reference": "ok",
+        "line": "ok",
+        "hangs": "failed",
+        "eats": "failed",
+    }
+    assert rows["hangs"].reason == "it was stopped after 20 s"
+    assert rows["eats"].reason.startswith("out of memory: ")
+
+
+def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(tmp_path: Path) -> None:
+    run = start(tmp_path / "run", "--methods", "hangs", "--engine", "ray", "--workers", "2")
+    wait_for(lambda: len(stored(tmp_path / "run")) == 1)
+    descendants = psutil.Process(run.pid).children(recursive=True)
+    listening = {
+        connection.laddr.ip
+        for process in descendants
+        for connection in process.net_connections("inet")
+        if connection.status == psutil.CONN_LISTEN
+    }
+    assert listening <= {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
+    assert listening
+    run.send_signal(signal.SIGINT)
+    code, printed = finish(run)
+    assert code == 130, printed
+    assert "Traceback" not in printed
+    _, alive = psutil.wait_procs(descendants, timeout=30)
+    assert not alive
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense:words"])
+def test_an_address_without_a_cluster_is_refused_in_a_line(address: str, tmp_path: Path) -> None:
+    asked = ["--methods", "line", "--engine", "ray", "--address", address]
+    code, printed = finish(start(tmp_path / "run", *asked))
+    assert code == 2
+    assert printed.startswith(f"irl-bench: error: no Ray cluster answers at {address}: ")
+    assert printed.count("\n") == 1
+    assert not (tmp_path / "run").exists()
