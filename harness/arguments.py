@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 def parser() -> argparse.ArgumentParser:
     """Of the whole command line. Raises BadInput for what it does not understand."""
     top = _Parser(prog="irl-bench", description=EXIT_CODES, allow_abbrev=False)
-    top.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    top.add_argument("--version", action="version", version=f"%(prog)s {installed_version()}")
     commands = top.add_subparsers(dest="command", required=True)
     add = commands.add_parser("run", help="compute scores, and report them", allow_abbrev=False)
     add.add_argument(
@@ -144,7 +144,8 @@ def parser() -> argparse.ArgumentParser:
             add.add_argument("--demos", type=_count, default=100, metavar="N", help="default 100")
             add.add_argument("--demonstrator", default="expert", choices=DEMONSTRATORS)
         if name != "inspect":
-            add.add_argument("--to", type=Path, required=True, metavar="FILE.npz")
+            form = "FILE.npz" if name == "import" else "FILE.npz|FOLDER"
+            add.add_argument("--to", type=Path, required=True, metavar=form)
     add = commands.add_parser("compare", help="what differs between runs", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="A", help="the run that others are compared with")
     add.add_argument("others", nargs="+", type=Path, metavar="B")
@@ -195,7 +196,8 @@ def _add_plugins(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _version() -> str:
+def installed_version() -> str:
+    """This program's."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -140,9 +140,7 @@ def demos(args: argparse.Namespace) -> int:
     choose("env", env, ENVS)
     plugins.load([], [env])
     if args.what == "export":
-        demonstrations.write(
-            args.to, *demonstrations.of_expert(env, args.seed, args.demos, args.demonstrator)
-        )
+        demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
         return 0
     found = demonstrations.read(args.path, SPECS[env], args.action_bounds)

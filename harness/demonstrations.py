@@ -1,19 +1,11 @@
-"""Demonstrations of others, and for others: read from files of several formats, written, and looked at.
-
-`.npz` of this project: arrays obs (sum of T+1, O), act (sum of T, A) in [-1, 1], lengths (N,) and
-terminated (N,), and optionally rewards (sum of T,).
-`.npz` of `imitation` before 1.0: obs, acts, indices, terminal and optionally rews.
-A folder of `imitation` 1.0, which is one of Hugging Face's `datasets`: Arrow streams that state.json names.
-Its `infos`, texts that stand for any Python object, are not looked at.
-
-No pickle is read.
-"""
+"""Demonstrations of others, and for others: read from files of several forms, written, and looked at."""
 
 from __future__ import annotations
 
 import hashlib
 import io
-import json
+import os
+import re
 import struct
 import zipfile
 import zlib
@@ -26,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
+from harness import demonstration_forms as forms
+from harness.arguments import installed_version
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
@@ -33,12 +27,9 @@ from harness.learn.world import without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator
 from harness.run.codec import printable
 from harness.run.experts import demonstrator, expert_for
-from harness.run.files import opened, write_atomic
+from harness.run.files import write_atomic
 from methods.base import Array, Episodes
 
-LARGEST = 1 << 30
-"""Bytes of a file that is read, at most."""
-MOST_EPISODES = 100_000
 SLACK = 1e-6
 """How far outside the bounds an action may be, by rounding; it is moved to the bound."""
 BINS = 10
@@ -91,11 +82,7 @@ def read(path: Path, spec: EnvSpec, bounds: tuple[float, float] | None = None) -
     libraries call every end terminal. Raises BadInput for what is no such file, or does not fit the task.
     """
     try:
-        if path.is_dir():
-            form, raw = "imitation", _arrow(path)
-        else:
-            form, raw = _npz(path)
-        return _found(form, raw, spec, bounds)
+        return _found(forms.raw(path), spec, bounds)
     except _DAMAGES as error:
         reason = printable(" ".join(str(error).split()))[:300] or type(error).__name__
         raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}") from error
@@ -119,6 +106,29 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
     write_atomic(path, buffer.getvalue())
+
+
+def export(path: Path, env: str, seed: int, count: int, kind: Demonstrator) -> None:
+    """Writes demonstrations that a run of that seed shows: an `.npz`, or a folder of Minari where the name
+    ends in something else. Raises BadInput where that is there already, or Minari is missing."""
+    if path.suffix == ".npz":
+        write(path, *of_expert(env, seed, count, kind))
+        return
+    if os.path.lexists(path):
+        raise BadInput(f"{path} is there already")
+    forms.extra("minari")
+    episodes, rewards = of_expert(env, seed, count, kind)
+    forms.write_minari(
+        path,
+        f"irl-bench/{re.sub(r'[^-_a-zA-Z0-9]', '_', env)}/{kind}-v0",
+        SPECS[env],
+        episodes,
+        rewards,
+        author="irl-bench",
+        algorithm_name=kind,
+        description=f"What a run of seed {seed} shows of {env}'s {kind} in irl-bench {installed_version()}, "
+        "with actions in [-1, 1] or choices.",
+    )
 
 
 def of_expert(env: str, seed: int, count: int, kind: Demonstrator) -> tuple[Episodes, list[Array]]:
@@ -162,110 +172,28 @@ def _histogram(values: Array) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Raw:
-    """As a file has it, an entry an episode."""
-
-    obs: list[NDArray[Any]]
-    act: list[NDArray[Any]]
-    terminated: list[bool]
-    rewards: list[NDArray[Any]] | None
-    vague: bool
-    """Whether it may call terminal what was cut at the horizon."""
-
-
-def _npz(path: Path) -> tuple[str, _Raw]:
-    with opened(path) as file:
-        data = file.read(LARGEST + 1)
-    if len(data) > LARGEST:
-        raise ValueError(f"it is larger than {LARGEST >> 20} MiB")
-    if not zipfile.is_zipfile(path):
-        raise ValueError("it is no .npz file; pickles are not read")
-    with zipfile.ZipFile(path) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > LARGEST:
-        raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
-    with np.load(io.BytesIO(data)) as there:
-        names = set(there.files)
-        if {"obs", "act", "lengths", "terminated"} <= names:
-            lengths = _whole(there["lengths"])
-            rewards = there["rewards"] if "rewards" in names else None
-            obs, act, flags = there["obs"], there["act"], there["terminated"]
-            form, vague = "npz", False
-        elif {"obs", "acts", "indices", "terminal"} <= names:
-            act, flags = there["acts"], there["terminal"]
-            obs, rewards = there["obs"], there["rews"] if "rews" in names else None
-            lengths = np.diff([0, *_whole(there["indices"]), len(act)])
-            form, vague = "imitation's npz", True
-        else:
-            raise ValueError(f"it has none of the sets of arrays that are known, but {sorted(names)}")
-    if not 0 < len(lengths) <= MOST_EPISODES or lengths.min() < 1 or flags.shape != lengths.shape:
-        raise ValueError("its lengths and endings do not list the same episodes, each of a step or more")
-    if (len(obs), len(act)) != (lengths.sum() + len(lengths), lengths.sum()):
-        raise ValueError(f"{len(obs)} observations and {len(act)} actions are not those of its episodes")
-    if rewards is not None and rewards.shape != (len(act),):
-        raise ValueError(f"it has rewards {rewards.shape} for {len(act)} steps")
-    ends = np.cumsum(lengths)
-    return form, _Raw(
-        np.split(obs, (ends + np.arange(1, len(ends) + 1))[:-1]),
-        np.split(act, ends[:-1]),
-        [bool(flag) for flag in flags],
-        None if rewards is None else np.split(rewards, ends[:-1]),
-        vague,
-    )
-
-
-def _arrow(path: Path) -> _Raw:
-    import pyarrow as pa
-
-    with opened(path / "state.json") as file:
-        state = json.loads(file.read(LARGEST))
-    names = [entry["filename"] for entry in state["_data_files"]]
-    if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
-        raise ValueError("its state.json names no files beside it")
-    obs, act, rewards = list[NDArray[Any]](), list[NDArray[Any]](), list[NDArray[Any]]()
-    ended: list[bool] = []
-    for name in names:
-        with opened(path / name) as file:
-            data = file.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise ValueError(f"{name} is larger than {LARGEST >> 20} MiB")
-        try:
-            table = pa.ipc.open_stream(pa.py_buffer(data)).read_all()
-            table.validate(full=True)  # or damaged offsets would end this process
-        except pa.ArrowException as error:
-            raise ValueError(f"{name} is no Arrow stream: {error}") from error
-        if table.num_rows + len(obs) > MOST_EPISODES:
-            raise ValueError(f"it has more than {MOST_EPISODES:,} episodes")
-        obs += [np.array(row) for row in table["obs"].to_pylist()]
-        act += [np.array(row) for row in table["acts"].to_pylist()]
-        ended += [bool(flag) for flag in table["terminal"].to_pylist()]
-        if "rews" in table.column_names:
-            rewards += [np.array(row) for row in table["rews"].to_pylist()]
-    return _Raw(obs, act, ended, rewards if len(rewards) == len(obs) else None, vague=True)
-
-
-def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
-    if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise ValueError(f"whole numbers are needed where it has {values.dtype} {values.shape}")
-    return values.astype(np.int64)
-
-
-def _found(form: str, raw: _Raw, spec: EnvSpec, bounds: tuple[float, float] | None) -> Found:
+def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) -> Found:
     obs = [_numbers(rows, spec.obs_size, "observations", i) for i, rows in enumerate(raw.obs)]
-    act = [_actions(rows, spec, bounds, i) for i, rows in enumerate(raw.act)]
+    act = [_actions(rows, spec, bounds or raw.bounds or (-1.0, 1.0), i) for i, rows in enumerate(raw.act)]
     lengths = [len(rows) for rows in act]
     if longest := [i for i, length in enumerate(lengths) if length > spec.horizon]:
         raise ValueError(
             f"episode {longest[0]} has {lengths[longest[0]]} steps, and the horizon is {spec.horizon}"
         )
     full = [length == spec.horizon for length in lengths]
-    guessed = [raw.vague and end and cut for end, cut in zip(raw.terminated, full, strict=True)]
-    terminated = tuple(end and not cut for end, cut in zip(raw.terminated, guessed, strict=True))
+    for i, (end, cut) in enumerate(zip(raw.terminated, full, strict=True)):
+        if end is None and not cut:
+            raise ValueError(f"episode {i} neither terminated nor was cut where it ends, before the horizon")
+    guessed = [raw.vague and bool(end) and cut for end, cut in zip(raw.terminated, full, strict=True)]
+    terminated = tuple(bool(end) and not cut for end, cut in zip(raw.terminated, guessed, strict=True))
     rewards = None
     if raw.rewards is not None:
-        rewards = tuple(_numbers(r[:, None], 1, "rewards", i)[:, 0] for i, r in enumerate(raw.rewards))
-    return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, form, sum(guessed))
+        rewards = tuple(
+            _numbers(np.atleast_1d(r)[:, None], 1, "rewards", i)[:, 0] for i, r in enumerate(raw.rewards)
+        )
+        if [len(paid) for paid in rewards] != lengths:
+            raise ValueError("an episode has not as many rewards as steps")
+    return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed))
 
 
 def _numbers(rows: NDArray[Any], size: int, what: str, episode: int) -> Array:
@@ -277,7 +205,7 @@ def _numbers(rows: NDArray[Any], size: int, what: str, episode: int) -> Array:
     return values
 
 
-def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: tuple[float, float] | None, episode: int) -> Array:
+def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: int) -> Array:
     """(T, A), as `Episodes` has them."""
     if spec.discrete and rows.ndim == 1:
         if rows.dtype.kind not in "iu" or not (len(rows) and 0 <= rows.min() <= rows.max() < spec.act_size):
@@ -286,12 +214,16 @@ def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: tuple[float, float] | No
     act = _numbers(rows, spec.act_size, "actions", episode)
     if spec.discrete:
         return spec.executed(act)
-    low, high = bounds or (-1.0, 1.0)
-    if bounds is not None:
+    if any(np.size(end) not in (1, spec.act_size) for end in bounds):
+        raise ValueError("its bounds are of other actions than the task's")
+    low, high = (np.broadcast_to(end, spec.act_size) for end in bounds)
+    if (low != -1).any() or (high != 1).any():  # or rounding would change some
         act = 2 * (act - low) / (high - low) - 1
-    if (outside := np.abs(act).max(initial=0.0)) > 1 + SLACK:
-        hint = "" if bounds else "; give others as --action-bounds"
+    outside = np.abs(act).max(axis=0, initial=0.0)
+    if (most := outside.max()) > 1 + SLACK:
+        there = f"[{low[outside.argmax()]:g}, {high[outside.argmax()]:g}]"
         raise ValueError(
-            f"episode {episode} has an action {outside:.3g} times as large as [{low:g}, {high:g}]{hint}"
+            f"episode {episode} has an action {most:.3g} times as large as {there}; "
+            "give others as --action-bounds"
         )
     return np.asarray(np.clip(act, -1, 1))

@@ -25,6 +25,7 @@ from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import Shared
 from methods.base import Episodes
+from tests.harness.made_minari import minari_folder
 
 RUNS_SOMETHING = '{"py/reduce": [{"py/function": "os.abort"}, {"py/tuple": []}]}'
 """Where it is decoded."""
@@ -329,8 +330,13 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(tmp_path: Path, tr
     rng, counts = np.random.default_rng(0), Counter[str]()
     demos.write(tmp_path / "d.npz", *made((5, 4), (True, False)))
     folder = imitation(tmp_path / "folder", *made((5, 4), (True, False)), parts=1)
-    places = [tmp_path / "d.npz", folder / "state.json", next(folder.glob("*.arrow"))]
-    for file in places:
+    places = [(tmp_path / "d.npz", tmp_path / "d.npz")]
+    places += [(folder / "state.json", folder), (next(folder.glob("*.arrow")), folder)]
+    episodes, rewards = made((5, 4), (True, False))
+    for form, name in (("hdf5", "main_data.hdf5"), ("parquet", "1/part-0.parquet")):
+        path = minari_folder(tmp_path / form, form, episodes.obs, episodes.act, episodes.terminated, rewards)
+        places.append((path / "data" / name, path))
+    for file, path in places:
         whole = file.read_bytes()
         for _ in range(500):
             at = int(rng.integers(len(whole)))
@@ -339,14 +345,14 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(tmp_path: Path, tr
             file.write_bytes(cut)
             said = ""
             try:
-                demos.read(file if file.suffix == ".npz" else folder, SWINGUP)
+                demos.read(path, SWINGUP)
             except BadInput as error:
                 said = str(error)
             assert said.isprintable(), said
             counts[f"{file.suffix} {'refused' if said else 'taken'}"] += 1
         file.write_bytes(whole)
     tried("damaged files of demonstrations", counts)
-    assert counts[".npz refused"] > 100
+    assert all(counts[f"{suffix} refused"] > 50 for suffix in (".npz", ".arrow", ".hdf5", ".parquet"))
 
 
 def test_pandas_reads_what_was_shown(tmp_path: Path) -> None:
