@@ -33,7 +33,8 @@ _FROM = {
     ),
     "methods.network": ("Network",),
 }
-_WHERE = {name: module for module, names in _FROM.items() for name in names}
+WHERE = {name: module for module, names in _FROM.items() for name in names}
+"""The module that each name comes from."""
 
 __all__ = [
     "DDPG",
@@ -71,9 +72,9 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Imports what is asked for when it is first asked for, for torch takes a second."""
-    if name not in _WHERE:
+    if name not in WHERE:
         raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(_WHERE[name]), name)
+    return getattr(importlib.import_module(WHERE[name]), name)
 
 
 def __dir__() -> list[str]:

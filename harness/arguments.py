@@ -101,7 +101,7 @@ def parser() -> argparse.ArgumentParser:
         "--baseline",
         action="append",
         default=[],
-        type=Path,
+        type=_folder,
         metavar="DIR",
         help="a run, or a folder of runs, to be shown beside: what it has is not computed again",
     )
@@ -126,7 +126,8 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--method", required=True)
     add.add_argument("--seed", type=_seed, default=0, metavar="K")
     add.add_argument("--policy", default="pi_star", choices=("pi_star", "pi_R", "expert"))
-    add.add_argument("--to", type=_folder, metavar="FOLDER", help="default: named as what is exported")
+    add.add_argument("--to", type=_folder, metavar="FOLDER", help="new; default: named as what is exported")
+    _add_plugins(add)
     add = commands.add_parser("demos", help="write, read and look at demonstrations", allow_abbrev=False)
     what = add.add_subparsers(dest="what", required=True)
     for name, does in (
@@ -139,6 +140,7 @@ def parser() -> argparse.ArgumentParser:
             add.add_argument("path", type=Path, metavar="PATH")
             _add_bounds(add)
         add.add_argument("--env", required=True)
+        _add_plugins(add)
         if name == "export":
             add.add_argument("--seed", type=_seed, default=0, metavar="K")
             add.add_argument("--demos", type=_count, default=100, metavar="N", help="default 100")
@@ -273,6 +275,8 @@ def _seconds(text: str) -> int:
 
 def _folder(text: str) -> Path:
     """With no '..' in it, which would mean another folder once those before it are made."""
+    if not text:
+        raise argparse.ArgumentTypeError("a folder is needed, not ''")
     path = Path(text)
     return Path(os.path.realpath(path)) if ".." in path.parts else path
 

@@ -149,7 +149,13 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
     failed = False
     for name in names:
         if name in methods:
-            found = testing.methods.checks(load_method(name)(**settings_for(name, "", "smoke")))
+            try:
+                method = load_method(name)(**settings_for(name, "", "smoke"))
+            except Exception as error:
+                say(f"FAILED  {name}: it can be made without arguments: {type(error).__name__}: {error}")
+                failed = True
+                continue
+            found = testing.methods.checks(method)
         else:
             found = testing.envs.checks(SPECS[name])
         for check in found:

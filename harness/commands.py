@@ -54,7 +54,11 @@ def run(args: argparse.Namespace) -> int:
     engine = _engine(args, envs)
     if args.engine == "inline":
         _check_all_inline(args.out, engine)
-    beside = baseline.comparable(args.baseline, request, engine.variables) if args.baseline else []
+    beside, left_out = list[CellResult](), list[str]()
+    if args.baseline:
+        beside, left_out = baseline.comparable(args.baseline, request, engine.variables)
+    for line in left_out:
+        tell(f"left out of the baseline: {line}")
     with open_for_run(args.out, request, engine.variables) as run:
         if beside:
             run.keep_beside(beside)
@@ -136,9 +140,7 @@ def demos(args: argparse.Namespace) -> int:
     """Writes, reads or describes demonstrations."""
     from harness import demonstrations
 
-    env = plugins.task_or_name(args.env)
-    choose("env", env, ENVS)
-    plugins.load([], [env])
+    env = _one_env(args)
     if args.what == "export":
         demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
@@ -153,10 +155,23 @@ def demos(args: argparse.Namespace) -> int:
     return 0
 
 
+def _one_env(args: argparse.Namespace) -> str:
+    """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
+    plugins.add(args.plugin)
+    plugins.add_installed()
+    env = plugins.task_or_name(args.env)
+    if choose("env", env, ENVS) != (env,):
+        raise BadInput(f"one env is needed, not {args.env!r:.80}")
+    plugins.load([], [env])
+    return env
+
+
 def export(args: argparse.Namespace) -> int:
     """Writes a policy and its reward into a folder."""
     from harness import exported
 
+    plugins.add(args.plugin)
+    plugins.add_installed()
     folder = exported.export(args.directory, args.env, args.method, args.seed, args.policy, args.to)
     say(f"{folder}: {', '.join(sorted(file.name for file in folder.iterdir()))}")
     return 0
@@ -299,7 +314,7 @@ def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, C
     found, unusable = run.beside()
     _tell_unusable(unusable, "left out of the baseline")
     tasks = baseline.tasks_now(run.request, engine.variables)
-    if not all(baseline.is_comparable(result, tasks) for result in found):
+    if not all(baseline.is_comparable(result, tasks, run.request) for result in found):
         raise BadInput(
             f"the baseline in {run.path} is {baseline.OTHER_VERSION}; give it again, or another --out"
         )

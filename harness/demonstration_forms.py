@@ -183,7 +183,7 @@ def _npz(path: Path) -> Raw:
         form,
         np.split(obs, (ends + np.arange(1, len(ends) + 1))[:-1]),
         np.split(act, ends[:-1]),
-        [bool(flag) for flag in flags],
+        _endings(flags.tolist()),
         None if rewards is None else np.split(rewards, ends[:-1]),
         vague,
     )
@@ -193,6 +193,12 @@ def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise ValueError(f"whole numbers are needed where it has {values.dtype} {values.shape}")
     return values.astype(np.int64)
+
+
+def _endings(flags: list[Any]) -> list[bool | None]:
+    if odd := [flag for flag in flags if flag not in (0, 1)]:
+        raise ValueError(f"its endings must be true or false, not {odd[0]!r:.40}")
+    return [bool(flag) for flag in flags]
 
 
 def _imitation(path: Path) -> Raw:
@@ -208,7 +214,7 @@ def _imitation(path: Path) -> Raw:
             raise ValueError(f"it has more than {MOST_EPISODES:,} episodes")
         obs += [np.array(row) for row in table["obs"].to_pylist()]
         act += [np.array(row) for row in table["acts"].to_pylist()]
-        ended += [bool(flag) for flag in table["terminal"].to_pylist()]
+        ended += _endings(table["terminal"].to_pylist())
         if "rews" in table.column_names:
             rewards += [np.array(row) for row in table["rews"].to_pylist()]
     return Raw("imitation", obs, act, ended, rewards if len(rewards) == len(obs) else None, vague=True)

@@ -10,6 +10,7 @@ Nothing is pickled. Outputs are those of the run, bit for bit.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from envs import EnvSpec
 from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
+from harness.run import plugins
 from harness.run.artifacts import read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import printable
@@ -74,7 +76,8 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
     """An environment that pays R*, for any RL library. The true reward is `info["true_reward"]`.
 
     folder: of `export`. offset: pay R* less what absorption pays, so that the end of an episode, after which
-    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*.
+    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*, or
+    the environment's observations or actions are not those that it is of; `make` gives one whose are.
     """
 
     def __init__(self, env: gym.Env[Any, Any], folder: Path | str | Exported, offset: bool = True) -> None:
@@ -83,6 +86,16 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         exported = folder if isinstance(folder, Exported) else load_learned(folder)
         if exported.reward is None:
             raise BadInput("there is no reward in it: the method learns none")
+        theirs = exported.spec.make()
+        if (env.observation_space.shape, env.action_space) != (
+            theirs.observation_space.shape,
+            theirs.action_space,
+        ):
+            raise BadInput(
+                f"R* is of {theirs.observation_space} and {theirs.action_space}, the environment has "
+                f"{env.observation_space} and {env.action_space}; "
+                f"irl_bench.make({exported.spec.name!r}) has those"
+            )
         self.reward, self.offset, self._spec = exported.reward, offset, exported.spec
         self._obs: NDArray[Any] | None = None
 
@@ -115,7 +128,7 @@ def export(
     policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
-    directory = Path(directory)
+    directory, env = Path(directory), plugins.task_or_name(env)
     with open_to_verify(directory) as run:
         results, _ = run.load()
     asked = (env, method, seed, NOMINAL)
@@ -125,11 +138,14 @@ def export(
         raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {', '.join(known)[:300]}")
     cell = cells[0]
     if not results[cell].artifacts:
-        raise BadInput(f"{directory} kept nothing of {cell.name}: it was run with --record none")
+        why = "; ".join(results[cell].warnings) or "it was run with --record none"
+        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}")
     learned = read_artifact(directory / artifact_of(cell))
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
     to = Path(to or f"{cell.name}__{policy}")
+    if os.path.lexists(to) and not (to.is_dir() and not os.listdir(to)):
+        raise BadInput(f"{to} is there already; give a new folder, or an empty one")
     to.mkdir(parents=True, exist_ok=True)
     reward = learned.get("reward")
     parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
@@ -138,8 +154,6 @@ def export(
         arrays, facts[name] = to_arrays(thing, name)
         if thing is not None:
             write_atomic(to / f"{name}.safetensors", as_bytes(Kept(arrays, {})))
-        else:
-            (to / f"{name}.safetensors").unlink(missing_ok=True)
     write_atomic(to / FACTS, json.dumps(facts, indent=1) + "\n")
     return to
 
@@ -151,7 +165,7 @@ def load_learned(folder: Path | str) -> Exported:
         facts = json.loads(read(folder / FACTS))
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        spec = SPECS[facts["env"]]
+        spec = SPECS[plugins.task_or_name(str(facts["env"]))]
         found = {}
         for name in PARTS:
             arrays = {} if facts[name] is None else from_bytes(read(folder / f"{name}.safetensors")).arrays
@@ -165,6 +179,7 @@ def load_learned(folder: Path | str) -> Exported:
 
 def make(env: str) -> gym.Env[Any, Any]:
     """The environment that policies of the task are for. Raises BadInput for an unknown one."""
+    env = plugins.task_or_name(env)
     choose("env", env, ENVS)
     return SPECS[env].make()
 

@@ -1,73 +1,113 @@
 """Cells of other runs that a run is shown beside, so that they need not be computed again.
 
 That is sound where experts, demonstrations and evaluation episodes are the same, which a task's version says
-(`harness.run.keys.task_version`); machine and packages may be others, and are told.
+(`harness.run.keys.task_version`), and methods are those that are known here by their names, which the second
+half of a key says; machine and packages may be others, and are told.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from harness.judge.results import NOMINAL, PROGRAM_NAME, REFERENCE, UNSHOWN, Cell, CellResult, Request
-from harness.registry import BadInput
-from harness.run.keys import cell_keys, origin, task_of, task_version
+from harness.judge.results import (
+    CONTROL_METHODS,
+    NOMINAL,
+    PROGRAM_NAME,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Request,
+)
+from harness.registry import METHODS, VARIANTS, BadInput
+from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
 from harness.run.request import REQUEST
 from harness.run.store import open_to_verify
 
-SAME, OTHER = "baseline", "baseline, of another machine or packages"
+SAME, OTHER = "baseline", "baseline, of another machine, packages or instructions"
 """What is said of a row's source."""
 DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
 
 
-def comparable(paths: Sequence[Path], request: Request, variables: Mapping[str, str]) -> list[CellResult]:
+def comparable(
+    paths: Sequence[Path], request: Request, variables: Mapping[str, str]
+) -> tuple[list[CellResult], list[str]]:
     """Cells of the runs in these folders, or in folders of theirs, of the request's environments and what it
-    shows, but none that failed. variables: those of the engine that computes the request.
+    shows, but none that failed; and what was left out of them, a line each. variables: those of the engine
+    that computes the request.
 
     Raises BadInput where there is no run, or none that can be compared for one of the environments.
     """
     found: dict[Cell, CellResult] = {}
+    versions: dict[Cell, tuple[str, str]] = {}
+    """The key of a method, by its cells but for their seed, and the run that has it."""
     tasks = tasks_now(request, variables)
-    whys: dict[str, set[str]] = {env: set() for env in request.envs}
-    for path in paths:
-        runs = [path] if (path / REQUEST).exists() else sorted(f.parent for f in path.rglob(REQUEST))
-        if not runs:
-            raise BadInput(f"the baseline {path} holds no run")
-        for folder in runs:
-            with open_to_verify(folder) as run:
-                results, conditions = run.load()[0], run.request.conditions
-            differ = [
-                f"{name} {getattr(conditions, name)}, not {getattr(request.conditions, name)}"
-                for name in DECIDING
-                if getattr(conditions, name) != getattr(request.conditions, name)
-            ]
-            for cell, result in results.items():
-                failed = any(row.status == "failed" for row in result.rows)
-                if failed or not _is_asked(cell, request):
-                    continue
-                if differ:
-                    whys[cell.env].add(f"{folder.name} has {', '.join(differ)}")
-                elif not is_comparable(result, tasks):
-                    whys[cell.env].add(f"{folder.name} is {OTHER_VERSION}")
-                elif cell not in found or _source(result) == SAME:
-                    found[cell] = _marked(result)
+    left_out: dict[str, set[str]] = {env: set() for env in request.envs}
+    for folder in [run for path in paths for run in _runs(path)]:
+        with open_to_verify(folder) as run:
+            (results, unusable), conditions = run.load(), run.request.conditions
+        differ = [
+            f"{name} {getattr(conditions, name)}, not {getattr(request.conditions, name)}"
+            for name in DECIDING
+            if getattr(conditions, name) != getattr(request.conditions, name)
+        ]
+        for file, why in unusable.items():
+            left_out.setdefault("", set()).add(f"{file}: {why}")
+        asked = {cell: result for cell, result in results.items() if _is_asked(cell, request)}
+        now = _methods_now(asked, request, variables)
+        for cell, result in asked.items():
+            unseeded = dataclasses.replace(cell, seed=0)
+            its = method_of(result.key)
+            first, where = versions.get(unseeded, (its, folder.name))
+            told = left_out[cell.env]
+            if any(row.status == "failed" for row in result.rows):
+                continue
+            if differ:
+                told.add(f"{folder.name} has {', '.join(differ)}")
+            elif not is_comparable(result, tasks, request):
+                told.add(f"{folder.name} is {OTHER_VERSION}")
+            elif now.get(cell, its) != its:
+                told.add(f"{cell.method} in {folder.name} is of another version of the method")
+            elif first != its:
+                told.add(f"{cell.method} in {folder.name} is of another version than in {where}")
+            elif cell not in found or _source(result, True) == SAME:
+                versions[unseeded] = its, where
+                found[cell] = _marked(result, conditions.deterministic == request.conditions.deterministic)
     there = {cell.env for cell in found}
     for env in request.envs:
         if env not in there:
-            raise BadInput(
-                f"the baseline has no {env} that can be compared: {'; '.join(sorted(whys[env])) or 'none'}"
-            )
-    return [found[cell] for cell in sorted(found)]
+            why = "; ".join(sorted(left_out[env])) or "none"
+            raise BadInput(f"the baseline has no {env} that can be compared: {why}")
+    return [found[cell] for cell in sorted(found)], sorted(set[str]().union(*left_out.values()))
 
 
-def is_comparable(result: CellResult, tasks: Mapping[str, str]) -> bool:
-    """Whether its scores mean what those of this version do: it notes the same version of its task, or has
-    the key that cells of its task have now. tasks: of `tasks_now`."""
+def _runs(path: Path) -> list[Path]:
+    """The run there, or those in its folders. Raises BadInput where there is none."""
+    runs = [path] if (path / REQUEST).exists() else sorted(file.parent for file in path.rglob(REQUEST))
+    if not runs:
+        raise BadInput(f"the baseline {path} holds no run")
+    return runs
+
+
+def is_comparable(result: CellResult, tasks: Mapping[str, str], request: Request) -> bool:
+    """Whether its scores mean what those of this version do: it has the key that cells of its task have now
+    or, where experts are shipped ones and not trained by whatever machine and packages there are, it notes
+    the same version of its task. tasks: of `tasks_now`."""
     env = result.cell.env
-    return task_version(env) == result.task_version or task_of(result.key) == tasks[env]
+    shipped = request.conditions.experts == "shipped" and experts_version(env)
+    same = bool(shipped) and task_version(env) == result.task_version
+    return same or task_of(result.key) == tasks[env]
+
+
+def _methods_now(cells: Iterable[Cell], request: Request, variables: Mapping[str, str]) -> dict[Cell, str]:
+    """The keys of the methods that are known here, by cell."""
+    known = {*METHODS, *VARIANTS, *CONTROL_METHODS, REFERENCE}
+    keys = cell_keys([cell for cell in cells if cell.method in known], request.conditions, variables)
+    return {cell: method_of(key) for cell, key in keys.items()}
 
 
 def tasks_now(request: Request, variables: Mapping[str, str]) -> dict[str, str]:
@@ -85,15 +125,16 @@ def _is_asked(cell: Cell, request: Request) -> bool:
     )
 
 
-def _source(result: CellResult) -> str:
+def _source(result: CellResult, same: bool) -> str:
+    """same: whether instructions were fixed alike."""
     theirs, ours = (
         {name: value for name, value in facts.items() if name != PROGRAM_NAME}
         for facts in (result.origin, origin())
     )
-    return SAME if theirs == ours else OTHER
+    return SAME if same and theirs == ours else OTHER
 
 
-def _marked(result: CellResult) -> CellResult:
+def _marked(result: CellResult, same: bool) -> CellResult:
     """With its source in each row, and without files, which stay where they are."""
-    rows = [dataclasses.replace(row, source=_source(result)) for row in result.rows]
+    rows = [dataclasses.replace(row, source=_source(result, same)) for row in result.rows]
     return dataclasses.replace(result, rows=rows, recordings={}, artifacts={})

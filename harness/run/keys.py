@@ -17,6 +17,7 @@ from pathlib import Path
 from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
 from harness.registry import ENVS, METHODS, PLUGINS, VARIANTS, BadInput, Entry
 from harness.run import environment, plugins
+from harness.run.plugin_sources import Sources
 from methods.settings import settings_for
 
 STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
@@ -27,7 +28,7 @@ NO_NUMBER = {
     *("harness/registry.py", "methods/settings.py", "harness/judge/results.py"),
     *(
         f"harness/run/{name}.py"
-        for name in ("artifacts", "cache", "codec", "files", "keys", "plugins", "sums")
+        for name in ("artifacts", "cache", "codec", "files", "keys", "plugins", "plugin_sources", "sums")
     ),
 }
 """Files that those import and that change none of the numbers. What the first two say of a cell's own method
@@ -108,8 +109,9 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     for cell in cells:
         if cell.env not in tasks:
             asked = [_asked(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
-            more = [*installed, *_of_others("env", cell.env)]
-            tasks[cell.env] = _digest(sources(STAGES, *_module(ENVS, cell.env)), asked, more)
+            others = _of_others("env", cell.env)
+            read = sources(STAGES, *_module(ENVS, cell.env), *others.program)
+            tasks[cell.env] = _digest(read, asked, [*installed, *others.digests])
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)
             settings = settings_for(method, cell.env, conditions.budget)
@@ -120,18 +122,18 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
                 _asked(cell.shown),
                 cell.dynamics,
             ]
-            more = _of_others("method", method)
-            methods[its] = _digest(sources(*_module(METHODS | VARIANTS, method)), asked, more)
+            others = _of_others("method", method)
+            read = sources(*_module(METHODS | VARIANTS, method), *others.program)
+            methods[its] = _digest(read, asked, others.digests)
         keys[cell] = f"{tasks[cell.env]}:{methods[its]}"
     return keys
 
 
-@functools.cache
 def task_version(env: str) -> str:
     """Of a task, its shipped experts, and how policies are scored in it. Where it is the same, scores can be
     compared, whatever machine and packages they were computed with."""
-    asked = [experts_version(env), _target(ENVS, env)]
-    return _digest(sources(*SCORING, *_module(ENVS, env)), asked, _of_others("env", env))
+    asked, others = [experts_version(env), _target(ENVS, env)], _of_others("env", env)
+    return _digest(sources(*SCORING, *_module(ENVS, env), *others.program), asked, others.digests)
 
 
 def _asked(value: Conditions | Shown) -> dict[str, object]:
@@ -149,11 +151,17 @@ def task_of(key: str) -> str:
     return key.partition(":")[0]
 
 
+def method_of(key: str) -> str:
+    """The part of a cell's key that is of its method alone."""
+    return key.partition(":")[2]
+
+
 def expert_key(env: str, asked: object) -> str:
     """Of an environment's expert and what is made with it; asked: what JSON can hold."""
     variables = environment.of_this_process()
-    more = [_installed(), variables, *_of_others("env", env)]
-    return _digest(sources(EXPERTS_MODULE, *_module(ENVS, env)), asked, more)
+    others = _of_others("env", env)
+    more = [_installed(), variables, *others.digests]
+    return _digest(sources(EXPERTS_MODULE, *_module(ENVS, env), *others.program), asked, more)
 
 
 def report_key(cells: object) -> str:
@@ -222,10 +230,10 @@ def _module(known: Mapping[str, Entry], name: str) -> list[str]:
     return [_target(known, name).partition(":")[0]] if name in known else []
 
 
-def _of_others(kind: str, name: str) -> list[object]:
-    """The version of the plug-in that has the method or environment, if one has it."""
+def _of_others(kind: str, name: str) -> Sources:
+    """What the numbers of the plug-in come from that has the method or environment, if one has it."""
     known = PLUGINS[kind]
-    return [plugins.version(known[name].target)] if name in known else []
+    return plugins.sources(known[name].target) if name in known else Sources([], [])
 
 
 def _installed() -> list[object]:

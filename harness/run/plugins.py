@@ -8,7 +8,6 @@ of the groups `irl_bench.methods` and `irl_bench.envs`; those are imported when 
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.metadata
 import importlib.util
@@ -17,12 +16,14 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from harness.registry import BUILT_IN, ENVS, GROUPS, PLUGINS, SPECS, VARIANTS, BadInput, Entry, load_method
+from harness.run.plugin_sources import Sources, sources_of
 
 if TYPE_CHECKING:
     from envs import EnvSpec
@@ -38,6 +39,8 @@ TASK = "gym_"
 """Before that id in the environment's name, which is part of files' names and has no slash."""
 FILE_MODULE = "irl_bench_plugin_"
 """How the names of modules begin that are made of files."""
+_read: dict[str, bytes] = {}
+"""What files were when they were read, by the name of their module."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
 READ = "docs/plugins.md"
 
@@ -47,8 +50,11 @@ def add(named: Sequence[str]) -> None:
     BadInput for a broken one."""
     told = _told()
     for name in named:
-        module = _of_file(Path(name).absolute()) if name.endswith(".py") else _of_module(name)
-        _add(module, name)
+        with _its_troubles(f"the plug-in {name} cannot be loaded"):
+            module = (
+                _of_file(Path(name).absolute()) if name.endswith(".py") else importlib.import_module(name)
+            )
+            _add(module, name)
         file = str(module.__file__ or "")
         told.append([name, file] if name.endswith(".py") else [name, _folder_of(module)])
     if named:
@@ -59,7 +65,11 @@ def add_installed() -> list[str]:
     """Makes known what installed packages name. Why some of that cannot be used."""
     troubles = []
     for kind, group in ENTRY_POINTS.items():
-        for point in sorted(importlib.metadata.entry_points(group=group)):
+        try:
+            points = sorted(importlib.metadata.entry_points(group=group))
+        except Exception as error:  # of a package whose metadata is damaged
+            return [f"what installed packages name cannot be read: {_in_words(error)}"]
+        for point in points:
             package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
             try:
                 _register(kind, point.name, Entry(point.value, f"of the package {package}"))
@@ -79,8 +89,10 @@ def add_task(env_id: str) -> str:
 
 
 def task_or_name(name: str) -> str:
-    """The name of an environment that may be given as 'gym:ID', which is then known. Raises BadInput as
-    `add_task` does."""
+    """The name of an environment that may be given as 'gym:ID', or as such a task is called in a run, and is
+    then known. Raises BadInput as `add_task` does."""
+    if name.startswith(TASK):
+        return add_task(name.removeprefix(TASK).replace("+", "/"))
     return add_task(name.removeprefix(GYMNASIUM)) if name.startswith(GYMNASIUM) else name
 
 
@@ -91,11 +103,10 @@ def in_cells(envs: Sequence[str]) -> None:
             _add(_of_file(Path(place)), name)
         else:
             sys.path += [place] if place not in sys.path else []
-            _add(_of_module(name), name)
+            _add(importlib.import_module(name), name)
     add_installed()
     for env in envs:
-        if env.startswith(TASK):
-            add_task(env.removeprefix(TASK).replace("+", "/"))
+        task_or_name(env)
 
 
 def packed(folder: Path) -> dict[str, str]:
@@ -128,35 +139,21 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
     for kind, names in (("method", methods), ("env", envs)):
         for name in names:
             if name in PLUGINS[kind]:
-                try:
-                    thing = load_method(name) if kind == "method" else SPECS[name]
-                except BadInput:
-                    raise
-                except (Exception, SystemExit) as error:
-                    raise BadInput(f"the {kind} {name} cannot be loaded: {_in_words(error)}") from error
-                _check(kind, name, thing)
+                with _its_troubles(f"the {kind} {name} cannot be loaded"):
+                    _check(kind, name, load_method(name) if kind == "method" else SPECS[name])
 
 
-def version(target: str) -> list[str]:
-    """What tells one version of a plug-in's object, by its target, from another: its distributions, and
-    digests of its source as it is now."""
+def sources(target: str) -> Sources:
+    """What the numbers of a plug-in's object, by its target, come from, as it is now."""
     module, _, rest = target.partition(":")
     if module == __name__:
         import gymnasium
 
         entry = gymnasium.spec(rest.partition("/")[2]).entry_point
         module = entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
-        return _distributions(module)
-    loaded = sys.modules.get(module) or importlib.import_module(module)
-    top = sys.modules.get(module.partition(".")[0], loaded)
-    folders = [Path(folder) for folder in getattr(top, "__path__", [])]
-    files = [(folder, file) for folder in folders for file in sorted(folder.rglob("*.py"))]
-    files = files or [(Path(str(top.__file__)).parent, Path(str(top.__file__)))]
-    digests = [
-        f"{file.relative_to(folder).as_posix()} {hashlib.sha256(file.read_bytes()).hexdigest()}"
-        for folder, file in files
-    ]
-    return [*_distributions(module), *digests]
+    elif module not in sys.modules:
+        importlib.import_module(module)
+    return sources_of(module)
 
 
 class _Gymnasium(dict[str, "EnvSpec"]):
@@ -191,28 +188,28 @@ def _add(module: ModuleType, name: str) -> None:
 
 
 def _of_file(path: Path) -> ModuleType:
+    """The module that the file is, read anew where it has changed since."""
     name = f"{FILE_MODULE}{path.stem}"
-    if name in sys.modules and sys.modules[name].__file__ != str(path):
+    path = Path(os.path.normpath(path))
+    known = sys.modules.get(name)
+    if known and known.__file__ != str(path):
         raise BadInput(f"two plug-ins are called {path.name}; rename one")
-    if name in sys.modules:
-        return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise BadInput(f"there is no plug-in {path}")
+    content = path.read_bytes()
+    if known and _read.get(name) == content:
+        return known
+    for env in [env for env, entry in PLUGINS["env"].items() if entry.target.startswith(f"{name}:")]:
+        SPECS.pop(env, None)
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+        exec(compile(content, path, "exec"), module.__dict__)
+    except BaseException:
         del sys.modules[name]
-        raise BadInput(f"the plug-in {path} cannot be loaded: {_in_words(error)}") from error
+        raise
+    _read[name] = content
     return module
-
-
-def _of_module(name: str) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except (Exception, SystemExit) as error:
-        raise BadInput(f"the plug-in {name} cannot be loaded: {_in_words(error)}") from error
 
 
 def _folder_of(module: ModuleType) -> str:
@@ -246,11 +243,20 @@ def _register(kind: str, name: object, entry: Entry) -> None:
     (VARIANTS if kind == "method" else ENVS)[name] = entry
 
 
-def _distributions(module: str) -> list[str]:
-    """Installed distributions that a module may be of, with versions."""
-    names = importlib.metadata.packages_distributions().get(module.partition(".")[0], [])
-    return sorted({f"{name} {importlib.metadata.version(name)}" for name in names})
+@contextmanager
+def _its_troubles(what: str) -> Iterator[None]:
+    """Whatever a plug-in raises is BadInput."""
+    try:
+        yield
+    except (BadInput, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise BadInput(f"{what}: {_in_words(error)}") from error
 
 
 def _in_words(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    try:
+        said = str(error)
+    except BaseException:
+        said = "(no words)"
+    return " ".join(f"{type(error).__name__}: {said}".split())[:300]

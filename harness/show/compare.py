@@ -62,7 +62,14 @@ def differing(one: Run, other: Run) -> list[str]:
         a, b = (", ".join(sorted(its.get(name, {"unknown"}))) for its in facts)
         if a != b:
             lines.append(f"{name}: {a}, there {b}")
-    return lines
+    methods = [
+        {(r.cell.method, r.cell.task, r.cell.shown): r.key for r in run.results} for run in (one, other)
+    ]
+    for name, task, shown in sorted(methods[0].keys() & methods[1].keys()):
+        a, b = (its[name, task, shown].partition(":")[2] for its in methods)
+        if a != b:
+            lines.append(f"{name} in {task}: the source or the settings of the method")
+    return list(dict.fromkeys(lines))
 
 
 def _facts(run: Run) -> dict[str, set[str]]:

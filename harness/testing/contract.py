@@ -27,7 +27,9 @@ class Check:
             self.run()
         except Unsuitable as error:
             return "skipped", " ".join(str(error).split())
-        except Exception as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit, too: what a method raises ends no check
             kind = "" if isinstance(error, ContractError) else f"{type(error).__name__}: "
             return "FAILED", f"{kind}{' '.join(str(error).split())}"[:500]
         return "ok", ""

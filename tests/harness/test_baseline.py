@@ -54,17 +54,69 @@ def edited(board: Path, change: Callable[[dict], None], cells: str = "*") -> Non
 
 
 def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> None:
-    found = baseline.comparable([board], MINE, VARIABLES)
+    found, _ = baseline.comparable([board], MINE, VARIABLES)
     assert {result.cell.env for result in found} == {"cartpole"}
     fine = [r.cell for r in make_results(("cartpole",)) if all(row.status != "failed" for row in r.rows)]
     assert [result.cell for result in found] == sorted(fine)
     assert {row.source for result in found for row in result.rows} == {baseline.SAME}
 
 
+def of_another_task(result: dict) -> None:
+    """As a key is where other packages are installed."""
+    result["key"] = f"other:{keys.method_of(result['key'])}"
+
+
+def of_another_method(result: dict) -> None:
+    if result["cell"]["method"] == "bc":
+        result["key"] = f"{keys.task_of(result['key'])}:other"
+
+
+def test_a_method_of_another_version_is_left_out_by_name(board: Path) -> None:
+    edited(board, of_another_method)
+    found, left_out = baseline.comparable([board], MINE, VARIABLES)
+    assert found
+    assert "bc" not in {result.cell.method for result in found}
+    assert "bc in one is of another version of the method" in left_out
+
+
+def test_seeds_of_two_versions_of_a_method_are_not_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
+    runs = [
+        made(tmp_path / "one/a", computed((0, 1)), request),
+        made(tmp_path / "two/b", computed((1, 2)), request),
+    ]
+    edited(tmp_path / "two", lambda result: result.update(key=result["key"] + "0"))
+    monkeypatch.setattr(baseline, "METHODS", {})  # of a plug-in, which nobody knows here
+    found, left_out = baseline.comparable(runs, MINE, VARIABLES)
+    assert [result.cell.seed for result in found] == [0, 1]
+    assert left_out == ["gail in b is of another version than in a"]
+
+
+def test_trained_experts_of_another_machine_are_no_experts_of_this_one(board: Path) -> None:
+    trained = dataclasses.replace(MINE.conditions, experts="trained")
+    request = dataclasses.replace(MINE, conditions=trained)
+    made(board / "two", request=dataclasses.replace(REQUEST, conditions=trained))
+    edited(board, of_another_task)
+    with pytest.raises(BadInput, match="two is of another version of the task, its experts"):
+        baseline.comparable([board / "two"], request, VARIABLES)
+    assert baseline.comparable([board / "one"], MINE, VARIABLES)
+
+
+def test_other_instructions_are_marked(tmp_path: Path) -> None:
+    fast = dataclasses.replace(
+        REQUEST, conditions=dataclasses.replace(REQUEST.conditions, deterministic=False)
+    )
+    made(tmp_path / "fast", request=fast)
+    found, _ = baseline.comparable([tmp_path / "fast"], MINE, VARIABLES)
+    assert {row.source for result in found for row in result.rows} == {baseline.OTHER}
+
+
 def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
-    edited(board, lambda result: result.update(key="other:other"))
+    edited(board, of_another_task)
     edited(board, lambda result: result["origin"].update(processor="another"))
-    found = baseline.comparable([board], MINE, VARIABLES)
+    found, _ = baseline.comparable([board], MINE, VARIABLES)
     assert {row.source for result in found for row in result.rows} == {baseline.OTHER}
 
 
@@ -189,8 +241,10 @@ def test_what_cannot_be_compared_is_left_out_and_named(
     one, other = made(tmp_path / "a/one"), made(tmp_path / "b/other")
     edited(tmp_path / "b", lambda result: result.update(task_version="2", key="2:2"), "cartpole*")
     edited(tmp_path / "b", lambda result: result["origin"].update(processor="another"))
+    edited(tmp_path / "b", of_another_method, "pendulum*")
     assert main(["compare", str(one), str(other)]) == 0
     out = capsys.readouterr().out
+    assert "- bc in pendulum: the source or the settings of the method\n" in out
     assert "- cartpole: not compared; of another version of the task" in out
     assert "- processor: " in out
     assert "| pendulum | shaped | pi_R |" in out

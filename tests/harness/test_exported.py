@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -20,7 +21,7 @@ from harness.cli import main
 from harness.exported import FACTS, export, load_learned
 from harness.judge.results import Cell, Conditions, Request, artifact_of
 from harness.learn.seeds import evaluation_seeds
-from harness.registry import SPECS, BadInput
+from harness.registry import ENVS, PLUGINS, SPECS, BadInput
 from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
@@ -58,6 +59,28 @@ def test_exported_and_in_process_outputs_are_bit_equal(run: Path, folder: Path) 
     assert found.reward.absorbing == kept["reward"].absorbing == found.facts["absorbing"]
     retrained = load_learned(export(run, "cartpole", "shaped", policy="pi_R", to=folder.parent / "pi_R"))
     assert np.array_equal(retrained.policy(obs), kept["pi_R"](obs))
+
+
+def test_nothing_that_is_there_is_replaced(run: Path, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "reward.safetensors").write_text("mine")
+    for there in (tmp_path, folder, run, tmp_path / "reward.safetensors"):
+        with pytest.raises(BadInput, match="is there already"):
+            export(run, "cartpole", "shaped", to=there)
+    assert (tmp_path / "reward.safetensors").read_text() == "mine"
+
+
+@pytest.mark.parametrize("other", ["CartPole-v1", "Pendulum-v1", "InvertedPendulum-v5"])
+def test_a_reward_is_of_its_own_tasks_spaces(folder: Path, other: str) -> None:
+    with pytest.raises(BadInput, match=r"irl_bench.make\('cartpole'\) has those"):
+        irl_bench.LearnedReward(gym.make(other), folder)
+
+
+def test_tasks_of_gymnasium_are_made_by_either_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    for known in (ENVS, PLUGINS["env"]):
+        monkeypatch.setitem(known, "gym_Pendulum-v1", None)  # forgotten with the test
+        monkeypatch.delitem(known, "gym_Pendulum-v1")
+    for name in ("gym:Pendulum-v1", "gym_Pendulum-v1"):
+        assert irl_bench.make(name).observation_space.shape == (3,)
 
 
 def test_it_says_what_it_is(folder: Path) -> None:

@@ -63,6 +63,69 @@ def key(cell: Cell) -> str:
     return keys.cell_keys([cell], CONDITIONS, {})[cell]
 
 
+def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules beside it, packages, and this program's; not what is installed, whose version counts."""
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs/__init__.py").write_text("")
+    (tmp_path / "theirs/deep.py").write_text("from its_helper import VALUE")
+    (tmp_path / "its_helper.py").write_text("VALUE = 1")
+    (tmp_path / "imports.py").write_text(f"import theirs.deep\n{MINE}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins.add([str(tmp_path / "imports.py")])
+    cell, program = Cell("swingup", "mine", 0), keys.program()
+    before = key(cell)
+    for file in ("its_helper.py", "theirs/deep.py", "theirs/__init__.py"):
+        was = (tmp_path / file).read_text()
+        (tmp_path / file).write_text(f"{was}\nMORE = 1\n")
+        assert key(cell) != before, file
+        (tmp_path / file).write_text(was)
+    assert key(cell) == before
+    for file, counts in (("methods/bc.py", True), ("methods/gail.py", False), ("harness/frames.py", False)):
+        edited = program | {file: program[file] + b"\nMORE = 1\n"}
+        monkeypatch.setattr(keys, "program", lambda edited=edited: edited)
+        assert (key(cell) != before) == counts, file
+
+
+def test_a_file_that_was_edited_is_read_anew(mine: Path) -> None:
+    """As from a notebook, in one process."""
+    plugins.add([str(mine)])
+    assert SPECS["moon"].name == "moon"
+    mine.write_text(MINE.replace("steps: int = 30", "steps: int = 40"))
+    plugins.add([str(mine)])
+    assert load_method("mine")().steps == 40
+
+
+RAISING = {
+    "exits": "raise SystemExit(0)",
+    "leaves": "raise GeneratorExit('no')",
+    "odd": "class Odd(BaseException): ...\nraise Odd('no')",
+    "mute": "class Mute(Exception):\n    def __str__(self): raise ValueError\nraise Mute",
+    "attributes": "def __getattr__(name): raise ValueError('no')",
+    "table": "class D(dict):\n    def items(self): raise ValueError\nMETHODS = D(a=1)",
+    "repr": "class R:\n    def __repr__(self): raise ValueError\nMETHODS = {'mine': R()}",
+}
+
+
+@pytest.mark.parametrize("how", RAISING)
+def test_whatever_a_plugin_raises_is_a_line(
+    how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / f"{how}.py").write_text(RAISING[how])
+    assert main(["list", "--plugin", str(tmp_path / f"{how}.py")]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("irl-bench: error: the plug-in ")
+    assert err.count("\n") == 1
+
+
+def test_a_method_that_exits_fails_its_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = MINE.replace(
+        "    steps: int = 30", "    def fit(self, demos, world, rng):\n        raise SystemExit(0)"
+    )
+    (tmp_path / "exits.py").write_text(text)
+    assert main(["check", "mine", "--plugin", str(tmp_path / "exits.py")]) == 1
+    assert "FAILED  mine: " in capsys.readouterr().out
+
+
 def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> None:
     plugins.add([str(mine)])
     assert load_method("mine").__name__ == "Mine"
