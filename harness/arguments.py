@@ -106,6 +106,7 @@ def parser() -> argparse.ArgumentParser:
         help="a run, or a folder of runs, to be shown beside: what it has is not computed again",
     )
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
+    add.add_argument("--plan", action="store_true", help="say what it would take; compute and write nothing")
     _add_how_cells_run(add)
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
