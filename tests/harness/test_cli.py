@@ -17,7 +17,7 @@ import pytest
 
 from harness import cli, commands, registry
 from harness.judge.results import CellResult, Request
-from harness.run import engines, grid, isolated, keys, store
+from harness.run import engines, grid, isolated, keys, plan, store
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 from tests.harness.small_runs import snapshot
@@ -200,8 +200,8 @@ def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, t
     every = 2 * (PER_SEED + 2)
     assert out.startswith(f"{every} cells: 0 kept from before, in run; 0 of a baseline; {every} to run\n")
     assert re.search(r"cartpole bc +2 .*a guess", out)
-    for cores in ("2", "64", "1,000"):
-        assert f"wall time with {cores} cores: 0:" in out
+    for cores in plan.CORES:
+        assert f"wall time with {cores:,} cores: 0:" in out
     assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
     before = snapshot(tmp_path)
     code, out, _ = main(*asked, "--plan")
