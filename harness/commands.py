@@ -383,8 +383,10 @@ def _tell_troubles(results: list[CellResult]) -> bool:
 
 def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
     """A line for each reason."""
-    for reason in sorted(set(files.values())):
-        first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
+    by_reason: dict[str, list[Path]] = {}
+    for path, reason in sorted(files.items()):
+        by_reason.setdefault(reason, []).append(path)
+    for reason, (first, *others) in sorted(by_reason.items()):
         names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
         more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
         tell(f"{what_happens}: {names}{more}: {reason}")

@@ -396,8 +396,10 @@ def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
     """Cells that cannot be compared with the rest of their environment, that is of the version of most of its
     references, or of most cells where it has none; nor with those that differ by their seed alone."""
     others = set()
-    for env in {cell.env for cell in results}:
-        mine = {cell: results[cell].key for cell in sorted(results) if cell.env == env}
+    by_env: dict[str, dict[Cell, str]] = {}
+    for cell in sorted(results):
+        by_env.setdefault(cell.env, {})[cell] = results[cell].key
+    for mine in by_env.values():
         deciding = {cell: key for cell, key in mine.items() if cell.method == REFERENCE} or mine
         task = _most(map(task_of, deciding.values()))
         others |= {cell for cell, key in mine.items() if task_of(key) != task}
