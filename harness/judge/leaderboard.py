@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from harness.judge.results import (
     ALL_SHOWN,
@@ -28,6 +28,8 @@ from harness.judge.statistics import (
     normal_interval,
 )
 from harness.registry import ASKING, Demonstrator
+
+T = TypeVar("T")
 
 _POLICIES = ("expert", "random", "pi_star", "pi_R")
 _ROLES = {
@@ -191,9 +193,19 @@ def leaderboard(rows: Sequence[Row]) -> list[Entry]:
     return [
         entry
         for _, its in sorted(tasks.items())
-        for shown in shown_in(its)
-        for entry in _board([row for row in its if is_on(row, shown)], shown, scales)
+        for shown, mine in by_shown(its, lambda row: row).items()
+        for entry in _board(mine, shown, scales)
     ]
+
+
+def by_shown(items: Sequence[T], row: Callable[[T], Row]) -> dict[Shown, list[T]]:
+    """Of a task's items, those of each board, by what is shown there. row: of an item."""
+    boards: dict[Shown, list[T]] = {shown: [] for shown in shown_in([row(item) for item in items])}
+    for item in items:
+        its = row(item)
+        for board in boards.values() if its.method in UNSHOWN else (boards[its.shown],):
+            board.append(item)
+    return boards
 
 
 def shown_in(rows: Sequence[Row]) -> list[Shown]:
