@@ -155,6 +155,12 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("names", nargs="+", metavar="NAME", help="methods and environments, as `run` takes them")
     _add_plugins(add)
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
+    add.add_argument(
+        "part",
+        nargs="?",
+        choices=("speed", "growth", "scale"),
+        help="ratios of speed; memory, and how it and time grow; 100,000 cells and rows (default: all)",
+    )
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
     what = add.add_subparsers(dest="what", required=True)
