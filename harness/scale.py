@@ -62,7 +62,7 @@ def scale() -> Iterator[Measure]:
     yield Measure(f"{name}, the driver's work for each", "ms", [found.milliseconds], bar=5)
     yield Measure(f"{name}, the same on its processor", "ms", [found.cpu], bar=5)
     yield Measure(f"{name}, what the driver holds more", "MB", [found.megabytes], bar=2000)
-    yield Measure(f"{name}, simulated time without work", "%", [found.idle], bar=10)
+    yield Measure(f"{name}, simulated time without work", "%", [found.idle], bar=None)
     found = apart(drive_and_store, STORED)
     name = f"{found.cells:,} cells, stored"
     yield Measure(f"{name}, the driver's work for each", "ms", [found.milliseconds], bar=None)

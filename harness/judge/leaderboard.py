@@ -228,14 +228,12 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     bar = max(bars) if all(map(math.isfinite, bars)) else math.nan
     true = score.get(("control_true", "pi_R"), math.nan)
 
-    def best(method: str, policy: str) -> list[Row]:
-        """The rows of the best method's policy of the same name; none for what is no rival."""
-        if method in _ROLES:
-            return []
+    best: dict[str, list[Row]] = {}  # rows of the best method, by policy
+    for policy in _POLICIES:
         rivals = [
-            key for key in groups if key[1] == policy and key[0] not in _ROLES and math.isfinite(score[key])
+            key for key in groups if key[1] == policy and _is_rival(key[0]) and math.isfinite(score[key])
         ]
-        return groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
+        best[policy] = groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
 
     def place(key: tuple[str, str]) -> tuple[Any, ...]:
         method, policy = key
@@ -249,8 +247,14 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         trained = key[1] == "pi_R"
         above = score[key] - bar if trained else math.nan
         share = score[key] / true if trained and true > 0 else math.nan
-        entries.append(_entry(groups[key], shown, score[key], above, share, best(*key), scales))
+        theirs = best[key[1]] if _is_rival(key[0]) else []
+        entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
+
+
+def _is_rival(method: str) -> bool:
+    """Whether it is compared with the other methods, or is there for comparison."""
+    return method not in _ROLES
 
 
 def _entry(
