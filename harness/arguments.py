@@ -106,6 +106,7 @@ def parser() -> argparse.ArgumentParser:
         help="a run, or a folder of runs, to be shown beside: what it has is not computed again",
     )
     add.add_argument("--out", default=Path("results/latest"), type=_folder, metavar="DIR")
+    add.add_argument("--plan", action="store_true", help="say what it would take; compute and write nothing")
     _add_how_cells_run(add)
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
@@ -157,6 +158,12 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("names", nargs="+", metavar="NAME", help="methods and environments, as `run` takes them")
     _add_plugins(add)
     add = commands.add_parser("bench", help="what things cost, as ratios", allow_abbrev=False)
+    add.add_argument(
+        "part",
+        nargs="?",
+        choices=("speed", "growth", "scale"),
+        help="ratios of speed; memory, and how it and time grow; 100,000 cells and rows (default: all)",
+    )
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)
     what = add.add_subparsers(dest="what", required=True)

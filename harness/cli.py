@@ -57,7 +57,7 @@ def _dispatch(argv: list[str]) -> int:
     if args.command == "verify":
         return _verify(args.directory)
     if args.command == "bench":
-        return _bench(args.json)
+        return _bench(args.part, args.json)
     if args.command == "check":
         return _check(args.names, args.plugin)
     if args.command == "experts":
@@ -165,7 +165,7 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
     return int(failed)
 
 
-def _bench(as_json: bool) -> int:
+def _bench(part: str | None, as_json: bool) -> int:
     from harness.run.processes import as_in_cells
     from harness.run.progress import say, tell
 
@@ -175,9 +175,12 @@ def _bench(as_json: bool) -> int:
             from harness.bench import bench  # in that environment
             from harness.growth import growth
             from harness.run.keys import origin
+            from harness.scale import scale
+
+            parts = {"speed": bench, "growth": growth, "scale": scale}
 
         try:
-            for measure in chain(bench(), growth()):
+            for measure in chain.from_iterable(parts[name]() for name in ([part] if part else parts)):
                 measures.append(measure.to_json())
                 missed |= measure.missed
                 if as_json:

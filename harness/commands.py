@@ -7,7 +7,7 @@ import importlib
 import logging
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,18 +21,20 @@ from harness.run.processes import let_cells_sleep
 from harness.run.progress import say, tell
 from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
-from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_verify
+from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_plan, open_to_verify
 from harness.run.sums import SUMS
 from harness.show.compare import Run as Comparable
 
+LEFT_OUT = "left out, computed again if asked for"
 MOST_NAMED = 20
 """Files that a line names, but for the first."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Computes what is asked for and not there yet, and reports all that is there."""
+    """Computes what is asked for and not there yet, and reports all that is there; or plans that."""
     methods, envs = _named(args)
-    _prepare()
+    if not args.plan:
+        _prepare()
     seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
     fixed = _is_deterministic(args)
     conditions = Conditions(
@@ -59,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         beside, left_out = baseline.comparable(args.baseline, request, engine.variables)
     for line in left_out:
         tell(f"left out of the baseline: {line}")
+    if args.plan:
+        return _plan(args, request, engine, beside)
     with open_for_run(args.out, request, engine.variables) as run:
         if beside:
             run.keep_beside(beside)
@@ -132,7 +136,8 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
     found = demonstrations.read(args.demos_from, SPECS[envs[0]], args.action_bounds)
     if max(args.demos) > len(found.episodes):
         raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")
-    given.keep(str(found), found.episodes)
+    if not args.plan:
+        given.keep(str(found), found.episodes)
     return str(found)
 
 
@@ -272,6 +277,33 @@ def _check_all_inline(directory: Path, engine: Engine) -> None:
         raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
 
 
+def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]) -> int:
+    """Says what the run would take, and neither computes nor writes anything."""
+    from harness.run import plan
+
+    with open_to_plan(args.out, request, engine.variables) as run:
+        known, unusable = run.load()
+        _tell_unusable(unusable, LEFT_OUT)
+        beside = run.without_its_own(baseline) if baseline else _beside(run, request, engine)
+    cells = _missing(request, known, beside, args.retry_failed)
+    kept = [cell in known for cell in {*request.cells}.difference(cells)]
+    say(
+        f"{len(request.cells):,} cells: {sum(kept):,} kept from before, in {args.out}; "
+        f"{len(kept) - sum(kept):,} of a baseline; {len(cells):,} to run"
+    )
+    for line in plan.as_lines(plan.plan(cells, request.conditions, engine.variables)):
+        say(line)
+    return 0
+
+
+def _missing(
+    request: Request, known: Mapping[Cell, CellResult], beside: Collection[Cell], retry: bool
+) -> list[Cell]:
+    """The cells of the request that have to be computed. retry: those that failed, too."""
+    again = {cell for cell, result in known.items() if retry and _has_failed(result)}
+    return [cell for cell in request.cells if (cell not in known and cell not in beside) or cell in again]
+
+
 def _compute(
     run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine
 ) -> dict[Cell, CellResult]:
@@ -279,10 +311,9 @@ def _compute(
     from harness.run.grid import Grid
 
     known, unusable = run.load()
-    _tell_unusable(unusable, "left out, computed again if asked for")
+    _tell_unusable(unusable, LEFT_OUT)
     beside = _beside(run, request, engine)
-    again = {cell for cell, result in known.items() if args.retry_failed and _has_failed(result)}
-    cells = [cell for cell in request.cells if (cell not in known and cell not in beside) or cell in again]
+    cells = _missing(request, known, beside, args.retry_failed)
     kept = len(request.cells) - len(cells)
     conditions = request.conditions
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
@@ -371,8 +402,10 @@ def _tell_troubles(results: list[CellResult]) -> bool:
 
 def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
     """A line for each reason."""
-    for reason in sorted(set(files.values())):
-        first, *others = sorted(path for path, its_reason in files.items() if its_reason == reason)
+    by_reason: dict[str, list[Path]] = {}
+    for path, reason in sorted(files.items()):
+        by_reason.setdefault(reason, []).append(path)
+    for reason, (first, *others) in sorted(by_reason.items()):
         names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
         more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
         tell(f"{what_happens}: {names}{more}: {reason}")

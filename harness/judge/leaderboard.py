@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from harness.judge.results import (
     ALL_SHOWN,
@@ -28,6 +28,8 @@ from harness.judge.statistics import (
     normal_interval,
 )
 from harness.registry import ASKING, Demonstrator
+
+T = TypeVar("T")
 
 _POLICIES = ("expert", "random", "pi_star", "pi_R")
 _ROLES = {
@@ -191,9 +193,19 @@ def leaderboard(rows: Sequence[Row]) -> list[Entry]:
     return [
         entry
         for _, its in sorted(tasks.items())
-        for shown in shown_in(its)
-        for entry in _board([row for row in its if is_on(row, shown)], shown, scales)
+        for shown, mine in by_shown(its, lambda row: row).items()
+        for entry in _board(mine, shown, scales)
     ]
+
+
+def by_shown(items: Sequence[T], row: Callable[[T], Row]) -> dict[Shown, list[T]]:
+    """Of a task's items, those of each board, by what is shown there. row: of an item."""
+    boards: dict[Shown, list[T]] = {shown: [] for shown in shown_in([row(item) for item in items])}
+    for item in items:
+        its = row(item)
+        for board in boards.values() if its.method in UNSHOWN else (boards[its.shown],):
+            board.append(item)
+    return boards
 
 
 def shown_in(rows: Sequence[Row]) -> list[Shown]:
@@ -216,14 +228,12 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     bar = max(bars) if all(map(math.isfinite, bars)) else math.nan
     true = score.get(("control_true", "pi_R"), math.nan)
 
-    def best(method: str, policy: str) -> list[Row]:
-        """The rows of the best method's policy of the same name; none for what is no rival."""
-        if method in _ROLES:
-            return []
+    best: dict[str, list[Row]] = {}  # rows of the best method, by policy
+    for policy in _POLICIES:
         rivals = [
-            key for key in groups if key[1] == policy and key[0] not in _ROLES and math.isfinite(score[key])
+            key for key in groups if key[1] == policy and _is_rival(key[0]) and math.isfinite(score[key])
         ]
-        return groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
+        best[policy] = groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
 
     def place(key: tuple[str, str]) -> tuple[Any, ...]:
         method, policy = key
@@ -237,8 +247,14 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         trained = key[1] == "pi_R"
         above = score[key] - bar if trained else math.nan
         share = score[key] / true if trained and true > 0 else math.nan
-        entries.append(_entry(groups[key], shown, score[key], above, share, best(*key), scales))
+        theirs = best[key[1]] if _is_rival(key[0]) else []
+        entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
+
+
+def _is_rival(method: str) -> bool:
+    """Whether it is compared with the other methods, or is there for comparison."""
+    return method not in _ROLES
 
 
 def _entry(

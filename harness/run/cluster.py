@@ -82,9 +82,11 @@ class Ray:
 
     @property
     def workers(self) -> int:
-        if self._workers:
-            return self._workers
-        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        return self._workers or self._cpus
+
+    def _count(self) -> None:
+        """The CPUs that there are now."""
+        self._cpus = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
@@ -109,6 +111,7 @@ class Ray:
             remote = self._ray.remote(num_cpus=1, max_retries=0)
             self._begin: Callable[..., Any] = remote(node.compute_there).remote
             self._last = time.monotonic()
+            self._count()
             self._stack = stack.pop_all()
         return self
 
@@ -139,6 +142,7 @@ class Ray:
                 f"nothing has come back from the cluster for {STALLED / 60:.0f} minutes; "
                 f"{len(self._running)} cells are there, and `ray status` says what it does"
             )
+        self._count()
         ended = []
         for reference in done:
             task = self._running.pop(reference)

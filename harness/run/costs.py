@@ -35,14 +35,25 @@ class Costs:
         self._under = ", ".join([c.budget, *told])
         self._measured: dict[str, float] = _stored().get(self._under, {})
         self._noted: dict[str, float] = {}
+        by_env: dict[str, list[float]] = {}
+        for name, seconds in self._measured.items():
+            env, _, rest = name.partition(" ")
+            if rest not in ("", SHARED):
+                by_env.setdefault(env, []).append(seconds)
+        self._usual = {env: sorted(known)[len(known) // 2] for env, known in by_env.items()}
+        """The median of an environment's cells."""
+
+    def known(self, job: Job) -> bool:
+        """Whether a job like it was measured."""
+        return name_of(job) in self._measured
 
     def of(self, job: Job) -> float:
         """What a job is expected to take, in seconds."""
-        return self._measured.get(_name(job)) or self._guess(job)
+        return self._measured.get(name_of(job)) or self._guess(job)
 
     def note(self, job: Job, seconds: float) -> None:
         """Remembers what it took."""
-        self._noted[_name(job)] = max(seconds, 1e-3)
+        self._noted[name_of(job)] = max(seconds, 1e-3)
 
     def keep(self) -> None:
         """Stores what was noted for later runs, where that can be done."""
@@ -54,9 +65,8 @@ class Costs:
 
     def _guess(self, job: Job) -> float:
         env = job.cells[0].env
-        known = [seconds for name, seconds in self._measured.items() if _is_cell_of(name, env)]
-        if known and not job.shared:
-            return sorted(known)[len(known) // 2]
+        if env in self._usual and not job.shared:
+            return self._usual[env]
         try:
             steps = SPECS[env].rl_steps[self._budget]
         except Exception:  # whatever is wrong with an environment, its own cells tell
@@ -64,12 +74,8 @@ class Costs:
         return steps / STEPS_PER_SECOND * (0.1 if job.shared else 1.0)
 
 
-def _is_cell_of(name: str, env: str) -> bool:
-    """Whether a job of this name is a cell of the environment."""
-    return name.startswith(f"{env} ") and name != f"{env} {SHARED}"
-
-
-def _name(job: Job) -> str:
+def name_of(job: Job) -> str:
+    """What jobs are measured by: task, method and what is shown; not the seed."""
     cell = job.cells[0]
     shown = f" {cell.shown}" if cell.shown != ALL_SHOWN else ""
     return f"{cell.env} {SHARED}" if job.shared else f"{cell.task} {cell.method}{shown}"

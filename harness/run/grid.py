@@ -6,8 +6,10 @@ A cell that raises, dies or yields NaN becomes `failed` rows with the reason; th
 from __future__ import annotations
 
 import heapq
+import math
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -30,6 +32,9 @@ from harness.run.progress import Progress, progress_for
 
 Group = tuple[str, int]
 """An environment and a seed: what its cells share is made first."""
+MOST_SHARED, USUAL_SHARED = 1 << 34, 1 << 26
+"""Bytes of what cells share that this process holds at most, and that one group is thought to have until its
+own are there: the half-cheetah's are 59 MB."""
 
 
 class Sink(Protocol):
@@ -59,6 +64,16 @@ class Grid:
         if not cells:
             return
         costs = Costs(self.conditions)
+        jobs = self.jobs(cells, costs)
+        expected = {job.name: costs.of(job) for job in jobs}
+        with self.engine, progress_for(expected, self.engine.workers, self.engine.doing) as progress:
+            try:
+                Schedule(self, jobs, progress, costs).run()
+            finally:
+                costs.keep()
+
+    def jobs(self, cells: Sequence[Cell], costs: Costs) -> list[Job]:
+        """What computes the cells, the first to be done first."""
         groups: dict[Group, list[Cell]] = {}
         for cell in cells:
             groups.setdefault((cell.env, cell.seed), []).append(cell)
@@ -72,21 +87,18 @@ class Grid:
             if not job.shared and (source := before(job.cells[0])) and source.name in ahead:
                 ahead[source.name] += expected[job.name]
         # Seed by seed, so that what cells share need not be there for all of them at once.
-        jobs.sort(key=lambda job: (job.cells[0].seed, not job.shared, -ahead[job.name]))
-        with self.engine, progress_for(expected, self.engine.workers, self.engine.doing) as progress:
-            try:
-                _Schedule(self, jobs, progress, costs).run()
-            finally:
-                costs.keep()
+        return sorted(jobs, key=lambda job: (job.cells[0].seed, not job.shared, -ahead[job.name]))
 
 
-class _Schedule:
-    """What is left of a grid's jobs, the first to be done first."""
+class Schedule:
+    """What is left of a grid's jobs, the first to be done first. Nothing of it enters the grid's engine."""
 
     def __init__(self, grid: Grid, jobs: Sequence[Job], progress: Progress, costs: Costs) -> None:
         self.grid, self.progress, self.costs = grid, progress, costs
         self.rank = {job.name: rank for rank, job in enumerate(jobs)}
-        self.ready = [(self.rank[job.name], job) for job in jobs if job.shared]  # a heap
+        self.shared = deque(job for job in jobs if job.shared)
+        self.ready: list[tuple[int, Job]] = []
+        """Cells that can be started, a heap."""
         self.held: dict[Group, list[Job]] = {}
         """Cells whose shared inputs are not there yet."""
         self.later: dict[Cell, list[Job]] = {}
@@ -98,28 +110,58 @@ class _Schedule:
         self.left = {group: len(held) for group, held in self.held.items()}
         """Cells that have not ended, of each group."""
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
+        self.bytes = self.preparing = 0
+        """Of all inputs; and how many groups' are being made."""
         self.learned: dict[Group, dict[Cell, bytes]] = {}
         """What cells learned that others go on from, as far as it is not kept."""
         self.started: dict[str, float] = {}
         """When each job that runs began, in seconds of `time.monotonic`."""
         self.lost: list[Job] = []
-        self.tried_again: set[str] = set()
+        self.losses: Counter[str] = Counter()
+        self.alone: set[str] = set()
+        """Jobs that were lost and are tried with no other beside them; lost again, they have failed."""
 
     def run(self) -> None:
-        engine = self.grid.engine
-        while self.ready or self.started or self.lost:
-            while self.ready and len(self.started) < engine.workers:
-                self._start(heapq.heappop(self.ready)[1])
-            if self.lost and not self.started:  # once more, alone: one of them may be why others were lost
-                self.tried_again.add(self.lost[0].name)
-                self._start(self.lost.pop(0))
-            for job, outcome in engine.finished():
+        while self.shared or self.ready or self.lost:
+            self._do(self._next)
+            if self.lost:
+                self._do_again()
+
+    def _do_again(self) -> None:
+        """What was lost once more. One of those jobs may be why the others were lost: so half as many at a
+        time whenever one of them is lost again, at last each alone."""
+        again, self.lost = deque(self.lost), []
+        most = max(1, self.grid.engine.workers >> max(self.losses[job.name] for job in again))
+        if most == 1:
+            self.alone |= {job.name for job in again}
+        self._do(lambda: again.popleft() if again else None, most)
+
+    def _do(self, following: Callable[[], Job | None], most: float = math.inf) -> None:
+        """Does the jobs that follow, as many at a time as the engine can but at most `most`, until there is
+        none and all have ended."""
+        while True:
+            limit = min(most, self.grid.engine.workers)
+            while len(self.started) < limit and (job := following()):
+                self._start(job)
+            if not self.started:
+                return
+            for job, outcome in self.grid.engine.finished():
                 seconds = time.monotonic() - self.started.pop(job.name)
                 self._ended(job, outcome, seconds)
+
+    def _next(self) -> Job | None:
+        """The first that may be started now; None where nothing may."""
+        enough = self.bytes + (self.preparing + 1) * USUAL_SHARED > MOST_SHARED
+        if self.shared and not (enough and self.started):
+            first = self.rank[self.shared[0].name]
+            if not self.ready or first < self.ready[0][0]:
+                return self.shared.popleft()
+        return heapq.heappop(self.ready)[1] if self.ready else None
 
     def _start(self, job: Job) -> None:
         self.progress.started(job.name)
         self.started[job.name] = time.monotonic()
+        self.preparing += job.shared
         if not job.shared:
             (cell,) = job.cells
             shared, source = self.inputs[_group(job)], before(cell)
@@ -139,9 +181,11 @@ class _Schedule:
             heapq.heappush(self.ready, (self.rank[job.name], job))
 
     def _ended(self, job: Job, outcome: Outcome, seconds: float) -> None:
+        self.preparing -= job.shared
         if outcome.log:
             self.grid.sink.log(outcome.log)
-        if outcome.lost and job.name not in self.tried_again:
+        if outcome.lost and job.name not in self.alone:
+            self.losses[job.name] += 1
             self.lost.append(job)
             return
         if not outcome.error:
@@ -156,6 +200,7 @@ class _Schedule:
                 self._keep(cell, Outcome(error=f"no expert: {outcome.error}"), 0.0)
         else:
             self.inputs[_group(job)] = outcome.files
+            self.bytes += _size(outcome.files)
             for cell in held:
                 self._release(cell)
 
@@ -182,9 +227,13 @@ class _Schedule:
             self._release(other)
         self.left[_group(job)] -= 1
         if not self.left[_group(job)]:
-            self.inputs.pop(_group(job), None)
+            self.bytes -= _size(self.inputs.pop(_group(job), {}))
             self.learned.pop(_group(job), None)
 
 
 def _group(job: Job) -> Group:
     return job.cells[0].env, job.cells[0].seed
+
+
+def _size(files: Mapping[str, bytes]) -> int:
+    return sum(map(len, files.values()))

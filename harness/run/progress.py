@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -15,6 +16,9 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from harness.run.codec import printable
+
+FEW, EVERY = 64, 1.0
+"""Where more tasks run, how long the rest may take is reckoned once in so many seconds: each is looked at."""
 
 
 class Progress(Protocol):
@@ -67,6 +71,7 @@ class _Tally:
         """What is expected of those that wait."""
         self._spent = self._done = 0.0
         self._start = time.monotonic()
+        self._eta, self._reckoned = "?", -math.inf
 
     def begin(self, name: str) -> None:
         self._left -= self.waiting.pop(name, 0.0)
@@ -94,10 +99,15 @@ class _Tally:
 
     def eta(self) -> str:
         """How long the rest may take, by the pace so far."""
+        now = time.monotonic()
+        if len(self.running) <= FEW or now - self._reckoned >= EVERY:
+            self._eta, self._reckoned = self._reckon(now), now
+        return self._eta
+
+    def _reckon(self, now: float) -> str:
         if not self._done:
             return "?"
         pace = self._spent / self._done
-        now = time.monotonic()
         rest = max(self._left * pace, 0.0)
         of_running = [max(self.costs[name] * pace - now + start, 0.0) for name, start in self.running.items()]
         return clock(max([(rest + sum(of_running)) / self.workers, *of_running]))
@@ -166,10 +176,16 @@ class _Display:
 
     def _render(self) -> RenderableType:
         now = time.monotonic()
+        tasks = list(self.tally.running.items())
+        most = max(
+            1, self.console.height - 4
+        )  # beside how many more there are, the bar, the line, the cursor
         running = [
             Text(f"  {name}  {clock(now - t)}  {printable(self.doing(name))}".rstrip())
-            for name, t in list(self.tally.running.items())
+            for name, t in tasks[:most]
         ]
+        if len(tasks) > most:
+            running.append(Text(f"  and {len(tasks) - most} more"))
         total = len(self.tally.costs)
         return Group(
             *running, ProgressBar(total=total, completed=total - self.tally.left), Text(self.tally.line())

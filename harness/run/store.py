@@ -65,7 +65,7 @@ CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
 
 
 class RunDirectory:
-    """A run's directory. Made by `open_for_run`, `open_for_report` and `open_to_verify`.
+    """A run's directory. Made by `open_for_run`, `open_for_report`, `open_to_verify` and `open_to_plan`.
 
     request: what its run.json says. keys: for each cell, what it must have been computed under to count;
     empty where all of one version do.
@@ -197,6 +197,11 @@ class RunDirectory:
             if not (self.path / "cells" / path.name).exists():
                 found.append(result)
         return found, unusable
+
+    def without_its_own(self, results: Iterable[CellResult]) -> list[Cell]:
+        """The cells among these that the run has not itself."""
+        own = {path.stem for path in self._cell_files()}
+        return [result.cell for result in results if result.cell.name not in own]
 
     def swapped(self, results: Iterable[CellResult]) -> dict[Path, str]:
         """Cells among these whose files are not those that were noted when they were stored."""
@@ -364,20 +369,39 @@ def open_to_verify(path: Path) -> Iterator[RunDirectory]:
     """The run in `path`, where nothing is written, not even a lock, but held where a lock is there and can be
     read. Raises BadInput like `open_for_run`."""
     request = existing(path)
+    with _shared(path):
+        yield RunDirectory(path, request)
+
+
+@contextmanager
+def open_to_plan(path: Path, request: Request, variables: Mapping[str, str]) -> Iterator[RunDirectory]:
+    """The run that `open_for_run` would start or continue, where nothing is written. Raises BadInput as that
+    does, but for what cannot be written."""
+    grown = merged(path, request)
+    with _shared(path):
+        yield RunDirectory(path, grown, keys=cell_keys(grown.cells, grown.conditions, variables))
+
+
+@contextmanager
+def _shared(path: Path) -> Iterator[None]:
+    """Nobody writes the run in `path` until the context ends, as far as a lock there can be read. Raises
+    BadInput where somebody does."""
     with ExitStack() as stack:
         with suppress(OSError):
             lock = stack.enter_context(opened(path / LOCK))
             if not share_lock(lock.fileno()):
                 raise BadInput(in_use(path))
-        yield RunDirectory(path, request)
+        yield
 
 
 def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
     """Cells that cannot be compared with the rest of their environment, that is of the version of most of its
     references, or of most cells where it has none; nor with those that differ by their seed alone."""
     others = set()
-    for env in {cell.env for cell in results}:
-        mine = {cell: results[cell].key for cell in sorted(results) if cell.env == env}
+    by_env: dict[str, dict[Cell, str]] = {}
+    for cell in sorted(results):
+        by_env.setdefault(cell.env, {})[cell] = results[cell].key
+    for mine in by_env.values():
         deciding = {cell: key for cell, key in mine.items() if cell.method == REFERENCE} or mine
         task = _most(map(task_of, deciding.values()))
         others |= {cell for cell, key in mine.items() if task_of(key) != task}

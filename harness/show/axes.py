@@ -18,6 +18,8 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0
 STYLES = ("-", "--", ":", "-.")
 MARKERS = ("o", "D", "s", "^", "v", "P", "X")
 MOST_VARIANTS = 12
+MOST_LINES = 56
+"""Of a figure: more leave its legend no room for it."""
 
 
 def draw_axes(env: str, entries: Sequence[Entry], flag: str = "") -> list[Picture]:
@@ -36,7 +38,8 @@ def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[
         if e.dynamics == NOMINAL and e.demos and e.method not in (REFERENCE, *CONTROLS) and e.seeds_ok
     ]
     ways = sorted({_way(e) for e in mine})
-    lines = [(method, way) for method in dict.fromkeys(e.method for e in mine) for way in ways]
+    every = [(method, way) for method in dict.fromkeys(e.method for e in mine) for way in ways]
+    lines = every[:MOST_LINES]
     counts = sorted({e.demos for e in mine})
     if len(counts) < 2:
         return []
@@ -76,6 +79,8 @@ def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[
         figure.suptitle(flag, color=RED)
     told = "; ".join(f"{e.method} {e.policy} with {e.demos}: {e.score_mean:.2f}" for e in mine)
     title = f"{env}: scores against demonstrations"
+    if len(every) > len(lines):
+        title += f" (the first {len(lines)} of {len(every)} lines)"
     return [picture(f"{file_of(env)}_demonstrations.png", title, f"{title}. {told}.", figure)]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
@@ -98,9 +98,10 @@ def differences(one: Run, other: Run) -> list[Difference]:
     """Of every policy that both have, in the order of the first run's leaderboard."""
     apart = other_versions(one, other)
     here, there = (scored_rows(run.results) for run in (one, other))
+    groups = [_grouped(rows) for rows in (here, there)]
     found = []
     for entry in leaderboard(here):
-        mine, theirs = (_of(rows, entry) for rows in (here, there))
+        mine, theirs = (_of(its, entry) for its in groups)
         seeds = sorted(mine.keys() & theirs.keys())
         if entry.env in apart or entry.method == REFERENCE or not seeds:
             continue
@@ -118,15 +119,26 @@ def differences(one: Run, other: Run) -> list[Difference]:
     return found
 
 
-def _of(rows: Sequence[Row], entry: Entry) -> dict[int, float]:
+Group = tuple[str, str, str, str, str]
+
+
+def _group(item: Row | Entry) -> Group:
+    return item.env, item.dynamics, item.method, item.policy, item.protocol
+
+
+def _grouped(rows: Sequence[Row]) -> dict[Group, list[Row]]:
+    groups: dict[Group, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(_group(row), []).append(row)
+    return groups
+
+
+def _of(groups: Mapping[Group, Sequence[Row]], entry: Entry) -> dict[int, float]:
     """By seed, the scores that the entry is of."""
-    names = ("env", "dynamics", "method", "policy", "protocol")
     return {
         row.seed: row.normalized_score
-        for row in rows
-        if all(getattr(row, name) == getattr(entry, name) for name in names)
-        and is_on(row, entry.shown)
-        and math.isfinite(row.normalized_score)
+        for row in groups.get(_group(entry), ())
+        if is_on(row, entry.shown) and math.isfinite(row.normalized_score)
     }
 
 

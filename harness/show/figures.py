@@ -32,6 +32,10 @@ POLICIES = {
 """Label, colour and marker."""
 MOST_PANELS, MOST_IN_ALL = 60, 2000
 """Of a figure and of a report: one takes a tenth of a second."""
+MOST_SEEDS = 100
+"""Seeds whose own lines and dots are drawn; means are of all."""
+LONGEST_ALT = 20_000
+"""Characters of what is said of a figure in words."""
 _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -68,12 +72,13 @@ def draw(
     results: Sequence[CellResult],
     envs: int = 1,
     flag: str = "",
+    in_all: int = MOST_IN_ALL,
 ) -> list[Picture]:
     """The figures of one board of `envs`, from its lines, its scored rows and its results: scores, learning
     curves of RL, training curves of methods; those that have nothing to show are left out. flag: what is said
-    above each."""
+    above each. in_all: panels of all boards, at most."""
     file = file_of(env)
-    most = min(MOST_PANELS, max(1, MOST_IN_ALL // (2 * envs)))
+    most = min(MOST_PANELS, max(1, in_all // (2 * envs)))
     with styled():
         rl, truth, chosen, training = _curves([entry.method for entry in entries], results)
         scored = any(entry.method != REFERENCE for entry in entries)
@@ -121,6 +126,9 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
         axes.axvline(value, color="#888888", linewidth=1, linestyle="--", zorder=0)
         axes.text(value, 1.01, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
     told = []
+    dots: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        dots.setdefault((row.method, row.policy), []).append(row.normalized_score)
     for place, method in enumerate(methods):
         ground = "#eeeeee" if method in CONTROLS else "white"
         axes.axhspan(place - 0.5, place + 0.5, color=ground, linewidth=0, zorder=-1)
@@ -136,8 +144,8 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
                 axes.text(0.02, y, text, transform=axes.get_yaxis_transform(), color=colour, **style)
                 words.append(f"{entry.policy} n/a")
                 continue
-            dots = [r.normalized_score for r in rows if (r.method, r.policy) == (method, entry.policy)]
-            axes.scatter(dots, [y + 0.17] * len(dots), s=14, color=colour, alpha=0.5, linewidths=0)
+            its = dots[method, entry.policy][:MOST_SEEDS]
+            axes.scatter(its, [y + 0.17] * len(its), s=14, color=colour, alpha=0.5, linewidths=0)
             if math.isfinite(entry.score_low):
                 axes.plot([entry.score_low, entry.score_high], [y, y], color=colour, linewidth=2, zorder=3)
             axes.scatter(entry.score_mean, y, s=38, color=colour, marker=marker, edgecolors="white", zorder=4)
@@ -146,7 +154,8 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     axes.set_yticks(range(len(methods)), methods, parse_math=False)
     axes.set_ylim(len(methods) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("normalized score (small dots: seeds; markers: means; bars: 95 % intervals)")
+    seeds = f"the first {MOST_SEEDS} seeds" if max(map(len, dots.values())) > MOST_SEEDS else "seeds"
+    axes.set_xlabel(f"normalized score (small dots: {seeds}; markers: means; bars: 95 % intervals)")
     if flag:
         axes.set_title(flag, color=RED, pad=18)
     for label, colour, marker in POLICIES.values():
@@ -184,8 +193,9 @@ Curves = dict[str, list[list[tuple[float, float]]]]
 def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves, Curves]:
     """RL's curves under the reward learned from, their true returns, the checkpoints that count, and the
     methods' own curves, in the order of `methods`."""
-    ranked = [result for result in results if result.cell.method in methods]
-    ranked.sort(key=lambda result: (methods.index(result.cell.method), result.cell.seed))
+    rank = {method: place for place, method in enumerate(dict.fromkeys(methods))}
+    ranked = [result for result in results if result.cell.method in rank]
+    ranked.sort(key=lambda result: (rank[result.cell.method], result.cell.seed))
     rl: Curves = {}
     truth: Curves = {}
     chosen: Curves = {}
@@ -193,7 +203,7 @@ def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curv
     for result in ranked:
         method = result.cell.method
         for name, points in sorted(result.curves.items()):
-            finite = [(x, y) for x, y in points if math.isfinite(y)]
+            finite = [point for point in points if math.isfinite(point[1])]
             if not finite:
                 continue
             if name in ("pi_R", "expert"):
@@ -221,6 +231,8 @@ def _panels(
     if len(curves) > most:
         title += f" (the first {most} of {len(curves)} panels)"
         curves = dict(list(curves.items())[:most])
+    if max(map(len, curves.values())) > MOST_SEEDS:
+        title += f" (lines of the first {MOST_SEEDS} seeds)"
     columns = min(4, len(curves))
     lines = math.ceil(len(curves) / columns)
     figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
@@ -241,10 +253,10 @@ def _panels(
 
 
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:
-    """A thin line a seed, a thick one for their mean where all have a point."""
-    lines = LineCollection(list(seeds), colors=colour, linewidths=0.8, alpha=0.5)
+    """A thin line a seed, up to `MOST_SEEDS`, a thick one for their mean where all have a point."""
+    lines = LineCollection(list(seeds[:MOST_SEEDS]), colors=colour, linewidths=0.8, alpha=0.5)
     axes.add_collection(lines)
-    single = [points[0] for points in seeds if len(points) == 1]
+    single = [points[0] for points in seeds[:MOST_SEEDS] if len(points) == 1]
     axes.plot(*(zip(*single, strict=True) if single else ([], [])), ".", color=colour, alpha=0.5)
     axes.autoscale_view()
     frame = pd.DataFrame([point for points in seeds for point in points], columns=["x", "y"])
@@ -259,6 +271,8 @@ def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colou
 
 def picture(file: str, title: str, alt: str, figure: Figure) -> Picture:
     width, height = figure.get_size_inches() * 96  # a page has 96 pixels an inch
+    if len(alt) > LONGEST_ALT:
+        alt = alt[:LONGEST_ALT] + "…"
     return Picture(file, title, alt, png(figure), round(width), round(height))
 
 

@@ -7,14 +7,17 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence, Sized
 from dataclasses import dataclass
+from itertools import accumulate, islice
+from operator import attrgetter
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from harness.judge.leaderboard import (
     Entry,
+    by_shown,
     indistinct,
     is_on,
     leaderboard,
@@ -60,6 +63,16 @@ OVERALL_HEADINGS = (
 SPENT_HEADINGS = ("Stage of a cell", "Seconds, all cells", "Share")
 DETAIL_HEADINGS = ("Method", "Detail of its fit", "Mean over seeds")
 NO_RESULT = "NOT A RESULT"
+MOST_LINES, LONGEST_NOTE = 5000, 5000
+"""Of leaderboards on the page and in leaderboard.md, by whole boards; characters of what a line notes."""
+MANY_ROWS = 20_000
+"""Of a run with more of them there are fewer pictures."""
+MOST_DRAWN, MOST_DRAWN_OF_MANY = 100, 6
+"""Boards that have pictures."""
+MOST_PANELS_OF_MANY = 120
+"""Of all pictures then."""
+MOST_LISTED = 1000
+"""Warnings and recordings on the page, each."""
 
 
 def report_files(
@@ -78,7 +91,11 @@ def report_files(
         "leaderboard.csv": as_csv(entries, [f.name for f in dataclasses.fields(Entry)]),
     }
 
-    boards = _boards(entries, rows, results)
+    every = _boards(entries, rows, results)
+    boards = _first(every, MOST_LINES)
+    many = len(rows) > MANY_ROWS
+    drawn = dict(islice(boards.items(), MOST_DRAWN_OF_MANY if many else MOST_DRAWN))
+    made += _left_out(every, boards, drawn)
     whys = {env: _why_no_result(env, request, results) for env in dict.fromkeys(e.env for e in entries)}
     flags = {name: whys[board.entries[0].env] for name, board in boards.items()}
     tables = {
@@ -101,7 +118,7 @@ def report_files(
     several = len({row.env for row in own}) > 1
     apart = [f"{env} is left out: {why}" for env, why in left_out.items()] if several else []
     apart += [f"of boards with {shown}"] if several and str(shown) else []
-    flag = f"{NO_RESULT}: " if any(flags.values()) else ""
+    flag = f"{NO_RESULT}: " if any(whys.values()) else ""
     parts = [f"# {flag}Leaderboard\n", "".join(f"- {_escaped(line)}\n" for line in made)]
     if across or apart:
         said = "".join(f"- {_escaped(line)}\n" for line in apart)
@@ -117,14 +134,15 @@ def report_files(
     files["leaderboard.md"] = "\n".join(parts)
 
     pictures = {}
-    for name, board in boards.items():
+    for name, board in drawn.items():
         pictures[name] = figures.draw(
             name,
             board.entries,
             board.rows,
             board.results,
-            len(boards),
+            len(drawn),
             f"{NO_RESULT}: {flags[name]}" if flags[name] else "",
+            MOST_PANELS_OF_MANY if many else figures.MOST_IN_ALL,
         )
         files |= {f"figures/{picture.file}": picture.png for picture in pictures[name]}
 
@@ -132,12 +150,14 @@ def report_files(
         env: draw_axes(
             env,
             [e for e in entries if e.env == env],
-            f"{NO_RESULT}: {why}" if why else "",
+            f"{NO_RESULT}: {whys[env]}" if whys[env] else "",
         )
-        for env, why in whys.items()
+        for env in dict.fromkeys(board.entries[0].env for board in drawn.values())
     }
     files |= {f"figures/{one.file}": one.png for its in over.values() for one in its}
 
+    kept = {*recorded}
+    there = sorted(name for result in results for name in result.recordings if name in kept)
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -153,15 +173,15 @@ def report_files(
         pictures=pictures,
         over=[one for its in over.values() for one in its],
         endings={name: _endings(board.results) for name, board in boards.items()},
-        warnings=_warnings(results, rows),
+        warnings=_some(_warnings(results, rows), "scores.csv has every row"),
         origins=origins,
         spent_headings=SPENT_HEADINGS,
         spent=spent,
         recordings=[
             (name, f"rerun {shlex.quote(f'recordings/{name}')} --bind 127.0.0.1")
-            for name in sorted(name for result in results for name in result.recordings)
-            if name in recorded
+            for name in there[:MOST_LISTED]
         ],
+        more_recordings=max(0, len(there) - MOST_LISTED),
     )
     return files
 
@@ -185,12 +205,41 @@ def _boards(entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[Cel
         by_task.setdefault(row.task, ([], []))[0].append(row)
     for result in results:
         by_task[result.cell.task][1].append(result)
+    of_task = {
+        task: (by_shown(its_rows, lambda row: row), by_shown(its_results, lambda result: result.rows[0]))
+        for task, (its_rows, its_results) in by_task.items()
+    }
     boards = {}
     for name, its in by_name.items():
-        shown, (its_rows, its_results) = its[0].shown, by_task[its[0].task]
-        mine = [row for row in its_rows if is_on(row, shown)]
-        boards[name] = Board(its, mine, [r for r in its_results if is_on(r.rows[0], shown)])
+        its_rows, its_results = of_task[its[0].task]
+        boards[name] = Board(its, its_rows[its[0].shown], its_results[its[0].shown])
     return boards
+
+
+def _first(boards: Mapping[str, Board], most: int) -> dict[str, Board]:
+    """Those that have so many lines together, and one at least."""
+    lines = list(accumulate(len(board.entries) for board in boards.values()))
+    fit = max(1, sum(count <= most for count in lines))
+    return dict(islice(boards.items(), fit))
+
+
+def _left_out(every: Sized, shown: Sized, drawn: Sized) -> list[str]:
+    """What of all boards is not shown, or not drawn, a line each."""
+    lines = []
+    if len(shown) < len(every):
+        lines.append(
+            f"the first {len(shown):,} of {len(every):,} boards are shown; leaderboard.csv has the lines of "
+            "all, scores.csv their rows"
+        )
+    if len(drawn) < len(shown):
+        lines.append(f"pictures are of the first {len(drawn):,} boards")
+    return lines
+
+
+def _some(lines: Sequence[str], elsewhere: str) -> list[str]:
+    """The first of them, and how many more there are."""
+    more = len(lines) - MOST_LISTED
+    return [*lines[:MOST_LISTED], *([f"and {more:,} more; {elsewhere}"] if more > 0 else [])]
 
 
 def _compared_across(rows: Sequence[Row]) -> tuple[Shown, list[Row]]:
@@ -264,7 +313,7 @@ def as_csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> st
 
 
 def _frame(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> pd.DataFrame:
-    frame = pd.DataFrame([dataclasses.asdict(item) for item in items], columns=list(columns))
+    frame = pd.DataFrame(map(attrgetter(*columns), items), columns=list(columns))
     for name in ("reason", "note"):
         if name in frame:  # A spreadsheet would compute what begins like this.
             frame[name] = ["'" + text if text.startswith(tuple("=+-@")) else text for text in frame[name]]
@@ -297,6 +346,9 @@ def _cells(entry: Entry) -> list[str]:
     note = [entry.note] if entry.note else []
     if entry.varies == "episodes" and math.isfinite(entry.return_low):
         note.append("one seed: intervals are over episodes")
+    noted = " ".join("; ".join(note).split())
+    if len(noted) > LONGEST_NOTE:
+        noted = f"{noted[:LONGEST_NOTE]} … (all of it in leaderboard.csv)"
     return [
         entry.method,
         entry.role,
@@ -310,7 +362,7 @@ def _cells(entry: Entry) -> list[str]:
         _number(entry.reward_rank, "z.2f") if learned else "",
         _number(entry.policy_ranking, "z.2f") if learned else "",
         _range(entry.return_mean, entry.return_low, entry.return_high, ".1f"),
-        " ".join("; ".join(note).split()),
+        noted,
     ]
 
 

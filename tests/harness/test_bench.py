@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from envs.driving.fast import FastHighwayEnv
-from harness import bench, cli, growth
+from harness import bench, cli, growth, scale
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
 from harness.run.engines import Engine
@@ -75,6 +75,7 @@ def test_figures_are_told_one_by_one_and_as_json_at_the_end(
     memory = bench.Measure("a worker", "MB", [1043.2], None)
     monkeypatch.setattr(bench, "bench", lambda: iter([ratio]))
     monkeypatch.setattr(growth, "growth", lambda: iter([memory]))
+    monkeypatch.setattr(scale, "scale", lambda: iter([]))
     lines = "RL: 2.5 times (1 to 3), bar 3 MISSED\na worker: 1043 MB (1043 to 1043)\n"
     assert cli.main(["bench"]) == 1
     assert capsys.readouterr().out == lines
@@ -85,6 +86,8 @@ def test_figures_are_told_one_by_one_and_as_json_at_the_end(
     assert everything["measures"] == [ratio.to_json(), memory.to_json()]
     assert everything["cores"] >= 1
     assert everything["numpy"]
+    assert cli.main(["bench", "growth"]) == 0
+    assert capsys.readouterr().out == lines.splitlines()[1] + "\n"
 
 
 def test_what_fails_is_a_line_and_what_was_measured_is_told(

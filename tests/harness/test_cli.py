@@ -5,6 +5,7 @@ import functools
 import itertools
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -16,9 +17,10 @@ import pytest
 
 from harness import cli, commands, registry
 from harness.judge.results import CellResult, Request
-from harness.run import engines, grid, isolated, keys, store
+from harness.run import engines, grid, isolated, keys, plan, store
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
+from tests.harness.small_runs import snapshot
 
 HERE = Path(__file__).parent
 HEAVY = {"torch", "numpy", "gymnasium", "pandas", "rich", "pebble", "matplotlib"}
@@ -189,6 +191,39 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
         2,
         f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out\n",
     )
+
+
+def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, tmp_path: Path) -> None:
+    asked = (*SMOKE, "--methods", "bc,shaped", "--seeds", "2", "--out", "run")
+    code, out, _ = main(*asked, "--plan")
+    assert (code, list(tmp_path.iterdir())) == (0, [])
+    every = 2 * (PER_SEED + 2)
+    assert out.startswith(f"{every} cells: 0 kept from before, in run; 0 of a baseline; {every} to run\n")
+    assert re.search(r"cartpole bc +2 .*a guess", out)
+    for cores in plan.CORES:
+        assert f"wall time with {cores:,} cores: 0:" in out
+    assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
+    before = snapshot(tmp_path)
+    code, out, _ = main(*asked, "--plan")
+    there = PER_SEED + 1
+    assert out.startswith(
+        f"{every} cells: {there} kept from before, in run; 0 of a baseline; {every - there}"
+    )
+    assert re.search(r"cartpole bc +1 +[0-9.]+\n", out), "measured by now"
+    code, out, _ = main(*asked[:-1], "other", "--baseline", "run", "--plan")
+    assert f"0 kept from before, in other; {there} of a baseline; {every - there} to run" in out
+    assert snapshot(tmp_path) == before
+    code, out, _ = main(*asked)
+    assert (code, out.splitlines()[0].split(",")[0]) == (0, f"{every - there} cells to run")
+    assert main(*asked, "--plan")[1].endswith("; 0 to run\n")
+
+
+def test_what_is_refused_to_a_run_is_refused_to_its_plan(main: Main, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes").write_text("x")
+    for asked in (("--out", "mine"), ("--baseline", "mine"), ("--methods", "nothing")):
+        code, out, err = main(*SMOKE, *asked, "--plan")
+        assert (code, out, err.count("\n")) == (2, "", 1), err
 
 
 def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Main, tmp_path: Path) -> None:

@@ -179,6 +179,9 @@ def test_other_content_is_another_run_and_another_key(
     for name, seed in (("one", (9, 8)), ("two", (9, 7))):
         demos.write(tmp_path / f"{name}.npz", made(seed, (True, True))[0])
     run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--demos-from"]
+    assert main([*run, str(tmp_path / "one.npz"), "--plan"]) == 0
+    assert not (tmp_path / "run").exists()
+    assert not (tmp_path / "cache").exists()
     main([*run, str(tmp_path / "one.npz")])
     stored = json.loads((tmp_path / "run/run.json").read_text())
     assert stored["demonstrations"].endswith(": 2 episodes, 17 steps")

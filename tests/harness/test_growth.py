@@ -37,13 +37,6 @@ def test_cells_of_one_process_are_measured_one_by_one() -> None:
     assert min(sizes) > 100
 
 
-def test_what_a_driver_and_a_report_take_is_of_whole_runs() -> None:
-    request, results = growth.made_up(methods=2, seeds=2)
-    assert [result.cell for result in results] == request.cells
-    assert growth._drive(100) > 0
-    assert growth._report(300) > 0
-
-
 def test_a_cell_that_fails_is_not_measured() -> None:
     with pytest.raises(RuntimeError, match="no method named 'nothing'"):
         compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, Isolated(1))

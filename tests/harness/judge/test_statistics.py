@@ -7,6 +7,8 @@ import pytest
 from scipy.stats import norm, sem, t
 
 from harness.judge.statistics import (
+    CONFIDENCE,
+    RESAMPLES,
     interquartile_interval,
     interquartile_mean,
     mean_interval,
@@ -75,3 +77,13 @@ def test_interquartile_interval_of_a_large_task_is_a_little_wider_than_that_of_t
 def test_values_that_are_not_finite_are_refused(function) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match="finite"):
         function([1.0, math.nan])
+
+
+def test_interquartile_interval_is_of_whole_resamples_however_few_are_held_at_a_time() -> None:
+    rng = np.random.default_rng(3)
+    tasks = [rng.normal(size=count).tolist() for count in (2, 7, 300)]
+    draws = np.random.default_rng(5)
+    drawn = [draws.choice(np.sort(runs), (RESAMPLES, len(runs))) for runs in tasks]
+    middle = np.sort(np.concatenate(drawn, axis=1))[:, 77 : 309 - 77].mean(axis=1)
+    expected = np.quantile(middle, [(1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2])
+    assert interquartile_interval(tasks, seed=5) == tuple(expected)

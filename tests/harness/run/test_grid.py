@@ -1,17 +1,21 @@
 """The grid keeps what is a job's own, whatever its engine gives back."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of
+from harness.run import grid
 from harness.run.codec import encode
+from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.files import sha256_of
-from harness.run.grid import Grid
+from harness.run.grid import Grid, Schedule
+from harness.run.plan import Silent, Simulated
 from tests.harness.fake_runs import Found
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
@@ -144,3 +148,59 @@ def test_a_job_that_is_lost_is_tried_once_more_alone(tmp_path: Path) -> None:
     failed = [r.cell for r in found.results if r.rows[0].status == "failed"]
     assert failed == [CELLS[0]]
     assert len(found.results) == len(CELLS)
+
+
+class Together(Scripted):
+    """Does so many jobs at a time, all of which are lost where one of them is the culprit."""
+
+    def __init__(self, workers: int, culprit: Cell) -> None:
+        super().__init__(good)
+        self.workers, self.culprit = workers, culprit
+        self.tries: Counter[Cell] = Counter()
+        self.rounds = 0
+
+    def finished(self) -> list[tuple[Job, Outcome]]:
+        ended = super().finished()
+        self.rounds += 1
+        mine = [job.cells[0] for job, _ in ended if not job.shared]
+        self.tries.update(mine)
+        lost = Outcome(error="its node is gone", lost=True)
+        return [(job, lost) for job, _ in ended] if self.culprit in mine else ended
+
+
+def test_of_many_that_are_lost_together_the_culprit_is_found_by_halves(tmp_path: Path) -> None:
+    cells = [Cell("cartpole", "shaped", seed) for seed in range(200)]
+    engine, found = Together(64, cells[10]), Found(tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+        Grid(CONDITIONS, found, engine).run(cells)
+    assert sorted(result.cell for result in found.results) == cells
+    assert [r.cell for r in found.results if r.rows[0].status == "failed"] == [cells[10]]
+    assert engine.rounds < 40, "and not one for each of the 63 that were lost with it"
+    assert engine.tries[cells[10]] == 1 + 6  # with 64, 32, 16, 8, 4, 2 and alone
+    assert engine.tries.total() < 200 + 2 * 64 + 7
+
+
+@pytest.mark.parametrize("size", [1, 100, 3000])
+def test_what_cells_share_is_made_for_as_many_groups_as_there_is_room_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    """Where that is next to nothing, as large as thought, or more than there is room for."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(grid, "MOST_SHARED", 1000)
+    monkeypatch.setattr(grid, "USUAL_SHARED", 100)
+    cells = [Cell("cartpole", method, seed) for seed in range(60) for method in ("bc", "shaped")]
+    held, started = [], Counter[bool]()
+
+    def does(job: Job) -> tuple[float, Outcome]:
+        started[job.shared] += 1
+        held.append(schedule.bytes + 100 * schedule.preparing)
+        return 1.0, Outcome(files={"x": b"x" * size}) if job.shared else Outcome(error="no matter")
+
+    silent, costs = Silent(), Costs(CONDITIONS)
+    its = Grid(CONDITIONS, silent, Simulated(500, does))
+    schedule = Schedule(its, its.jobs(cells, costs), silent, costs)
+    schedule.run()
+    assert started == {True: 60, False: 120}
+    assert max(held) <= max(1000, 10 * size)
+    assert (schedule.bytes, schedule.preparing) == (0, 0)

@@ -9,6 +9,7 @@ from typing import cast
 import pytest
 from matplotlib.figure import Figure
 
+from harness import scale
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
 from harness.show import axes
@@ -75,3 +76,9 @@ def test_transfer_has_a_panel_for_each_variant_of_what_is_shown_first() -> None:
         assert text in alt
     assert "0.46" not in alt, "of 20 demonstrations"
     assert draw_axes("swingup", entries)[1].png == pictures["swingup_transfer.png"].png
+
+
+def test_a_figure_has_as_many_lines_as_its_legend_leaves_room_for() -> None:
+    _, many = scale.made_up((1, 60, 2, 1))
+    (drawn,) = draw_axes("task0", leaderboard(scored_rows(many)))
+    assert drawn.title.endswith("(the first 56 of 60 lines)")

@@ -1,0 +1,174 @@
+"""What cells would take, before any is computed: the schedule of a run, on an engine in simulated time."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Self
+
+import psutil
+
+from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, before
+from harness.run.costs import FILE, SHARED, Costs, name_of
+from harness.run.engines import Job, Outcome
+from harness.run.environment import cache_folder
+from harness.run.grid import Grid, Schedule
+from harness.run.progress import clock
+
+CORES = (2, 64, 1000)
+LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505
+"""MB, measured (docs/costs.md): resident, of a cell of `shaped` at full; of all processes of a run with one
+worker at smoke; and what a second worker adds, which shares its libraries."""
+MEGABYTE = 1 << 20
+
+
+class Simulated:
+    """An engine in simulated time. does: how many seconds a job takes, and what comes back.
+
+    now: seconds since its beginning. busy: seconds of all jobs so far.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        does: Callable[[Job], tuple[float, Outcome]],
+        variables: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.workers, self.variables = workers, variables
+        self.now = self.busy = 0.0
+        self._does = does
+        self._started = 0
+        self._running: list[tuple[float, int, Job, Outcome]] = []
+
+    def start(self, job: Job) -> None:
+        seconds, outcome = self._does(job)
+        self.busy += seconds
+        self._started += 1
+        heapq.heappush(self._running, (self.now + seconds, self._started, job, outcome))
+
+    def finished(self) -> list[tuple[Job, Outcome]]:
+        if not self._running:
+            return []
+        self.now, _, job, outcome = heapq.heappop(self._running)
+        return [(job, outcome)]
+
+    def doing(self, name: str) -> str:
+        return ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class Silent:
+    """Progress that nobody is told of, and a sink that keeps nothing."""
+
+    def started(self, name: str) -> None: ...
+
+    def finished(self, name: str, status: str, reason: str = "") -> None: ...
+
+    def save(self, result: CellResult, files: Mapping[str, bytes]) -> None: ...
+
+    def log(self, printed: bytes) -> None: ...
+
+    def learned(self, cell: Cell) -> bytes:
+        return b""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+@dataclass(frozen=True)
+class Line:
+    """Jobs that differ by their seed alone: how many, and what each takes."""
+
+    name: str
+    jobs: int
+    seconds: float
+    measured: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What cells take: lines by task and method; the wall time by the number of cores; and the longest chain
+    of jobs that wait for each other, with what each takes: no number of cores makes it shorter."""
+
+    lines: tuple[Line, ...]
+    wall: dict[int, float]
+    chain: tuple[tuple[str, float], ...]
+
+
+def plan(
+    cells: Sequence[Cell], conditions: Conditions, variables: Mapping[str, str], cores: Sequence[int] = CORES
+) -> Plan:
+    """Of these cells. variables: those of the engine that would compute them."""
+    costs, silent = Costs(conditions), Silent()
+    jobs = Grid(conditions, silent, Simulated(1, _unknown, variables)).jobs(cells, costs)
+    counts = Counter(map(name_of, jobs))
+    first = {name_of(job): job for job in jobs}
+    seconds = {name: costs.of(job) for name, job in first.items()}
+    lines = [Line(name, counts[name], seconds[name], costs.known(first[name])) for name in sorted(first)]
+
+    def does(job: Job) -> tuple[float, Outcome]:
+        # A cell that fails lets the same ones go on as one that does not, and has no result to be read.
+        return seconds[name_of(job)], Outcome() if job.shared else Outcome(error="only planned")
+
+    wall = {}
+    for count in cores:
+        engine = Simulated(count, does, variables)
+        Schedule(Grid(conditions, silent, engine), jobs, silent, costs).run()
+        wall[count] = engine.now
+    return Plan(tuple(lines), wall, _longest_chain(jobs, {job.name: seconds[name_of(job)] for job in jobs}))
+
+
+def _unknown(job: Job) -> tuple[float, Outcome]:
+    raise NotImplementedError
+
+
+def _longest_chain(jobs: Sequence[Job], seconds: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    shared = {(job.cells[0].env, job.cells[0].seed): job.name for job in jobs if job.shared}
+
+    def chain(cell: Cell) -> list[str]:
+        source = before(cell)
+        start = chain(source) if source and source.name in seconds else [shared[cell.env, cell.seed]]
+        return [*start, cell.name]
+
+    chains = [chain(job.cells[0]) for job in jobs if not job.shared]
+    longest = max(chains, key=lambda names: sum(seconds[name] for name in names), default=[])
+    return tuple((name, seconds[name]) for name in longest)
+
+
+def as_lines(found: Plan) -> list[str]:
+    """For people."""
+    if not found.lines:
+        return []
+    width = max(len(line.name) for line in found.lines)
+    total = sum(line.jobs * line.seconds for line in found.lines)
+    guessed = sum(line.jobs * line.seconds for line in found.lines if not line.measured)
+    marks = ["" if line.measured else "  a guess" for line in found.lines]
+    chain = ", ".join(f"{name} {clock(seconds)}" for name, seconds in found.chain)
+    memory = psutil.virtual_memory()
+    return [
+        f"{'job':{width}}    jobs  seconds each",
+        *(
+            f"{line.name:{width}}  {line.jobs:6,}  {line.seconds:12,.1f}{mark}"
+            for line, mark in zip(found.lines, marks, strict=True)
+        ),
+        f"'{SHARED}' makes what the cells of a seed share; '{REFERENCE}' scores expert and random policy",
+        f"measured: what it took last on this machine ({cache_folder() / FILE}); a guess: the median of the "
+        "task's cells, or by its steps of RL",
+        f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
+        *(f"wall time with {count:,} cores: {clock(took)}" for count, took in found.wall.items()),
+        f"no number of cores takes less than {clock(sum(s for _, s in found.chain))}: {chain}",
+        f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "
+        f"(docs/costs.md); most of it libraries that processes share: at smoke one worker took "
+        f"{FIRST_PROCESS:,} MB in all, a second one {ANOTHER_PROCESS} more",
+        f"its limit: what the machine has left as it begins, now {memory.available // MEGABYTE:,} of "
+        f"{memory.total // MEGABYTE:,} MB",
+    ]

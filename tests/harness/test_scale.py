@@ -1,0 +1,164 @@
+"""What many cells and rows take grows with their number and no faster; and of many none is lost."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from harness import scale
+from harness.judge.results import Cell, CellResult, Request, Shown
+from harness.run.engines import Outcome
+from harness.run.environment import CACHE_VARIABLE
+from harness.run.keys import TEMPLATE, cell_keys, program
+from harness.show import figures, report
+
+
+@pytest.fixture(autouse=True)
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results of short curves, for what they are is no matter here; and a cache of its own."""
+    monkeypatch.setattr(scale, "CURVE", 3)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+
+
+def growth(work: Callable[[int], object], few: int) -> float:
+    """How much longer the processor takes for twice as many, the best of three times each."""
+
+    def seconds(count: int) -> float:
+        began = time.process_time()
+        work(count)
+        return time.process_time() - began
+
+    work(few // 10)
+    best = [min(seconds(count) for _ in range(3)) for count in (few, 2 * few)]
+    return best[1] / best[0]
+
+
+def test_of_3000_cells_on_1000_workers_with_faults_none_is_lost() -> None:
+    found = scale.drive(3000)  # which raises where one is, or comes twice
+    assert found.cells == 3000
+    assert 0 < found.cpu < 5
+    assert found.megabytes < 500
+
+
+def test_a_cell_that_is_lost_or_comes_twice_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scale.Account, "save", lambda self, result, files: None)
+    with pytest.raises(RuntimeError, match="of 100 cells 0 came"):
+        scale.drive(100)
+    account, result = scale.Account(), CellResult(Cell("a", "b", 0), [])
+    account.saved.add(result.cell)
+    monkeypatch.undo()
+    with pytest.raises(RuntimeError, match="a__b__seed0 came twice"):
+        account.save(result, {})
+
+
+def test_jobs_of_a_simulation_fail_and_are_lost_now_and_then() -> None:
+    request, does = scale.request_of(2000), scale.Faulty()
+    jobs = [scale.Job((cell,), False, request.conditions, "") for cell in request.cells]
+    outcomes: list[Outcome] = [does(job)[1] for job in jobs]
+    assert 0 < does.lost == sum(outcome.lost for outcome in outcomes) < 100
+    assert 0 < does.errors == sum(bool(outcome.error) and not outcome.lost for outcome in outcomes) < 100
+    assert not any(does(job)[1].lost for job, outcome in zip(jobs, outcomes, strict=True) if outcome.lost)
+
+
+def test_what_the_driver_does_grows_no_faster_than_cells() -> None:
+    assert growth(scale.drive, 1000) < 2.8
+
+
+def test_what_is_stored_is_loaded_and_grows_no_faster_than_cells() -> None:
+    assert scale.drive_and_store(200).loading > 0
+    assert growth(scale.drive_and_store, 200) < 2.8
+
+
+def test_keys_grow_no_faster_than_cells_and_hardly_with_their_seeds() -> None:
+    def keys(seeds: int, shown: int) -> None:
+        ways = tuple(map(Shown, range(1, shown + 1)))
+        request = Request(("bc", "gail"), ("cartpole", "swingup"), tuple(range(seeds)), scale.SMOKE, ways)
+        cell_keys(request.cells, request.conditions, {})
+
+    assert growth(lambda count: keys(1, count), 100) < 2.8
+    assert growth(lambda count: keys(count, 20), 10) < 1.8
+    assert scale.keys_of(1000) > 0
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda n: (5, 3, 1, n // 70),
+        lambda n: (3, 3, n // 40, 1),
+        lambda n: (n // 60, 3, 1, 4),
+        lambda n: (2, n // 30, 5, 1),
+    ],
+    ids=["seeds", "boards", "tasks", "methods"],
+)
+def test_tables_grow_no_faster_than_rows(
+    shape: Callable[[int], scale.Shape], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "draw", lambda *asked: [])
+    monkeypatch.setattr(report, "draw_axes", lambda *asked: [])
+    template = program()[TEMPLATE].decode()
+    made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
+
+    def work(count: int) -> None:
+        report.report_files(*made[count], template, ())
+
+    assert growth(work, 1500) < 2.8
+
+
+def test_a_run_of_many_rows_is_drawn_in_few_pictures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(figures, "draw", lambda *its: asked.append(its) or [])
+    monkeypatch.setattr(report, "draw_axes", lambda *its: [])
+    monkeypatch.setattr(report, "MANY_ROWS", 2000)
+    monkeypatch.setattr(report, "MOST_LINES", 1000)
+    request, results = scale.made_up((2, 3, 40, 4))
+    files = report.report_files(request, results, program()[TEMPLATE].decode(), ())
+    rows = list(csv.DictReader(io.StringIO(str(files["scores.csv"]))))
+    assert len(rows) == sum(len(result.rows) for result in results) > 2000
+    lines = list(csv.DictReader(io.StringIO(str(files["leaderboard.csv"]))))
+    boards = list(dict.fromkeys((line["env"], line["demos"]) for line in lines))
+    assert len(boards) == 80
+    assert len(asked) == report.MOST_DRAWN_OF_MANY
+    assert {its[-1] for its in asked} == {report.MOST_PANELS_OF_MANY}
+    shown = str(files["report.html"]).count('<h2 id="')
+    assert shown == 1000 // (len(lines) // 80)
+    for file in ("report.html", "leaderboard.md"):
+        text = str(files[file])
+        assert f"the first {shown} of 80 boards are shown; leaderboard.csv has the lines of all" in text
+        assert f"pictures are of the first {report.MOST_DRAWN_OF_MANY} boards" in text
+        assert "task0, 1 demonstration" in text
+        assert "task1, 40 demonstrations" not in text
+
+
+def test_a_page_lists_the_first_of_many_warnings_and_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "draw", lambda *its: [])
+    monkeypatch.setattr(report, "MOST_LISTED", 5)
+    request, results = scale.made_up((2, 3, 1, 2))
+    results = [dataclasses.replace(result, warnings=["odd"]) for result in results]
+    recorded = [name for result in results for name in result.recordings]
+    page = str(report.report_files(request, results, program()[TEMPLATE].decode(), recorded)["report.html"])
+    assert page.count(": odd</li>") == 5
+    assert f"and {len(results) - 5} more; scores.csv has every row" in page
+    assert page.count("--bind 127.0.0.1") == 5
+    assert f"and {len(recorded) - 5} more in recordings/" in page
+
+
+def test_of_many_seeds_the_first_are_drawn_and_all_count() -> None:
+    seeds = [[(0.0, float(seed)), (1.0, 1.0)] for seed in range(figures.MOST_SEEDS + 50)]
+    axes = figures.Figure().add_subplot()
+    figures.plot_seeds(axes, seeds, figures.BLUE)
+    (lines,) = axes.collections
+    assert len(lines.get_segments()) == figures.MOST_SEEDS  # type: ignore[attr-defined]
+    mean = axes.lines[-1].get_ydata()
+    assert list(mean) == [sum(range(len(seeds))) / len(seeds), 1.0]
+
+
+def test_a_report_is_written_whole() -> None:
+    rows, seconds, cpu = scale.report((2, 2, 1, 2))
+    assert rows == 2 * 2 * (2 + 7 + 2 * 2)
+    assert seconds > 0 < cpu
