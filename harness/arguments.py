@@ -179,8 +179,14 @@ def parser() -> argparse.ArgumentParser:
             metavar="DIR",
             help="default: results/experts to train, the shipped ones to check",
         )
+        _add_plugins(add)
         if name == "train":
             add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
+            of_others = "of experts for tasks of others, which are kept in the cache"
+            add.add_argument("--budget", default="full", choices=BUDGETS, help=f"{of_others}; default full")
+            add.add_argument(
+                "--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help=f"{of_others}; default 5"
+            )
     add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     _add_plugins(add)
     return top

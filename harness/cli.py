@@ -14,7 +14,7 @@ from itertools import chain
 from pathlib import Path
 
 from harness.arguments import parser
-from harness.registry import ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
+from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
 from harness.run.signals import ignore_stops, importing
 
 
@@ -195,9 +195,31 @@ def _bench(part: str | None, as_json: bool) -> int:
     return int(missed)
 
 
+def _train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> int:
+    from harness.run.processes import as_in_cells
+
+    with as_in_cells():
+        with importing():
+            from harness.expert_training import train_for_runs  # in that environment
+
+        train_for_runs(envs, seeds, budget)
+    return 0
+
+
 def _experts(args: argparse.Namespace) -> int:
-    asked = [name.strip() for name in ",".join(args.envs).split(",")]
-    envs = choose("env", ",".join(asked), ENVS, groups=GROUPS)
+    from harness.run import plugins
+
+    plugins.add(args.plugin)
+    plugins.add_installed()
+    asked = [plugins.task_or_name(name.strip()) for name in ",".join(args.envs).split(",")]
+    envs = choose("env", ",".join(asked), BUILT_IN["env"], [*PLUGINS["env"]], groups=GROUPS)
+    if theirs := [env for env in envs if env in PLUGINS["env"]]:
+        if args.what == "check" or len(theirs) < len(envs):
+            raise BadInput(
+                f"{theirs[0]} has no shipped experts: `experts train {theirs[0]}`, by itself, makes its own"
+            )
+        plugins.load([], theirs)
+        return _train_for_runs(theirs, args.seeds, args.budget)
     with importing():
         from harness import expert_training
         from harness.commands import cores, handle_signals

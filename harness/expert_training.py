@@ -7,6 +7,7 @@ import dataclasses
 import io
 import re
 import time
+from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from pathlib import Path
@@ -19,12 +20,13 @@ from pebble.concurrent import process as in_a_process
 from envs import EnvSpec
 from envs.spec import Shipped
 from harness.judge.evaluation import evaluate
-from harness.judge.results import thinned
+from harness.judge.results import Conditions, thinned
 from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
 from harness.learn.stored import compact
 from harness.registry import SPECS, BadInput
 from harness.run.cache import Kept, as_bytes, load
+from harness.run.experts import expert_for
 from harness.run.files import read, sha256, write_atomic
 from harness.run.keys import origin
 from harness.run.marked import open_marked
@@ -55,6 +57,8 @@ MOST_CHECKS = 200
 CANDIDATES = "candidates.csv"
 MEDIUM_FILE = "__medium"
 """What a medium expert's file is called besides."""
+JUDGED = 100
+"""Episodes on which an expert that is not shipped is measured."""
 _AGENT = rf"\.\w+__seed\d+({MEDIUM_FILE})?\.safetensors"
 _EXPERT = re.compile(rf"\w+__\d+({MEDIUM_FILE})?\.safetensors")
 
@@ -206,6 +210,27 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
             _number(out, env, list(done.values()))
         names = [CANDIDATES, *sorted(path.name for path in out.iterdir() if _EXPERT.fullmatch(path.name))]
         write_atomic(out / SUMS, as_lines((sha256(out / name), name) for name in names))
+
+
+def train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> None:
+    """Trains the experts that runs with this budget use in tasks of which none are shipped, as far as the
+    cache lacks them, and says what they reach on episodes that nothing else uses."""
+    conditions = Conditions(budget, "absorbing", "sbx")
+    held_out = held_out_seeds(JUDGED)
+    for env in envs:
+        spec = SPECS[env]
+        random = measure(spec, _random(spec), held_out)
+        for seed in seeds:
+            expert = expert_for(env, seed, conditions)
+            reached = (
+                f"{_told(measure(spec, expert.policy, held_out))}, a random policy {random.mean_return:.2f}"
+            )
+            say(f"{env}, seed {seed}: {reached}; {expert.env_steps:,} steps of RL in {expert.seconds:.0f} s")
+
+
+def _random(spec: EnvSpec) -> Policy:
+    rng = rng_for(0, spec.name, "held out")
+    return lambda obs: spec.random_actions(len(obs), rng)
 
 
 def _shipped(env: str) -> Shipped:

@@ -345,3 +345,23 @@ def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) ->
         tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=str(site), code=2
     )
     assert "the method broken cannot be loaded: AttributeError" in broken
+
+
+def test_experts_of_a_task_of_gymnasium_are_trained_for_runs(tmp_path: Path) -> None:
+    """A run finds the one that was trained, and trains none."""
+    env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
+
+    def told(*words: str) -> str:
+        command = [sys.executable, "-m", "harness", *words]
+        return subprocess.run(command, env=env, check=True, capture_output=True, text=True).stdout
+
+    out = told("experts", "train", "gym:Pendulum-v1", "--budget", "smoke", "--seeds", "1")
+    assert re.fullmatch(
+        r"gym_Pendulum-v1, seed 0: mean return -\d+\.\d\d, .*; 600 steps of RL in \d+ s\n", out
+    )
+    (trained,) = (tmp_path / "cache").glob("expert*")
+    before = trained.stat().st_mtime_ns
+    common = ("--envs", "gym:Pendulum-v1", "--budget", "smoke", "--no-retrain", "--record", "none")
+    told("run", "--methods", "bc", *common, "--out", str(tmp_path / "run"))
+    assert [*(tmp_path / "cache").glob("expert*")] == [trained]
+    assert trained.stat().st_mtime_ns == before
