@@ -161,8 +161,9 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument(
         "part",
         nargs="?",
-        choices=("speed", "growth", "scale"),
-        help="ratios of speed; memory, and how it and time grow; 100,000 cells and rows (default: all)",
+        choices=("speed", "growth", "scale", "spread"),
+        help="ratios of speed; memory, and how it and time grow; 100,000 cells and rows; "
+        "runs on a Ray cluster (default: all)",
     )
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)

@@ -176,8 +176,9 @@ def _bench(part: str | None, as_json: bool) -> int:
             from harness.growth import growth
             from harness.run.keys import origin
             from harness.scale import scale
+            from harness.spread import spread
 
-            parts = {"speed": bench, "growth": growth, "scale": scale}
+            parts = {"speed": bench, "growth": growth, "scale": scale, "spread": spread}
 
         try:
             for measure in chain.from_iterable(parts[name]() for name in ([part] if part else parts)):

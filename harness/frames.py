@@ -37,8 +37,7 @@ def run(
 
     seeds: how many, from 0, or which. plugins: files or modules, as of `--plugin`. options: more of
     `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why.
-    Raises `harness.registry.BadInput` for what cannot be done. Where processes start anew (`spawn`), a script
-    must call it under `if __name__ == "__main__":`.
+    Raises `harness.registry.BadInput` for what cannot be done.
     """
     which = str(seeds) if isinstance(seeds, int) else ",".join(f"{seed}-{seed}" for seed in seeds)
     words = ["run", "--methods", ",".join(methods), "--envs", ",".join(envs), "--seeds", which]

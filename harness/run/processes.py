@@ -12,7 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import connection, context, forkserver, popen_forkserver
+from multiprocessing import connection, context, forkserver, popen_forkserver, spawn
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
@@ -44,6 +44,7 @@ def fresh_processes(preload: str, deterministic: bool = True) -> Iterator[contex
         as_in_cells(deterministic) as scratch,
         _program_first(scratch / "program"),
         _sockets_in(scratch),
+        _without_main(),
         orphans.taken_in(),
     ):
         try:
@@ -176,6 +177,22 @@ def _sockets_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         config["tempdir"] = before
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes do not import the main module, as multiprocessing has it: of a script that calls `run` they
+    would run all. Cells need nothing of it."""
+    prepared = spawn.get_preparation_data
+
+    def without_main(name: str) -> dict[str, Any]:
+        return {key: value for key, value in prepared(name).items() if not key.startswith("init_main_from")}
+
+    spawn.get_preparation_data = without_main
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = prepared
 
 
 def _stop_server() -> None:

@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from harness.judge.results import Cell, CellResult
+from harness.local_cluster import LocalCluster, local_cluster
 from harness.run.codec import decode
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
@@ -23,13 +24,9 @@ PATIENCE = 240.0
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[subprocess.Popen]:
-    script = [sys.executable, str(TESTS / "ray_cluster.py"), "2"]
-    with subprocess.Popen(script, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        process.address = process.stdout.readline().strip()
-        yield process
-        process.stdin.close()
-        process.wait(60)
+def cluster() -> Iterator[LocalCluster]:
+    with local_cluster(2) as started:
+        yield started
 
 
 def start(out: Path, *more: str) -> subprocess.Popen:
@@ -73,7 +70,7 @@ def without_times(result: CellResult) -> CellResult:
     return replace(result, rows=rows, seconds={}, finished="")
 
 
-def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: subprocess.Popen, tmp_path: Path) -> None:
+def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: LocalCluster, tmp_path: Path) -> None:
     """24 cells. The driver is killed after a quarter of them and started again, and after half of them a node
     is killed without grace; all are as on this machine, bit for bit."""
     asked = ["--methods", "line", "--seeds", "12"]
@@ -85,8 +82,7 @@ def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: subprocess.Popen, tm
     kept = len(stored(tmp_path / "there"))
     second = start(tmp_path / "there", *there)
     wait_for(lambda: len(stored(tmp_path / "there")) >= 12)
-    cluster.stdin.write("kill\n")
-    cluster.stdin.flush()
+    cluster.kill_node()
     code, printed = finish(second)
     assert code == 0, printed
     assert f"{24 - kept} cells to run, {kept} kept from before" in printed
@@ -100,7 +96,7 @@ def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: subprocess.Popen, tm
 
 
 def test_a_cell_that_hangs_or_takes_too_much_memory_is_a_failed_row(
-    cluster: subprocess.Popen, tmp_path: Path
+    cluster: LocalCluster, tmp_path: Path
 ) -> None:
     asked = ["--methods", "line,hangs,eats", "--cell-timeout", "20"]
     code, printed = finish(start(tmp_path / "run", *asked, "--engine", "ray", "--address", cluster.address))
