@@ -12,7 +12,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
-from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
+from harness.registry import (
+    ASKING,
+    BUILT_IN,
+    ENVS,
+    GROUPS,
+    METHODS,
+    PLUGINS,
+    SPECS,
+    VARIANTS,
+    BadInput,
+    choose,
+)
 from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
@@ -40,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
     conditions = Conditions(
         args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
     )
+    if args.experts == "none":
+        _check_without_expert(args, methods)
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
     if args.demos_from:
         conditions = replace(conditions, demonstrations=_given(args, envs))
@@ -125,6 +138,16 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
     return 0
 
 
+def _check_without_expert(args: argparse.Namespace, methods: Sequence[str]) -> None:
+    """Raises BadInput for what needs one."""
+    if not args.demos_from:
+        raise BadInput("--experts none is for demonstrations of a file: --demos-from")
+    if args.transfer is not None:
+        raise BadInput("--transfer carries the expert over; leave out --experts none")
+    if asking := [method for method in methods if method in ASKING]:
+        raise BadInput(f"{asking[0]} asks the expert while it learns; leave out --experts none")
+
+
 def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
     """What is said of demonstrations that are given in a file, which are kept for cells. Raises BadInput for
     those that cannot be shown."""
@@ -134,10 +157,14 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
     if len(envs) != 1 or args.demonstrator != "expert":
         raise BadInput("--demos-from is for one environment, and leaves out --demonstrator")
     found = demonstrations.read(args.demos_from, SPECS[envs[0]], args.action_bounds)
+    if args.experts == "none" and found.returns is None:
+        raise BadInput(
+            f"{args.demos_from} tells no rewards, so nothing would score 1; leave out --experts none"
+        )
     if max(args.demos) > len(found.episodes):
         raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")
     if not args.plan:
-        given.keep(str(found), found.episodes)
+        given.keep(str(found), found.episodes, found.rewards)
     return str(found)
 
 

@@ -70,7 +70,7 @@ class Found:
 
     def __str__(self) -> str:
         """In a line, without the file's form, which does not matter."""
-        paid = "" if self.returns is None else f", return {self.returns.mean():.1f}"
+        paid = "" if self.returns is None else f", return {self.returns.mean():.6g}"
         episodes, steps = len(self.episodes), int(self.episodes.lengths.sum())
         return f"{self.digest}: {episodes} episodes, {steps} steps{paid}"
 

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from methods.base import Method
 
 Library = Literal["sbx", "sb3"]
-Experts = Literal["shipped", "trained"]
+Experts = Literal["shipped", "trained", "none"]
 Record = Literal["first", "none"]
 Demonstrator = Literal["expert", "medium", "noisy"]
 EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
-EXPERTS: tuple[Experts, ...] = ("shipped", "trained")
+EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("first", "none")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")

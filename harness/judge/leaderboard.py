@@ -31,7 +31,7 @@ from harness.registry import ASKING, Demonstrator
 
 T = TypeVar("T")
 
-_POLICIES = ("expert", "random", "pi_star", "pi_R")
+_POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
 _ROLES = {
     REFERENCE: "reference",
     "control_true": "upper control",
@@ -59,8 +59,9 @@ class Entry:
     """One line of the leaderboard: a policy of a method in an env and its dynamics, with what is shown to it,
     over its seeds that are ok.
 
-    score: normalized, 0 the random policy and 1 the expert; in other dynamics than the env's own, where the
-    expert is none, 1 what RL reaches there on the true reward. low and high bound a mean's 95 % interval.
+    score: normalized, 0 the random policy and 1 the expert, or the demonstrations where there is none; in
+    other dynamics than the env's own, where the expert is none, 1 what RL reaches there on the true reward.
+    low and high bound a mean's 95 % interval.
     Costs are means over seeds. Numbers are NaN where nothing is known.
     """
 
@@ -145,13 +146,16 @@ class Overall:
 def scored_rows(results: Sequence[CellResult]) -> list[Row]:
     """All rows with their normalized scores, by task, method (reference first, controls last), seed, policy.
 
-    The score is NaN where what scores 0 or 1 in that task and seed is missing, or where the latter is no
-    better than the former, which leaves no scale.
+    Where there is no expert, the row in its place is the demonstrations'. The score is NaN where what scores
+    0 or 1 in that task and seed is missing, or where the latter is no better than the former, which leaves no
+    scale.
     """
     rows = [row for result in results for row in result.rows]
     scales = _scales(rows)
 
     def scored(row: Row) -> Row:
+        if row.policy == "expert" and row.expert.startswith("file:"):
+            row = dataclasses.replace(row, policy="demonstrations")
         low, scale = scales.get((row.task, row.seed), (math.nan, math.nan))
         score = (row.return_mean - low) / scale if row.status == "ok" else math.nan
         return dataclasses.replace(row, normalized_score=score if usable(score) else math.nan)
@@ -168,9 +172,12 @@ def _scales(rows: Sequence[Row]) -> Scales:
     }
     scales = {}
     for task, seed, dynamics in {(row.task, row.seed, row.dynamics) for row in rows}:
-        top = (REFERENCE, "expert") if dynamics == NOMINAL else ("control_true", "pi_R")
+        tops = [(REFERENCE, "expert"), (REFERENCE, "demonstrations")]
+        if dynamics != NOMINAL:
+            tops = [("control_true", "pi_R")]
         low = known.get((task, seed, REFERENCE, "random"), math.nan)
-        scale = known.get((task, seed, *top), math.nan) - low
+        found = [known[key] for top in tops if (key := (task, seed, *top)) in known]
+        scale = found[0] - low if found else math.nan
         if scale > 0:
             scales[task, seed] = low, scale
     return scales

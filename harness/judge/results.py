@@ -54,7 +54,7 @@ Count = Annotated[int, Meta(ge=0, le=10**15)]
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 
 Status = Literal["ok", "skipped", "failed"]
-PolicyName = Literal["expert", "random", "pi_star", "pi_R"]
+PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 PROGRAM_NAME = "irl-bench"
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
@@ -81,7 +81,8 @@ class Conditions:
     deterministic: bool = True
     """Whether libraries are kept from choosing their instructions by the processor."""
     experts: Experts = "shipped"
-    """Whose demonstrations: the shipped experts', or those of one trained for each seed."""
+    """Whose demonstrations: the shipped experts', or those of one trained for each seed; none: there is no
+    expert, and a score of 1 is what the demonstrations of a file return."""
     record: Record = "first"
     """Which evaluation episodes of seed 0's policies are recorded."""
     retrain: bool = True

@@ -9,7 +9,7 @@ from dataclasses import replace
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, name_of
 from harness.learn.simulator import drawings
-from harness.run import given
+from harness.run import given, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes
 from harness.run.experts import Shared
@@ -30,20 +30,26 @@ def run_cell(
     Raises what its method raises."""
     task = Task(cell, conditions, Shared(inputs), tell=tell)
     made = policies(task)
+    nobody = cell.method == REFERENCE and conditions.experts == "none"
+    if nobody:
+        made = [Made("expert", None), *made[1:]]
     scored = {one.name: score(task, one.policy, one.reward) for one in made if one.policy}
-    missed = [missed_bar(task, scored["expert"])] if cell.method == REFERENCE else []
+    missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     learned, lost = learned_file(task, made)
     keeps = conditions.record != "none"
     artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
-    digest = conditions.demonstrations.partition(":")[0]
     rows = [row(task, one, scored.get(one.name)) for one in made]
+    if nobody:
+        rows[0] = without_expert.in_its_place(rows[0], conditions)
     recordings = {
         f"{cell.name}__{one.name}.rrd": recorded(task, one, scored[one.name]) for one in shown(task, made)
     }
     result = CellResult(
         cell,
-        rows=[replace(r, expert=f"file:{digest}") if from_file else r for r in rows],
+        rows=[
+            replace(r, expert=given.source_of(conditions.demonstrations)) if from_file else r for r in rows
+        ],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
         warnings=[w for one in made for w in one.warnings]
@@ -66,6 +72,8 @@ def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     if not said:
         return shared_by(env, seed, shown, conditions)
     theirs = {name_of(one): as_bytes(given.shown(said, env, seed, one)) for one in shown}
+    if conditions.experts == "none":
+        return without_expert.prepare(env, seed, conditions) | theirs
     return shared_by(env, seed, (), conditions) | theirs
 
 

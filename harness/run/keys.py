@@ -22,6 +22,8 @@ from methods.settings import settings_for
 
 STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
 """What computes cells' numbers, and what they share."""
+NO_EXPERT = "harness.run.without_expert"
+"""What computes the latter where there is no expert."""
 SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
 """How policies are scored, and on which episodes."""
 NO_NUMBER = {
@@ -110,7 +112,8 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
         if cell.env not in tasks:
             asked = [_asked(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
             others = _of_others("env", cell.env)
-            read = sources(STAGES, *_module(ENVS, cell.env), *others.program)
+            shared = [NO_EXPERT] * (conditions.experts == "none")
+            read = sources(STAGES, *shared, *_module(ENVS, cell.env), *others.program)
             tasks[cell.env] = _digest(read, asked, [*installed, *others.digests])
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)

@@ -172,7 +172,9 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
 
 def _top(entries: Sequence[Entry]) -> str:
     """What scores 1."""
-    return "expert" if entries[0].dynamics == NOMINAL else "RL on the true reward"
+    if entries[0].dynamics != NOMINAL:
+        return "RL on the true reward"
+    return "demonstrations" if "demonstrations" in {entry.policy for entry in entries} else "expert"
 
 
 def file_of(board: str) -> str:

@@ -163,6 +163,7 @@ def report_files(
     )
     files["report.html"] = environment.from_string(template).render(
         flag=flag,
+        top="what the demonstrations return" if request.conditions.experts == "none" else "the expert",
         flags=flags,
         no_result=NO_RESULT,
         made=made,
@@ -265,11 +266,14 @@ def _made(request: Request, results: Sequence[CellResult]) -> list[str]:
     spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
     instructions = "fixed" if conditions.deterministic else "of the machine"
     there, asked = len(results), len(request.cells)
+    told = ", ".join(experts) or "unknown"
+    if conditions.experts == "none":
+        told = "a score of 1 is the mean return of the demonstrations"
     return [
         *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
         f"budget {conditions.budget}, protocol {conditions.protocol}, {_seeds(request.seeds)}, "
         f"RL library {conditions.rl}, instructions {instructions}",
-        f"experts {conditions.experts}: {', '.join(experts) or 'unknown'}",
+        f"experts {conditions.experts}: {told}",
         *([f"demonstrations of a file, {conditions.demonstrations}"] if conditions.demonstrations else []),
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",
         f"command: {command_of(request)}",

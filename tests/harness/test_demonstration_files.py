@@ -18,9 +18,10 @@ import pytest
 from harness import commands
 from harness import demonstrations as demos
 from harness.cli import main
+from harness.judge.leaderboard import scored_rows
 from harness.judge.results import Cell, Conditions, Shown
 from harness.registry import SPECS, BadInput
-from harness.run import given
+from harness.run import experts, given
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import Shared
@@ -149,7 +150,7 @@ def test_a_run_is_shown_what_a_file_holds(tmp_path: Path, monkeypatch: pytest.Mo
     episodes, rewards = made((30, 20, 10), (True, True, True))
     demos.write(tmp_path / "d.npz", episodes, rewards)
     found = demos.read(tmp_path / "d.npz", SWINGUP)
-    given.keep(str(found), found.episodes)
+    given.keep(str(found), found.episodes, found.rewards)
     conditions = Conditions("smoke", "absorbing", "sbx", retrain=False, demonstrations=str(found))
     shown = [Shown(), Shown(2), Shown(2, every=5)]
     cells = [Cell("swingup", "bc", 0, one) for one in shown]
@@ -169,6 +170,48 @@ def test_a_run_is_shown_what_a_file_holds(tmp_path: Path, monkeypatch: pytest.Mo
         given.shown(str(found), "swingup", 0, Shown(4))
     with pytest.raises(ValueError, match="are gone from the cache"):
         given.shown("other: 3 episodes", "swingup", 0, Shown())
+
+
+def test_without_an_expert_a_score_of_1_is_what_the_demonstrations_return(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is trained for it, and rewards are compared in states that a clone visits."""
+
+    def train(*_: object) -> None:
+        raise AssertionError("an expert is trained")
+
+    monkeypatch.setattr(experts, "_trained", train)
+    episodes, rewards = made()
+    demos.write(tmp_path / "d.npz", episodes, [5 * paid for paid in rewards])
+    found = demos.read(tmp_path / "d.npz", SWINGUP)
+    given.keep(str(found), found.episodes, found.rewards)
+    conditions = Conditions("smoke", "absorbing", "sbx", experts="none", demonstrations=str(found))
+    cells = [Cell("swingup", method, 0) for method in ("reference", "bc", "control_untrained")]
+    inputs = prepare(cells, conditions)
+    rows = scored_rows([run_cell(cell, conditions, inputs)[0] for cell in cells])
+    by_policy = {(row.method, row.policy): row for row in rows}
+    shown, random = by_policy["reference", "demonstrations"], by_policy["reference", "random"]
+    assert shown.return_mean == pytest.approx(np.mean([5 * paid.sum() for paid in rewards]))
+    assert shown.discounted_mean == pytest.approx(
+        np.mean([5 * paid @ SWINGUP.gamma ** np.arange(len(paid)) for paid in rewards])
+    )
+    assert (shown.episodes, shown.length_mean) == (3, pytest.approx(np.mean(episodes.lengths)))
+    assert (shown.normalized_score, random.normalized_score) == (1, 0)
+    star = by_policy["bc", "pi_star"]
+    scale = shown.return_mean - random.return_mean
+    assert star.normalized_score == pytest.approx((star.return_mean - random.return_mean) / scale)
+    assert {row.expert for row in rows} == {f"file:{found.digest}"}
+    assert 0 < by_policy["control_untrained", "pi_R"].reward_distance < 1
+
+
+def test_a_file_without_rewards_needs_an_expert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demos.write(tmp_path / "d.npz", made()[0])
+    run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--experts", "none"]
+    assert main([*run, "--demos-from", str(tmp_path / "d.npz")]) == 2
+    assert "tells no rewards" in capsys.readouterr().err
+    assert main(run) == 2
+    assert "is for demonstrations of a file" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_other_content_is_another_run_and_another_key(
@@ -197,6 +240,8 @@ def test_other_content_is_another_run_and_another_key(
     [
         (["--envs", "swingup,hopper"], "is for one environment"),
         (["--envs", "swingup", "--demonstrator", "noisy"], "leaves out --demonstrator"),
+        (["--envs", "swingup", "--experts", "none", "--methods", "dagger"], "dagger asks the expert"),
+        (["--envs", "swingup", "--experts", "none", "--transfer"], "--transfer carries the expert over"),
         (["--envs", "swingup", "--demos", "4"], "has 3 demonstrations, not 4"),
         (["--envs", "hopper"], "observations float64 (201, 3); (T, 11) are needed"),
         (["--envs", "swingup", "--action-bounds", "2"], "is not two numbers"),
