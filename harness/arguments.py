@@ -163,7 +163,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="?",
         choices=("speed", "growth", "scale", "spread"),
         help="ratios of speed; memory, and how it and time grow; 100,000 cells and rows; "
-        "runs on a Ray cluster (default: all)",
+        "runs on a Ray cluster (default: the first three)",
     )
     add.add_argument("--json", action="store_true", help="as JSON, at the end")
     add = commands.add_parser("experts", help="train or measure the shipped experts", allow_abbrev=False)

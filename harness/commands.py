@@ -174,6 +174,8 @@ def demos(args: argparse.Namespace) -> int:
 
     env = _one_env(args)
     if args.what == "export":
+        if not keys.experts_version(env) and not SPECS[env].tabular:
+            tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
         demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
         return 0

@@ -22,11 +22,13 @@ ENDING = 60.0
 
 
 class LocalCluster:
-    """One that runs. address: of its head."""
+    """One that runs. address: of its head. Raises RuntimeError where the process did not start one."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self.address = self._said()
+        if not (address := self._said()):
+            raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
+        self.address = address
 
     def kill_node(self) -> None:
         """Without grace, as a machine that is switched off."""
@@ -45,10 +47,15 @@ def local_cluster(nodes: int) -> Iterator[LocalCluster]:
     """In a process of its own, and gone with the context."""
     command = [sys.executable, "-m", "harness.local_cluster", str(nodes)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield LocalCluster(process)
-        assert process.stdin
-        process.stdin.close()
-        process.wait(ENDING)
+        try:
+            yield LocalCluster(process)
+        finally:
+            assert process.stdin
+            process.stdin.close()
+            try:
+                process.wait(ENDING)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
 def _serve(count: int) -> None:

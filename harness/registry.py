@@ -143,6 +143,8 @@ GROUPS = {
 
 BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
 """What is part of this program."""
+GYMNASIUM_NAME = "gym_"
+"""How the names begin of tasks that are known by their id in Gymnasium, which follows."""
 PLUGINS: dict[str, dict[str, Entry]] = {"method": {}, "env": {}}
 """What is not (`harness.run.plugins`); those are among `VARIANTS` and `ENVS`, too."""
 

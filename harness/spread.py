@@ -24,7 +24,7 @@ SMALL = [Cell("cartpole", "bc", 0, Shown(demos)) for demos in range(1, 13)]
 
 
 def spread() -> Iterator[Measure]:
-    """Every figure, as it is measured. Raises RuntimeError where a cell failed, BadInput without Ray."""
+    """Every figure, as it is measured. Raises RuntimeError where a cell failed, or without Ray."""
     os.environ["RAY_AUTH_MODE"] = "disabled"
     faster = [_seconds(1) / _seconds(2) for _ in range(REPEATS)]
     yield Measure(

@@ -14,6 +14,6 @@ def test_the_walk_through_goes_from_a_method_to_another_library(tmp_path: Path) 
     env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
     out = subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True, text=True).stdout
     assert re.search(r"^method +\nbc .*\nridge .*\n", out, re.MULTILINE)
-    assert re.search(r"^swingup +ridge +-?\d\.\d+ ", out, re.MULTILINE)
+    assert re.search(r"^ *swingup +ridge +-?\d\.\d+ ", out, re.MULTILINE)
     assert re.search(r"^ridge on cartpole returns \d+\.\d \+- \d+\.\d\n\Z", out, re.MULTILINE)
     assert (tmp_path / "exported/policy.safetensors").exists()

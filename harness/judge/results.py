@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
-from harness.registry import Demonstrator, Experts, Library, Record
+from harness.registry import BUILT_IN, GYMNASIUM_NAME, Demonstrator, Experts, Library, Record
 
 Point = TypeVar("Point")
 
@@ -380,6 +380,9 @@ def command_of(request: Request) -> str:
     """The command line that asks for all of it; several where no one does."""
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
+    known = {*BUILT_IN["method"], *BUILT_IN["env"]}
+    others = [name for name in (*request.methods, *request.envs) if name not in known]
+    words += ["--plugin", "FILE"] if any(not name.startswith(GYMNASIUM_NAME) for name in others) else []
     words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
     words += ["--rl", c.rl]
     words += ["--experts", c.experts, "--record", c.record]

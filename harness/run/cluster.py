@@ -105,7 +105,7 @@ class Ray:
                 options |= {"address": "local", "include_dashboard": False, "num_cpus": self._workers}
             try:
                 self._ray.init(**options)
-            except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+            except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
                 raise BadInput(f"no Ray cluster {self._address}: {' '.join(str(error).split())}") from error
             stack.callback(self._ray.shutdown)
             remote = self._ray.remote(num_cpus=1, max_retries=0)

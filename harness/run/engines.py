@@ -169,8 +169,8 @@ def _check_key(job: Job, variables: Mapping[str, str]) -> None:
     cell = Cell(first.env, REFERENCE, first.seed) if job.shared else first
     if cell_keys([cell], job.conditions, variables)[cell] != job.key:
         raise RuntimeError(
-            "the program, its packages or its environment are not those that the run began with; "
-            "were packages changed, or was Python started with -E or -I?"
+            "the program, a plug-in, packages or the environment are not those that the run began with; "
+            "were packages or a plug-in's files changed, or was Python started with -E or -I?"
         )
 
 

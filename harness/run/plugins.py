@@ -22,7 +22,18 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from harness.registry import BUILT_IN, ENVS, GROUPS, PLUGINS, SPECS, VARIANTS, BadInput, Entry, load_method
+from harness.registry import (
+    BUILT_IN,
+    ENVS,
+    GROUPS,
+    GYMNASIUM_NAME,
+    PLUGINS,
+    SPECS,
+    VARIANTS,
+    BadInput,
+    Entry,
+    load_method,
+)
 from harness.run.plugin_sources import Sources, sources_of
 
 if TYPE_CHECKING:
@@ -35,8 +46,6 @@ TABLES = {"method": "METHODS", "env": "ENVS"}
 """What a plug-in's module calls its methods and its environments."""
 GYMNASIUM = "gym:"
 """Before the id of a task of Gymnasium, where environments are named."""
-TASK = "gym_"
-"""Before that id in the environment's name, which is part of files' names and has no slash."""
 FILE_MODULE = "irl_bench_plugin_"
 """How the names of modules begin that are made of files."""
 _read: dict[str, bytes] = {}
@@ -80,7 +89,7 @@ def add_installed() -> list[str]:
 
 def add_task(env_id: str) -> str:
     """Makes a task of Gymnasium known; its name here. Raises BadInput where that cannot be one."""
-    name = f"{TASK}{env_id.replace('/', '+')}"
+    name = f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}"
     if not env_id or not NAME.fullmatch(name) or "__" in name:
         raise BadInput(f"{env_id[:80]!r} is no id of Gymnasium that can be used: letters, digits, - and _")
     entry = Entry(f"{__name__}:gymnasium/{env_id}", f"Gymnasium's {env_id}")
@@ -91,8 +100,8 @@ def add_task(env_id: str) -> str:
 def task_or_name(name: str) -> str:
     """The name of an environment that may be given as 'gym:ID', or as such a task is called in a run, and is
     then known. Raises BadInput as `add_task` does."""
-    if name.startswith(TASK):
-        return add_task(name.removeprefix(TASK).replace("+", "/"))
+    if name.startswith(GYMNASIUM_NAME):
+        return add_task(name.removeprefix(GYMNASIUM_NAME).replace("+", "/"))
     return add_task(name.removeprefix(GYMNASIUM)) if name.startswith(GYMNASIUM) else name
 
 
@@ -162,7 +171,7 @@ class _Gymnasium(dict[str, "EnvSpec"]):
     def __missing__(self, env_id: str) -> EnvSpec:
         from envs import from_gymnasium
 
-        self[env_id] = from_gymnasium(env_id, f"{TASK}{env_id.replace('/', '+')}")
+        self[env_id] = from_gymnasium(env_id, f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}")
         return self[env_id]
 
 
@@ -234,7 +243,7 @@ def _register(kind: str, name: object, entry: Entry) -> None:
     if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
         raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
     taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", *GROUPS}
-    if taken or name.startswith(("control_", TASK)):
+    if taken or name.startswith(("control_", GYMNASIUM_NAME)):
         raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
     known = PLUGINS[kind]
     if known.get(name, entry).target != entry.target:

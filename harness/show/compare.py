@@ -62,6 +62,10 @@ def differing(one: Run, other: Run) -> list[str]:
         a, b = (", ".join(sorted(its.get(name, {"unknown"}))) for its in facts)
         if a != b:
             lines.append(f"{name}: {a}, there {b}")
+    for what, names in (("methods", "method"), ("tasks", "task")):
+        held = [{getattr(result.cell, names) for result in run.results} for run in (one, other)]
+        for where, its in (("here", held[0] - held[1]), ("there", held[1] - held[0])):
+            lines += [f"{what} only {where}: {', '.join(sorted(its))}"] if its else []
     methods = [
         {(r.cell.method, r.cell.task, r.cell.shown): r.key for r in run.results} for run in (one, other)
     ]

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from methods.base import Unsuitable
 
+READ = "docs/plugins.md"
+"""Says what is expected, where a message names nothing else."""
+
 
 class ContractError(AssertionError):
     """What was expected of a method or a task, and what came."""
@@ -31,7 +34,8 @@ class Check:
             raise
         except BaseException as error:  # SystemExit, too: what a method raises ends no check
             kind = "" if isinstance(error, ContractError) else f"{type(error).__name__}: "
-            return "FAILED", f"{kind}{' '.join(str(error).split())}"[:500]
+            why = f"{kind}{' '.join(str(error).split())}"[:500]
+            return "FAILED", why if "docs/" in why else f"{why} ({READ})"
         return "ok", ""
 
 

@@ -43,6 +43,7 @@ def check_learned(learned: object, obs: Array = OBS, act: Array = ACT) -> None:
         isinstance(chosen, np.ndarray) and chosen.shape == act.shape,
         f"the policy must give actions {act.shape} for observations {obs.shape}, not {np.shape(chosen)}",
     )
+    expect(chosen.dtype.kind == "f", f"actions must be real numbers, floating-point, not {chosen.dtype}")
     expect(np.isfinite(chosen).all(), "actions must be finite")
     expect(np.abs(chosen).max() <= 1, f"actions must lie in [-1, 1], one is {np.abs(chosen).max():.3g}")
     expect(np.array_equal(learned.policy(obs), chosen), "the policy must be deterministic")
@@ -71,6 +72,8 @@ def _check_reward(reward: Reward, obs: Array, act: Array) -> None:
         np.shape(paid) == (len(obs),),
         f"the reward must give one number a step, ({len(obs)},), not {np.shape(paid)}",
     )
+    kind = np.asarray(paid).dtype
+    expect(kind.kind == "f", f"rewards must be real numbers, floating-point, not {kind}")
     expect(np.isfinite(paid).all(), "rewards must be finite")
     expect(np.array_equal(reward(obs, act, obs), paid), "the reward must be deterministic")
     expect(

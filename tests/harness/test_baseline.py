@@ -233,6 +233,11 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     assert (found["shaped", "pi_R"].difference, found["shaped", "pi_R"].better) == (0.0, 0.5)
     assert compare.differing(*runs) == []
     assert compare.other_versions(*runs) == []
+    fewer = dataclasses.replace(
+        runs[1], results=[result for result in runs[1].results if result.cell.method != "gail"]
+    )
+    assert "methods only here: gail" in compare.differing(runs[0], fewer)
+    assert "methods only there: gail" in compare.differing(fewer, runs[0])
 
 
 def test_what_cannot_be_compared_is_left_out_and_named(

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 import pytest
 
 from envs.driving.fast import FastHighwayEnv
-from harness import bench, cli, growth, scale
+from harness import bench, cli, growth, scale, spread
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
+from harness.run.cluster import Ray
 from harness.run.engines import Engine
 
 
@@ -118,6 +119,17 @@ def test_of_a_stopped_bench_nothing_is_kept(
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert capsys.readouterr().err == "\nstopped; nothing is kept\n"
+
+
+def test_two_nodes_are_compared_with_one_and_a_cluster_with_this_machine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(spread, "_seconds", {1: 60.0, 2: 40.0}.get)
+    monkeypatch.setattr(spread, "_for_each", lambda engine: 1.5 if isinstance(engine, Ray) else 1.25)
+    pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
+    nodes, added = spread.spread()
+    assert (nodes.values, nodes.missed) == ([1.5] * spread.REPEATS, True)
+    assert (added.values, added.unit) == ([250.0] * spread.REPEATS, "ms")
 
 
 def test_a_fit_is_timed_with_the_steps_that_it_took(monkeypatch: pytest.MonkeyPatch) -> None:

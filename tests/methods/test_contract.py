@@ -125,10 +125,12 @@ BROKEN = [
     (Returns(Learned(lambda obs: obs[:, :2], None)), "fit returns", r"must lie in \[-1, 1\]"),
     (Returns(Learned(lambda obs: np.full((len(obs), 2), np.nan), None)), "fit returns", "finite"),
     (Returns(Learned(lambda obs: linear(obs - len(obs)), None)), "fit returns", "same batch"),
+    (Returns(Learned(lambda obs: linear(obs) + 0j, None)), "fit returns", "real numbers.*docs/plugins.md"),
     (Returns(Learned(linear, None, {"loss": []})), "fit returns", "the curve 'loss'"),
     (Returns(Learned(linear, linear)), "fit returns", "needs `absorbing`"),  # type: ignore[arg-type]
     (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "must be a finite float, not None"),
     (Returns(Learned(linear, Pays(size=2))), "fit returns", r"one number a step, \(40,\), not \(80,\)"),
+    (Returns(Learned(linear, Pays(1j))), "fit returns", "rewards must be real numbers"),  # type: ignore[arg-type]
     (Returns(Learned(linear, Pays(np.inf))), "fit returns", "rewards must be finite"),
     (Returns(change), "it leaves demonstrations as they are", "changed the demonstrations"),
     (Returns(draw), "nothing but its generator decides", "draw from `rng` alone"),

@@ -101,7 +101,10 @@ def test_the_command_says_it_all() -> None:
         assert {*args.transfer.split(",")} == {variant.split(".")[1] for variant in MANY.variants}
         asked += [Shown(demos, args.subsample, args.demonstrator) for demos in args.demos]
     assert sorted(asked) == sorted(MANY.shown)
-    assert "--transfer" not in command_of(Request(("bc",), ("swingup",), (0,), SMOKE))
+    own = command_of(Request(("bc",), ("swingup", "gym_Pendulum-v1"), (0,), SMOKE))
+    assert "--transfer" not in own
+    assert "--plugin" not in own
+    assert "--plugin FILE" in command_of(Request(("mine",), ("swingup",), (0,), SMOKE))
 
 
 def whole(count: int = 3, steps: int = 45) -> Episodes:
