@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
     _add_plugins(add)
     add.add_argument(
         "--seeds",
-        type=_seeds,
+        type=seeds,
         metavar="K|A,B-C",
         help="how many, from 0, or which: 0,3,5-9 (7-7 is seed 7 alone; default 1; 5 for full)",
     )
@@ -111,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
     )
-    add.add_argument("--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help="default 5")
+    add.add_argument("--seeds", type=seeds, metavar="K|A,B-C", default=seeds("5"), help="default 5")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--out", default=Path("results/reproduce"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
@@ -184,10 +184,8 @@ def parser() -> argparse.ArgumentParser:
         if name == "train":
             add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
             of_others = "of experts for tasks of others, which are kept in the cache"
-            add.add_argument("--budget", default="full", choices=BUDGETS, help=f"{of_others}; default full")
-            add.add_argument(
-                "--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help=f"{of_others}; default 5"
-            )
+            add.add_argument("--budget", choices=BUDGETS, help=f"{of_others}; default full")
+            add.add_argument("--seeds", type=seeds, metavar="K|A,B-C", help=f"{of_others}; default 5")
     add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     _add_plugins(add)
     return top
@@ -256,7 +254,7 @@ def _count(text: str) -> int:
     return _whole(text, MOST)
 
 
-def _seeds(text: str) -> tuple[int, ...]:
+def seeds(text: str) -> tuple[int, ...]:
     """How many from 0, or numbers and ranges."""
     if "," not in text and "-" not in text[1:]:
         return tuple(range(_count(text)))

@@ -56,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
     if args.demos_from:
         conditions = replace(conditions, demonstrations=_given(args, envs))
+    elif args.action_bounds:
+        raise BadInput("--action-bounds are of demonstrations of a file: --demos-from")
     if args.demonstrator == "medium":
         if args.experts == "trained":
             raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
@@ -114,7 +116,7 @@ def report(directory: Path) -> int:
     with open_for_report(directory) as run:
         results, unusable = run.load()
         _tell_unusable(unusable, "left out")
-        if not results:
+        if not results and not run.beside()[0]:
             raise BadInput(f"{directory} holds no finished cell")
         whole = _write_report(run, list(results.values()), anew=True)
     failed = _tell_troubles(list(results.values()))
@@ -160,6 +162,11 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
     if args.experts == "none" and found.returns is None:
         raise BadInput(
             f"{args.demos_from} tells no rewards, so nothing would score 1; leave out --experts none"
+        )
+    if args.experts == "none" and found.cut:
+        raise BadInput(
+            f"{found.cut} of the {len(found.episodes)} episodes of {args.demos_from} neither terminated nor "
+            "last until the horizon, so what they return is no score; leave out --experts none"
         )
     if max(args.demos) > len(found.episodes):
         raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")

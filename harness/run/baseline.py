@@ -20,6 +20,7 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Request,
+    Shown,
 )
 from harness.registry import METHODS, VARIANTS, BadInput
 from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
@@ -50,6 +51,8 @@ def comparable(
     for folder in [run for path in paths for run in _runs(path)]:
         with open_to_verify(folder) as run:
             (results, unusable), conditions = run.load(), run.request.conditions
+            beside, damaged = run.beside()
+        results, unusable = {result.cell: result for result in beside} | results, unusable | damaged
         differ = [
             f"{name} {getattr(conditions, name)}, not {getattr(request.conditions, name)}"
             for name in DECIDING
@@ -58,6 +61,11 @@ def comparable(
         for file, why in unusable.items():
             left_out.setdefault("", set()).add(f"{file}: {why}")
         asked = {cell: result for cell, result in results.items() if _is_asked(cell, request)}
+        for env, shown in _shown_otherwise(results, request).items():
+            left_out[env].add(
+                f"methods in {folder.name} were shown {_in_words(shown)}, and here "
+                f"{_in_words(request.shown)} (--demos, --subsample, --demonstrator)"
+            )
         now = _methods_now(asked, request, variables)
         for cell, result in asked.items():
             unseeded = dataclasses.replace(cell, seed=0)
@@ -123,6 +131,19 @@ def _is_asked(cell: Cell, request: Request) -> bool:
         and (cell.dynamics == NOMINAL or cell.task in request.variants)
         and (cell.method in UNSHOWN or cell.shown in request.shown)
     )
+
+
+def _shown_otherwise(cells: Iterable[Cell], request: Request) -> dict[str, set[Shown]]:
+    """What methods were shown, by environments in which none was shown what the request asks for."""
+    found: dict[str, set[Shown]] = {}
+    for cell in cells:
+        if cell.env in request.envs and cell.method not in UNSHOWN:
+            found.setdefault(cell.env, set()).add(cell.shown)
+    return {env: shown for env, shown in found.items() if not shown & {*request.shown}}
+
+
+def _in_words(shown: Iterable[Shown]) -> str:
+    return " or ".join(str(one) or "as many demonstrations as the budget says" for one in sorted(shown))
 
 
 def _source(result: CellResult, same: bool) -> str:

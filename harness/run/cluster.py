@@ -68,6 +68,10 @@ class Ray:
         work: str = WORK,
     ) -> None:
         host, _, port = address.rpartition(":")
+        if not (not address or address == "auto" or (host and port.isdecimal())):
+            raise BadInput(
+                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}"
+            )
         local = not address or host in ("127.0.0.1", "localhost")
         os.environ |= SILENT | (LOOPBACK if local else {})  # which Ray reads as it is imported
         self._ray = _imported()

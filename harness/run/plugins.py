@@ -60,6 +60,8 @@ def add(named: Sequence[str]) -> None:
     told = _told()
     for name in named:
         with _its_troubles(f"the plug-in {name} cannot be loaded"):
+            if not name.endswith(".py") and Path(name).is_file():
+                raise BadInput(f"the plug-in {name} is a file whose name does not end in .py")
             module = (
                 _of_file(Path(name).absolute()) if name.endswith(".py") else importlib.import_module(name)
             )
@@ -242,7 +244,7 @@ def _register(kind: str, name: object, entry: Entry) -> None:
     """Raises BadInput for a name that cannot be used, or is another's."""
     if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
         raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
-    taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", *GROUPS}
+    taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", "expert", *GROUPS}
     if taken or name.startswith(("control_", GYMNASIUM_NAME)):
         raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
     known = PLUGINS[kind]
@@ -259,6 +261,9 @@ def _its_troubles(what: str) -> Iterator[None]:
         yield
     except (BadInput, KeyboardInterrupt):
         raise
+    except ModuleNotFoundError as error:
+        hint = "; a plug-in of several files is named as a module that Python can import"
+        raise BadInput(f"{what}: {_in_words(error)}{hint} ({READ})") from error
     except BaseException as error:
         raise BadInput(f"{what}: {_in_words(error)}") from error
 

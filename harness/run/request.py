@@ -11,6 +11,7 @@ from typing import Any
 
 from harness.judge.results import ALL_SHOWN, FORMATS, MOST_SEEDS, Conditions, Request
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
+from harness.run import plugins
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
 
@@ -75,7 +76,14 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
     for name in KEYS:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
-            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
+            said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
+            raise BadInput(f"{path} holds a run with {said}; give another --out")
+    known = {*METHODS, *VARIANTS, *ENVS}
+    if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
+        raise BadInput(
+            f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
+            "or give another --out"
+        )
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),

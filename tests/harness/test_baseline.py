@@ -202,6 +202,36 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     assert main(["report", "run"]) == 1
 
 
+def test_a_run_of_a_baselines_rows_alone_is_a_run(
+    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It computes nothing, is reported, and is a baseline itself."""
+    assert run("--baseline", str(board), "--out", "first") == 0
+    assert run("--baseline", "first", "--out", "second") == 0
+    assert not Computes.asked
+    before = (tmp_path / "second/leaderboard.csv").read_bytes()
+    assert main(["report", "second"]) == 0
+    assert (tmp_path / "second/leaderboard.csv").read_bytes() == before
+    assert run("--baseline", "second", "--out", "third") == 0
+    assert not Computes.asked
+    capsys.readouterr()
+    words = ("--env", "cartpole", "--method", "gail")
+    assert main(["export", "second", *words]) == 2
+    assert "cartpole gail in second is of a baseline" in capsys.readouterr().err
+
+
+def test_what_methods_were_shown_otherwise_is_told(
+    run: Callable[..., int],
+    board: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(commands, "_compute", lambda *_: {})
+    run("--baseline", str(board), "--demos", "5", "--out", "run")
+    told = "methods in one were shown as many demonstrations as the budget says, and here 5 demonstrations"
+    assert told in capsys.readouterr().err
+
+
 def test_a_refused_baseline_writes_nothing(
     run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
