@@ -121,6 +121,8 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(max_torque=-NOMINAL.max_torque)},
     },
 )
+"""The motor is too weak to lift the pendulum at once: it must swing to and fro first. It starts anywhere, and
+never ends before 10 s."""
 
 gym.register(
     SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
