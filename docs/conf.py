@@ -25,4 +25,7 @@ myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 autodoc_member_order = "bysource"
 autodoc_class_signature = "separated"
+autodoc_inherit_docstrings = False
+autodoc_type_aliases = {name: name for name in ("Array", "Learner", "Payment", "RandomActions")}
+smartquotes = False
 python_use_unqualified_type_names = True

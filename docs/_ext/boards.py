@@ -40,11 +40,11 @@ def shown(row: Row) -> str:
 
 
 def score(row: Row | None) -> str:
-    """Mean and 95 % interval; the mean alone where the interval is not over seeds, or is not known."""
+    """Mean and 95 % interval; the mean alone of fewer than three seeds."""
     if row is None:
         return ""
     mean, low, high = (row[f"score_{name}"] and f"{float(row[f'score_{name}']):z.2f}" for name in SCORE)
-    return f"{mean} [{low}, {high}]" if low and row["varies"] == "seeds" else mean
+    return f"{mean}\u00a0[{low},\u00a0{high}]" if int(row["seeds_ok"]) > 2 else mean
 
 
 def amount(text: str) -> str:
@@ -61,9 +61,9 @@ def pairs(its: Sequence[Row]) -> list[tuple[Row, Row | None, Row | None]]:
     return [(next(iter(p.values())), p.get("pi_star"), p.get("pi_R")) for p in found.values()]
 
 
-def link(run: str) -> str:
-    """Where a run's lines are, from a page one folder below docs/."""
-    return f"[{run}](../../results/reference/board/{run}/leaderboard.csv)"
+def link(text: str, row: Row) -> str:
+    """To the file that it is of, from a page one folder below docs/."""
+    return f"[{text}](../../results/reference/board/{row['run']}/leaderboard.csv)"
 
 
 def table(heading: Sequence[str], lines: Sequence[Sequence[object]]) -> str:

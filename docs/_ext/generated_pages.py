@@ -3,6 +3,7 @@ specs and the reference boards. They are in no commit, so none can be out of dat
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -60,13 +61,15 @@ def api() -> str:
     homes: dict[str, list[str]] = {module: [] for module in TITLES}
     for name, module in irl_bench.WHERE.items():
         homes[module].append(name)
-    parts = ["# irl_bench", "All that a plug-in, a notebook or another program needs, under one name."]
+    parts = ["# API: irl_bench", "All that a plug-in, a notebook or another program needs, under one name."]
     for module, names in homes.items():
         parts.append(f"## {TITLES[module]}")
         for name in sorted(names):
             its = getattr(irl_bench, name)
             directive = "autoclass" if isinstance(its, type) else "autofunction"
             options = ["   :members:", "   :undoc-members:"] if isinstance(its, type) else []
+            made_by_fields = dataclasses.is_dataclass(its) or getattr(its, "_is_protocol", False)
+            options += ["   :exclude-members: __init__"] * made_by_fields
             lines = "\n".join(["```{eval-rst}", f".. {directive}:: irl_bench.{name}", *options, "```"])
             parts.append(lines)
     return "\n\n".join(parts) + "\n"

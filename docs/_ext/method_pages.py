@@ -136,7 +136,7 @@ def results(names: Sequence[str]) -> str:
         return "It is on no reference board yet."
     text = [
         "Scores at the budget `full`: 0 is a random policy, 1 the expert. Means over seeds and 95 % "
-        "intervals; of one seed there is none. What they show: [findings](../findings.md)."
+        "intervals; of fewer than three seeds there are none. What they show: [findings](../findings.md)."
     ]
     for title, chosen in (
         ("", [row for row in its if row["dynamics"] == "nominal"]),
@@ -149,13 +149,13 @@ def results(names: Sequence[str]) -> str:
         if chosen:
             lines = [
                 (
-                    *(f"`{boards.task_of(row)}`", boards.shown(row), row["seeds_ok"], f"`{row['method']}`"),
-                    *(boards.score(star), boards.score(retrained), boards.link(row["run"])),
+                    *(boards.link(f"`{boards.task_of(row)}`", row), boards.shown(row), row["seeds_ok"]),
+                    *(f"`{row['method']}`", boards.score(star), boards.score(retrained)),
                 )
                 for row, star, retrained in boards.pairs(chosen)
             ]
-            heading = ["Task", "Demonstrations", "Seeds", "Method", "π\\*", "π_R", "Run"]
-            text += [title, without_column(heading, lines, 3 if len(names) == 1 else None)]
+            heading = ["Task", "Demonstrations", "Seeds", "Method", "π\\*", "π_R"]
+            text += [title, table_of_methods(heading, lines)]
     return "\n\n".join(part for part in text if part)
 
 
@@ -186,12 +186,12 @@ def costs(names: Sequence[str]) -> str:
     return (
         "Until π\\* is there, means over seeds. Steps are of rollouts and those that RL learned from; checks "
         "are the episodes by which RL's checkpoints were judged. Seconds are of one core beside other work, "
-        "on whatever machine computed the run: rough.\n\n"
-        + without_column(heading, lines, 2 if len(names) == 1 else None)
+        "on whatever machine computed the run: rough.\n\n" + table_of_methods(heading, lines)
     )
 
 
-def without_column(heading: Sequence[str], lines: Sequence[Sequence[object]], place: int | None) -> str:
-    """The table, but for a column that says the same everywhere."""
-    kept = [i for i in range(len(heading)) if i != place]
+def table_of_methods(heading: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
+    """The table, which names methods only where they differ."""
+    place = heading.index("Method")
+    kept = [i for i in range(len(heading)) if i != place or len({line[place] for line in lines}) > 1]
     return table([heading[i] for i in kept], [[line[i] for i in kept] for line in lines])

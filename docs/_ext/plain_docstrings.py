@@ -9,7 +9,7 @@ from sphinx.application import Sphinx
 
 INDENT = "    "
 GREEK = ("alpha", "gamma", "mu", "phi", "pi", "rho", "sigma", "tau", "theta")
-FUNCTIONS = ("det", "exp", "log", "max", "min")
+FUNCTIONS = ("cos", "det", "exp", "log", "max", "min")
 OPERATORS = ("KL", "cov", "tr")
 _PIECE = re.compile(r"(`[^`]*`)")
 _FIELD = re.compile(r"(Raises [A-Z]|[a-z_]+(, [a-z_]+)*( \([^)]*\))?: )")
@@ -39,17 +39,27 @@ def bullets(paragraph: str) -> str:
     text, parts, start, depth = " ".join(paragraph.split()), [], 0, 0
     for i, c in enumerate(text):
         depth += (c == "(") - (c == ")")
-        ends = c == ";" or (c == "." and not text[:i].endswith(("al", "e.g", "i.e")))
+        ends = c == ";" or (c == "." and not text[:i].endswith((" al", " eq", "e.g", "i.e")))
         if ends and depth == 0 and text[i + 1 : i + 2] in ("", " "):
             parts.append(text[start:i].strip())
             start = i + 1
-    return "\n".join(f"- {inline(part[:1].upper() + part[1:])}." for part in parts)
+    return "\n".join(f"- {inline(_capital(part))}." for part in parts)
+
+
+def _capital(text: str) -> str:
+    """Names of one letter, and of code, stay as they are."""
+    return text[:1].upper() + text[1:] if text[1:2].isalpha() else text
 
 
 def inline(text: str) -> str:
     """Markdown of running text, in one line."""
     pieces = _PIECE.split(" ".join(text.split()))
-    return "".join(p if p.startswith("`") else re.sub(r"([\\*_<>\[\]$|#~])", r"\\\1", p) for p in pieces)
+    return "".join(p if p.startswith("`") else _escaped(p) for p in pieces)
+
+
+def _escaped(text: str) -> str:
+    text = re.sub(r"\bpi(?=\*|_R\b)", "π", text)
+    return re.sub(r"([\\*_<>\[\]$|#~])", r"\\\1", text)
 
 
 def latex(line: str) -> str:
@@ -72,7 +82,10 @@ def _word(match: re.Match[str]) -> str:
         return f"\\{word} "
     if word == "grad":
         return r"\nabla "
-    return rf"\operatorname{{{word}}}" if word in OPERATORS else rf"\text{{ {word} }}"
+    if word in OPERATORS:
+        return rf"\operatorname{{{word}}}"
+    beside = match.string[max(match.start() - 1, 0)] + match.string[match.end() : match.end() + 1]
+    return rf"\mathrm{{{word}}}" if set(beside) & set("()^") else rf"\text{{ {word} }}"
 
 
 def to_rst(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
@@ -93,6 +106,25 @@ def to_rst(app: Sphinx, what: str, name: str, obj: object, options: object, line
     lines[:] = found
 
 
+def short_types(
+    app: Sphinx,
+    what: str,
+    name: str,
+    obj: object,
+    options: object,
+    arguments: str | None,
+    returned: str | None,
+) -> tuple[str | None, str | None]:
+    """Arrays of 64-bit floats by the name that they have in the code."""
+
+    def short(text: str | None) -> str | None:
+        long = r"TypeAliasForwardRef\('(\w+)'\)"
+        return text and re.sub(long, r"\1", text).replace("ndarray[tuple[Any, ...], dtype[float64]]", "Array")
+
+    return short(arguments), short(returned)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", to_rst)
+    app.connect("autodoc-process-signature", short_types)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

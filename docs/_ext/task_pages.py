@@ -20,6 +20,7 @@ from plain_docstrings import inline, markdown
 from envs import EnvSpec
 from harness.registry import BUDGETS, ENVS, all_specs
 
+COUNTS = {3: "Three", 5: "Five"}
 SHARED = ("envs.mujoco_tasks",)
 """Modules of several tasks, whose docstring is of none of them."""
 
@@ -103,7 +104,7 @@ def numbers(spec: EnvSpec) -> str:
         ("Evaluation episodes", budgets(spec.eval_episodes)),
         ("Demonstrations", budgets(spec.demo_episodes)),
     ]
-    return table(["", ""], known)
+    return table(["Setting", "Value"], known)
 
 
 def budgets(numbers: Mapping[str, int]) -> str:
@@ -139,7 +140,7 @@ def expert(spec: EnvSpec) -> str:
     ]
     shipped = spec.shipped
     text = (
-        f"{shipped.experts} are shipped, each trained for {shipped.steps:,} steps"
+        f"{COUNTS[shipped.experts]} are shipped, each trained for {shipped.steps:,} steps"
         + (f" by {learner(shipped.rl)}" if shipped.rl else "")
         + f". Each returns {shipped.bar:g} or more"
         + (
@@ -147,8 +148,8 @@ def expert(spec: EnvSpec) -> str:
             if shipped.terminated is None
             else f" and ends at most {shipped.terminated:.0%} of its episodes early"
         )
-        + f" on {shipped.episodes:,} episodes that nothing else uses: {min(returns):.1f} to {max(returns):.1f} "
-        "were [measured](../../results/reference/experts_held_out.csv)."
+        + f" on {shipped.episodes:,} episodes that nothing else uses: {min(returns):.1f} to "
+        f"{max(returns):.1f} were [measured](../../results/reference/experts_held_out.csv)."
     )
     asked = spec.bar(range(20))
     if not math.isinf(asked) and spec.name != "highway":
@@ -174,7 +175,7 @@ def variants(spec: EnvSpec) -> str:
         lines.append((f"`{name}`", ", ".join(changed)))
     return (
         table(["Variant", "What differs"], lines)
-        + f"\n`run --envs {spec.name} --transfer {next(iter(spec.variants))}` uses what was learned there, too."
+        + f"\n`run --envs {spec.name} --transfer {next(iter(spec.variants))}` uses what was learned there."
     )
 
 
@@ -188,7 +189,7 @@ def board(env: str) -> str:
         method = row["method"]
         said = f"[`{method}`](../methods/{pages_of[method]}.md)" if method in pages_of else f"`{method}`"
         seeds = "one seed" if row["seeds_ok"] == "1" else f"{row['seeds_ok']} seeds"
-        key = (boards.task_of(row), boards.shown(row), seeds, row["run"])
+        key = (boards.task_of(row), boards.shown(row), seeds, boards.link(row["run"], row))
         found.setdefault(key, []).append((said, boards.score(star), boards.score(retrained)))
     text = [
         "Scores at `full`: 0 is a random policy, 1 the expert; in other dynamics 1 is what RL reaches there."
@@ -196,7 +197,7 @@ def board(env: str) -> str:
     for (task, shown, seeds, run), lines in found.items():
         what = "demonstration" if shown == "1" else "demonstrations"
         text += [
-            f"**{inline(task)}**, {shown} {what}, {seeds} ({boards.link(run)}):",
+            f"**{inline(task)}**, {shown} {what}, {seeds} ({run}):",
             table(["Method", "π\\*", "π_R"], lines),
         ]
     return "\n\n".join(text)

@@ -130,8 +130,11 @@ SPEC = EnvSpec(
     },
 )
 """A cart on a track of 2.4 m to either side carries a pole of 1 m. The motor pushes the cart with up to 10 N.
-A step pays nearly 1 while the pole stands, so what counts is how long it does. An episode ends where the cart
-leaves the track or the pole leans by more than 12 degrees."""
+An episode ends, and its last step pays 0, where the cart leaves the track or the pole leans by more than 12
+degrees. Before, a step pays nearly 1, so what counts is how long the pole stands.
+
+    r = (10 - (1 - cos(angle)) - 0.00001 force^2) / 10
+"""
 
 gym.register(
     SPEC.env_id,
