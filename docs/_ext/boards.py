@@ -36,7 +36,7 @@ def task_of(row: Row) -> str:
 def shown(row: Row) -> str:
     """How many demonstrations, and which of their steps."""
     demos = int(row["demos"]) or SPECS[row["env"]].demo_episodes["full"]
-    return f"{demos}" if row["every"] == "1" else f"{demos}, every {row['every']}th step"
+    return f"{demos}" if row["every"] == "1" else f"{demos}, 1 step in {row['every']}"
 
 
 def score(row: Row | None) -> str:

@@ -154,7 +154,7 @@ def results(names: Sequence[str]) -> str:
                 )
                 for row, star, retrained in boards.pairs(chosen)
             ]
-            heading = ["Task", "Demonstrations", "Seeds", "Method", "π\\*", "π_R"]
+            heading = ["Task", "Demos", "Seeds", "Method", "π\\*", "π_R"]
             text += [title, table_of_methods(heading, lines)]
     return "\n\n".join(part for part in text if part)
 

@@ -4,11 +4,15 @@ are set in by four spaces. Here they become Markdown for generated pages, and re
 from __future__ import annotations
 
 import re
+import unicodedata
 
 from sphinx.application import Sphinx
 
 INDENT = "    "
-GREEK = ("alpha", "gamma", "mu", "phi", "pi", "rho", "sigma", "tau", "theta")
+GREEK = {
+    name: unicodedata.lookup(f"GREEK SMALL LETTER {name}")
+    for name in ("alpha", "gamma", "mu", "phi", "pi", "rho", "sigma", "tau")
+}
 FUNCTIONS = ("cos", "det", "exp", "log", "max", "min")
 OPERATORS = ("KL", "cov", "tr")
 _PIECE = re.compile(r"(`[^`]*`)")
@@ -47,8 +51,8 @@ def bullets(paragraph: str) -> str:
 
 
 def _capital(text: str) -> str:
-    """Names of one letter, and of code, stay as they are."""
-    return text[:1].upper() + text[1:] if text[1:2].isalpha() else text
+    """Symbols, and names of code, stay as they are."""
+    return text if re.match(r"\W|\w\b|pi[*_]", text) else text[:1].upper() + text[1:]
 
 
 def inline(text: str) -> str:
@@ -58,7 +62,9 @@ def inline(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    text = re.sub(r"\bpi(?=\*|_R\b)", "π", text)
+    """Symbols by their letters; and nothing in it is markup."""
+    text = re.sub(r"(?<![\w-])[a-z]+(?![a-z-])", lambda match: GREEK.get(match[0], match[0]), text)
+    text = text.replace("^T", "ᵀ").replace("^2", "²")
     return re.sub(r"([\\*_<>\[\]$|#~])", r"\\\1", text)
 
 
