@@ -14,6 +14,7 @@ TITLES = {
     "harness.exported": "What was learned, in other programs",
     "methods.base": "Methods",
     "methods.network": "Networks",
+    "methods.rewards": "Rewards",
     "envs": "Tasks",
     "envs.spec": "Parts of a task",
     "envs.learners": "Learners",

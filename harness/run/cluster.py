@@ -70,7 +70,8 @@ class Ray:
         host, _, port = address.rpartition(":")
         if not (not address or address == "auto" or (host and port.isdecimal())):
             raise BadInput(
-                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}"
+                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}",
+                page="cluster",
             )
         local = not address or host in ("127.0.0.1", "localhost")
         os.environ |= SILENT | (LOOPBACK if local else {})  # which Ray reads as it is imported
