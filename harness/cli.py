@@ -66,7 +66,7 @@ def _dispatch(argv: list[str]) -> int:
         from harness import commands  # here, for `--help` and `list` to answer at once
 
     if args.command == "report":
-        return commands.report(args.directory)
+        return commands.report(args.directory, args.print)
     if args.command == "demos":
         return commands.demos(args)
     if args.command == "export":

@@ -108,15 +108,15 @@ def reproduce(args: argparse.Namespace) -> int:
     return int(_tell_troubles([result for results in found.values() for result in results]))
 
 
-def report(directory: Path) -> int:
-    """Rebuilds tables and figures from the cells that are stored there."""
+def report(directory: Path, tables: bool) -> int:
+    """Rebuilds tables and figures from the cells that are stored there. tables: whether they are printed."""
     _prepare()
     with open_for_report(directory) as run:
         results, unusable = run.load()
         _tell_unusable(unusable, "left out")
         if not results:
             raise BadInput(f"{directory} holds no finished cell")
-        whole = _write_report(run, list(results.values()), anew=True)
+        whole = _write_report(run, list(results.values()), anew=True, tables=tables)
     failed = _tell_troubles(list(results.values()))
     return int(failed or not whole or bool(unusable))
 
@@ -381,10 +381,11 @@ def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, C
     return {result.cell: result for result in found}
 
 
-def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
-    """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
-    all is there that the run stored."""
+def _write_report(run: RunDirectory, results: list[CellResult], anew: bool, tables: bool = False) -> bool:
+    """Writes what these results come to, and says it in five lines. anew: even where it is as it was written.
+    tables: printed besides. Returns whether all is there that the run stored."""
     from harness.run.reporting import write_report
+    from harness.show import terminal
 
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
@@ -392,13 +393,13 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
         run.seal(results, write_report(run.path, run.request, [*results, *beside]))
-    say("\n" + _text(run.path / "leaderboard.md"))
-    shown = ["scores.csv", "report.html"]
-    shown += ["recordings"] * any(result.recordings for result in results)
-    shown += ["artifacts"] * any(result.artifacts for result in results)
-    for name in shown:
-        say(f"{name:11} {run.path / name}")
-    there = {result.cell for result in [*results, *beside]}
+    shown = [*results, *beside]
+    for line in terminal.tables(run.request, shown) if tables else []:
+        say(line)
+    say("")
+    for line in terminal.found(run.request, shown, run.path):
+        say(terminal.wrapped(line))
+    there = {result.cell for result in shown}
     if absent := [cell.name for cell in run.request.cells if cell not in there]:
         say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
     _tell_unusable(damaged | unusable, "damaged")
