@@ -30,7 +30,6 @@ from harness.judge.results import NOMINAL, CellResult, Request
 from harness.show.report import NO_RESULT
 
 HEADINGS = ("Method", "Policy", "Score", "Behind best", "Note")
-TIED = "tied: not told apart from the best"
 NAMES = {"pi_star": "pi*", "pi_R": "pi_R"}
 """Policies that methods are compared by."""
 FEW_BOARDS, FEW_NAMES = 3, 4
@@ -90,7 +89,7 @@ def tables(request: Request, results: Sequence[CellResult]) -> list[str]:
             flags += [ONE_SEED] * _has_one_seed(entries)
             console.print("; ".join([name, *flags]), markup=False)
             console.print(_table(entries, width >= WITH_INTERVALS))
-        console.print(f"Score: 0 a random policy, 1 the expert. {TIED}.", markup=False)
+        console.print(_glossary(request), markup=False)
     return [line.rstrip() for line in capture.get().splitlines()]
 
 
@@ -105,6 +104,12 @@ def _table(entries: Sequence[Entry], intervals: bool) -> Table:
     for entry in entries:
         table.add_row(*map(Text, _line(entry, best.get(entry.policy), intervals)))
     return table
+
+
+def _glossary(request: Request) -> str:
+    top = "what the demonstrations return" if request.conditions.experts == "none" else "the expert"
+    there = "; in other dynamics 1 is RL on the true reward" if request.variants else ""
+    return f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best."
 
 
 def _line(entry: Entry, best: Entry | None, intervals: bool) -> tuple[str, str, str, str, str]:
@@ -207,7 +212,7 @@ def _is_scored(entry: Entry, policy: str) -> bool:
 
 
 def _has_one_seed(entries: Sequence[Entry]) -> bool:
-    return max((e.seeds_ok for e in entries if e.role == "method"), default=0) <= 1
+    return max((e.seeds_ok for e in entries if e.role in ("method", ASKS)), default=0) == 1
 
 
 def _controls(boards: Boards) -> str:
