@@ -108,6 +108,8 @@ def _list(named: Sequence[str]) -> int:
     for kind, table in PLUGINS.items():
         if table:
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
+    dynamics = {name: ", ".join(entry.variants) for name, entry in ENVS.items() if entry.variants}
+    sections["dynamics of envs, for --transfer"] = dynamics
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")

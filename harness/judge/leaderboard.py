@@ -300,8 +300,10 @@ def _entry(
         score_low, score_high = mean_interval([row.normalized_score for row in scored])
         returns = mean_interval([row.return_mean for row in known])
     behind, behind_low, behind_high = _behind(scored, best, scales)
+    sources: dict[str, list[int]] = {}
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
+        sources.setdefault(row.source, []).append(row.seed)
         if row.status != "ok":
             reasons.setdefault((row.status, row.reason), []).append(str(row.seed))
         elif not math.isfinite(row.normalized_score):
@@ -346,13 +348,26 @@ def _entry(
         rl_solves=_mean([row.rl_solves for row in ok]),
         note="; ".join(
             [
-                *sorted({row.source for row in rows if row.source}),
+                *(
+                    _from(source, seeds, len(sources) > 1)
+                    for source, seeds in sorted(sources.items())
+                    if source
+                ),
                 *(
                     f"{status} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(seeds)}): {reason}"
                     for (status, reason), seeds in reasons.items()
                 ),
             ]
         ),
+    )
+
+
+def _from(source: str, seeds: list[int], in_part: bool) -> str:
+    """Where these seeds come from. in_part: whether others come from elsewhere."""
+    return (
+        f"{source} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(map(str, seeds))})"
+        if in_part
+        else source
     )
 
 

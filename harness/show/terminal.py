@@ -143,12 +143,12 @@ def _score(entry: Entry, interval: bool = True) -> str:
 
 def _counts(request: Request, results: Sequence[CellResult], directory: Path) -> list[str]:
     """How many cells came out how, and under which conditions."""
-    asked = {*request.cells}
-    own = [result for result in results if result.cell in asked]
+    own = [result for result in results if not any(row.source for row in result.rows)]
     statuses = Counter(_status(result) for result in own)
+    missing = len({*request.cells} - {result.cell for result in results})
     counts = [f"{statuses[name]} {name}" for name in ("ok", "skipped", "failed") if statuses[name]]
-    counts += [f"{missing} missing"] if (missing := len(asked) - len(own)) else []
-    counts += [f"{others} of other runs beside them"] if (others := len(results) - len(own)) else []
+    counts += [f"{missing} missing"] if missing else []
+    counts += [f"{len(results) - len(own)} of a baseline"] if len(results) > len(own) else []
     conditions, seeds = request.conditions, request.seeds
     which = f"seed {seeds[0]}" if len(seeds) == 1 else f"{len(seeds)} seeds"
     told = [", ".join(counts), f"budget {conditions.budget}, protocol {conditions.protocol}, {which}"]
