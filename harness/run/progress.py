@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.padding import Padding
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 NOTHING: Mapping[str, float] = MappingProxyType({})
 NOTES = 5
 """Of what was told above the display, that is shown again where a narrower terminal had to be cleared."""
+
+
+PREPARING = "expert and demonstrations"
+"""What a job does that makes what cells share."""
 
 
 class Progress(Protocol):
@@ -101,11 +106,12 @@ class Display:
 
     def __init__(self, tally: Tally, doing: Callable[[str], str], console: Console) -> None:
         self.tally, self.doing, self.console = tally, doing, console
-        self.live = Live(get_renderable=self._render, console=console, refresh_per_second=2, transient=True)
+        self._preparing: set[str] = set()
         self._notes: list[str] = []
         self._again: list[str] = []
         self._last = ""
         self._width = console.width
+        self.live = Live(get_renderable=self._render, console=console, refresh_per_second=2, transient=True)
 
     def __enter__(self) -> Self:
         self.live.start()
@@ -116,6 +122,8 @@ class Display:
         self.console.print(Text(self.tally.line()))
 
     def started(self, job: Job) -> None:
+        if job.shared:
+            self._preparing.add(job.name)
         self.tally.begin(job.name)
 
     def finished(
@@ -141,13 +149,15 @@ class Display:
         lines = [*self._again]
         lines += [self._line(name, now - start, width) for name, start in islice(tasks.items(), most)]
         lines += [f"  and {len(tasks) - most} more"] if len(tasks) > most else []
-        bar = ProgressBar(total=max(1, self.tally.cells), completed=self.tally.done)
+        # Of itself a bar ends without a new line.
+        bar = Padding(ProgressBar(total=max(1, self.tally.cells), completed=self.tally.done), 0)
         below = [self.tally.line(), *([f"latest: {self._last}"] if self._last else [])]
         return Group(*map(_one_line, lines), bar, *map(_one_line, below))
 
     def _line(self, name: str, seconds: float, width: int) -> str:
         """What a job does. Of a long name the middle is left out: both ends tell it from others."""
-        doing = f"  {clock(seconds)}  {phase_of(printable(self.doing(name)))}"
+        phase = PREPARING if name in self._preparing else phase_of(printable(self.doing(name)))
+        doing = f"  {clock(seconds)}  {phase}"
         room = max(20, width - 2 - len(doing))
         if len(name) > room:
             name = f"{name[: room // 2 - 1]}…{name[len(name) - (room - room // 2) :]}"
