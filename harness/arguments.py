@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
+from harness import examples
 from harness.registry import (
     BUDGETS,
     DEMONSTRATORS,
@@ -33,7 +34,10 @@ read or written; 130 stopped, such as by Ctrl-C."""
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise BadInput(message)
+        raise BadInput(message, page="commands")
+
+    def format_help(self) -> str:
+        return super().format_help() + examples.told(self.prog)
 
 
 def parser() -> argparse.ArgumentParser:

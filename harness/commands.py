@@ -316,7 +316,9 @@ def _check_all_inline(directory: Path, engine: Engine) -> None:
         others = keys.cell_keys(results, conditions, numeric(conditions.deterministic))
         now = keys.cell_keys(results, conditions, engine.variables)
     if any(others[cell] == result.key != now[cell] for cell, result in results.items()):
-        raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
+        raise BadInput(
+            f"{directory} holds cells that were computed otherwise; give another --out", "commands"
+        )
 
 
 def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]) -> int:

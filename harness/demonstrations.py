@@ -94,7 +94,7 @@ def read(path: Path, spec: EnvSpec, bounds: tuple[float, float] | None = None) -
             inside = error.filename is not None and Path(error.filename) != path
             said = f"{error.strerror}: {error.filename}" if inside else error.strerror
         reason = printable(" ".join(said.split()))[:300] or type(error).__name__
-        raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}") from error
+        raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}", "demonstrations") from error
 
 
 def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:

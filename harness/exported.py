@@ -145,7 +145,7 @@ def export(
     cell = cells[0]
     if not results[cell].artifacts:
         why = "; ".join(results[cell].warnings) or "it was run with --record none"
-        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}")
+        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
     learned = read_artifact(directory / artifact_of(cell))
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")

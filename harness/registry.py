@@ -30,7 +30,13 @@ PROTOCOLS = ("absorbing", "native", "state", "offset")
 
 
 class BadInput(Exception):
-    """What the user asked for cannot be done; its text is the one line they are told."""
+    """What the user asked for cannot be done; its text is the one line they are told.
+
+    page: of docs/, without its ending, where it says what can be done; the line ends with it.
+    """
+
+    def __init__(self, text: str, page: str = "") -> None:
+        super().__init__(f"{text} (docs/{page}.md)" if page else text)
 
 
 class Entry(NamedTuple):

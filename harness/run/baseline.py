@@ -92,7 +92,7 @@ def comparable(
     for env in request.envs:
         if env not in there:
             why = "; ".join(sorted(left_out[env])) or "none"
-            raise BadInput(f"the baseline has no {env} that can be compared: {why}")
+            raise BadInput(f"the baseline has no {env} that can be compared: {why}", page="plugins")
     return [found[cell] for cell in sorted(found)], sorted(set[str]().union(*left_out.values()))
 
 
@@ -100,7 +100,7 @@ def _runs(path: Path) -> list[Path]:
     """The run there, or those in its folders. Raises BadInput where there is none."""
     runs = [path] if (path / REQUEST).exists() else sorted(file.parent for file in path.rglob(REQUEST))
     if not runs:
-        raise BadInput(f"the baseline {path} holds no run")
+        raise BadInput(f"the baseline {path} holds no run", page="plugins")
     return runs
 
 

@@ -84,12 +84,13 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
             said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
-            raise BadInput(f"{path} holds a run with {said}; give another --out")
+            raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
     known = {*METHODS, *VARIANTS, *ENVS}
     if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
         raise BadInput(
             f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
-            "or give another --out"
+            "or give another --out",
+            page="plugins",
         )
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),

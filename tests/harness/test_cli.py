@@ -194,7 +194,8 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     code, _, err = main("run", "--budget", "quick")
     assert (code, err) == (
         2,
-        f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out\n",
+        f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out "
+        "(docs/commands.md)\n",
     )
 
 
