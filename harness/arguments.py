@@ -121,6 +121,9 @@ def parser() -> argparse.ArgumentParser:
     _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add.add_argument(
+        "--print", action="store_true", help="print the tables, too, within the terminal's width"
+    )
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser(
@@ -246,6 +249,12 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         default="first",
         choices=RECORDS,
         help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
+    )
+    add(
+        "--json-progress",
+        action="store_true",
+        help="standard output is JSON, an object a line, for programs (docs/commands.md); text goes to "
+        "standard error",
     )
     add("--retry-failed", action="store_true", help="compute again what failed before")
 

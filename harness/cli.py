@@ -66,7 +66,7 @@ def _dispatch(argv: list[str]) -> int:
         from harness import commands  # here, for `--help` and `list` to answer at once
 
     if args.command == "report":
-        return commands.report(args.directory)
+        return commands.report(args.directory, args.print)
     if args.command == "demos":
         return commands.demos(args)
     if args.command == "export":
@@ -108,6 +108,8 @@ def _list(named: Sequence[str]) -> int:
     for kind, table in PLUGINS.items():
         if table:
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
+    dynamics = {name: ", ".join(entry.variants) for name, entry in ENVS.items() if entry.variants}
+    sections["dynamics of envs, for --transfer"] = dynamics
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")

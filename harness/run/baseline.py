@@ -13,6 +13,7 @@ from pathlib import Path
 
 from harness.judge.results import (
     CONTROL_METHODS,
+    LONGEST_TEXT,
     NOMINAL,
     PROGRAM_NAME,
     REFERENCE,
@@ -23,12 +24,13 @@ from harness.judge.results import (
     Shown,
 )
 from harness.registry import METHODS, VARIANTS, BadInput
+from harness.run.codec import printable
 from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
 from harness.run.request import REQUEST
 from harness.run.store import open_to_verify
 
-SAME, OTHER = "baseline", "baseline, of another machine, packages or instructions"
-"""What is said of a row's source."""
+MACHINE = ("processor", "family, model, stepping", "instructions", "system")
+"""Of what a cell was computed with, what is not packages."""
 DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
@@ -82,9 +84,10 @@ def comparable(
                 told.add(f"{cell.method} in {folder.name} is of another version of the method")
             elif first != its:
                 told.add(f"{cell.method} in {folder.name} is of another version than in {where}")
-            elif cell not in found or _source(result, True) == SAME:
+            elif cell not in found or not _other(result, True):
                 versions[unseeded] = its, where
-                found[cell] = _marked(result, conditions.deterministic == request.conditions.deterministic)
+                alike = conditions.deterministic == request.conditions.deterministic
+                found[cell] = _marked(result, folder.name, alike)
     there = {cell.env for cell in found}
     for env in request.envs:
         if env not in there:
@@ -146,16 +149,22 @@ def _in_words(shown: Iterable[Shown]) -> str:
     return " or ".join(str(one) or "as many demonstrations as the budget says" for one in sorted(shown))
 
 
-def _source(result: CellResult, same: bool) -> str:
-    """same: whether instructions were fixed alike."""
-    theirs, ours = (
-        {name: value for name, value in facts.items() if name != PROGRAM_NAME}
-        for facts in (result.origin, origin())
+def _other(result: CellResult, alike: bool) -> list[str]:
+    """What of how it was computed is not as here. alike: whether instructions were fixed alike."""
+    theirs, ours = result.origin, origin()
+    differ = sorted(
+        name
+        for name in {*theirs, *ours} - {PROGRAM_NAME}
+        if theirs.get(name) != ours.get(name) and name not in MACHINE
     )
-    return SAME if same and theirs == ours else OTHER
+    machine = any(theirs.get(name) != ours.get(name) for name in MACHINE)
+    packages = f"other packages ({', '.join(differ)})"
+    return ["another machine"] * machine + [packages] * bool(differ) + ["other instructions"] * (not alike)
 
 
-def _marked(result: CellResult, same: bool) -> CellResult:
-    """With its source in each row, and without files, which stay where they are."""
-    rows = [dataclasses.replace(row, source=_source(result, same)) for row in result.rows]
+def _marked(result: CellResult, run: str, alike: bool) -> CellResult:
+    """With its source in each row, and without files, which stay where they are. run: its name."""
+    others = _other(result, alike)
+    source = f"baseline {printable(run)}" + (f", of {' and '.join(others)}" if others else "")
+    rows = [dataclasses.replace(row, source=source[:LONGEST_TEXT]) for row in result.rows]
     return dataclasses.replace(result, rows=rows, recordings={}, artifacts={})

@@ -25,6 +25,10 @@ FOLDERS = {
     "figures": "png",
 }
 """Of a run's directory, and how the names of files end that a run writes there."""
+STUDY = "study.json"
+"""Marks the directory of a study, which holds runs (`harness.reproduce`)."""
+MOST_NAMED = 5
+"""Runs that a line names."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -53,8 +57,11 @@ def existing(path: Path) -> Request:
     try:
         request = stored_request(path)
     except BadInput as error:
-        if runs := sorted(file.parent.name for file in path.glob(f"*/{REQUEST}")):
-            raise BadInput(f"{path} holds no run itself; there are {', '.join(runs[:5])} in it") from error
+        if runs := sorted(str(file.parent) for file in path.glob(f"*/{REQUEST}")):
+            more = f" and {len(runs) - MOST_NAMED} more" if len(runs) > MOST_NAMED else ""
+            is_study = "a study (its tables: study.md)" if (path / STUDY).exists() else "no run"
+            told = f"{path} holds {is_study}; runs in it are {', '.join(runs[:MOST_NAMED])}{more}: name one"
+            raise BadInput(told) from error
         raise
     if request is None:
         raise BadInput(f"{path} holds no run (no run.json)")

@@ -182,7 +182,7 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     run = Path("results/latest")
     code, out, err = main(*SMOKE, "--methods", "bc,bc", "--workers", "2")
     assert code == 0
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED + 1} ok; budget smoke, protocol absorbing, seed 0; NOT A RESULT" in out
     assert err == "WARNING: cartpole: low bar\n"
     assert len(computed(run)) == PER_SEED + 1
     before = scores(run)
@@ -236,7 +236,7 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     faults(tmp_path, cartpole__bc__seed0="raise")
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED} ok, 1 failed; " in out
     assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in faked (fake_cells.py:" in err
     damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
     damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
@@ -272,7 +272,7 @@ def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
 
     monkeypatch.setattr(store.RunDirectory, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (0, True)
+    assert (code, f"{PER_SEED + 1} ok; " in out) == (0, True)
     assert (
         "lost or damaged while the run went on, computed again: cartpole__control_true__seed0, 1 in all"
         in err
@@ -321,7 +321,7 @@ def test_inline_cells_take_no_others_with_them(main: Main, tmp_path: Path, behav
     faults(tmp_path, cartpole__control_true__seed0=behaviour)
     code, out, _ = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
     assert code == (behaviour != "changes_its_process")
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED + 1 - code} ok" in out
     assert Path.cwd() == tmp_path
 
 
@@ -360,7 +360,7 @@ def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
 
     monkeypatch.setattr(store.RunDirectory, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (1, True)
+    assert (code, f"{PER_SEED} ok, 1 failed; " in out) == (1, True)
     reason = "its stored result cannot be used: it is gone"
     assert f"FAILED: cartpole__control_true__seed0: {reason}" in err
     assert main("verify", "run")[0] == 0
@@ -403,7 +403,7 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     for _ in range(2):
         assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
     assert built == [1 + PER_SEED]
-    assert "a table of" in main(*SMOKE, "--methods", "bc", *out)[1]
+    assert f"{PER_SEED + 1} ok" in main(*SMOKE, "--methods", "bc", *out)[1]
     (tmp_path / "run/leaderboard.md").write_text("something else\n")
     assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
     assert main(*SMOKE, "--methods", "bc,maxent", *out)[0] == 0
