@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +16,8 @@ from typing import Any, cast
 import pytest
 
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
+from harness.run.store import open_to_verify
+from harness.show.terminal import found
 from methods.settings import settings_for
 
 ROOT = Path(__file__).parent.parent
@@ -98,6 +101,15 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
                 mean, low, high = (float(entry[f"score_{name}"]) for name in ("mean", "low", "high"))
                 expected = f"{mean:z.2f} [{low:z.2f}, {high:z.2f}]"
             assert score == expected, (method, policy)
+
+
+def test_the_end_of_a_run_is_as_the_readme_has_it() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    ((run, lines),) = re.findall(r"<!-- the end of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    with open_to_verify(ROOT / run) as stored:
+        results, _ = stored.load()
+        now = found(stored.request, list(results.values()), Path("results/latest"))
+    assert textwrap.dedent(lines).splitlines() == now
 
 
 def test_the_means_of_the_pages_are_those_of_the_files() -> None:
