@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
     from envs.spec import Quantity, Shape
     from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
-    from harness.frames import Frames, load, run
+    from harness.frames import Frames, add_plugins, load, run
     from harness.testing import ContractError, check_env, check_method
     from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
     from methods.network import Network
@@ -27,7 +27,7 @@ _FROM = {
     "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
     "envs.spec": ("Quantity", "Shape"),
     "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
-    "harness.frames": ("Frames", "load", "run"),
+    "harness.frames": ("Frames", "add_plugins", "load", "run"),
     "harness.testing": ("ContractError", "check_env", "check_method"),
     "methods.base": (
         *("Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
@@ -65,6 +65,7 @@ __all__ = [
     "Transitions",
     "Unsuitable",
     "World",
+    "add_plugins",
     "check_env",
     "check_method",
     "export",

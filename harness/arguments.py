@@ -25,6 +25,8 @@ from harness.registry import (
 
 MOST = 1000
 """Largest count that --seeds and --workers take; seeds lie below it."""
+NARROWEST = 1e-9
+"""Smallest width that --action-bounds takes."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
 EXIT_CODES = """Exit codes: 0 done; 1 a cell or a check failed, a file is damaged, a bar of `bench` or
@@ -81,7 +83,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add.add_argument(
         "--demos-from",
-        type=Path,
+        type=_folder,
         metavar="PATH",
         help="demonstrations of a file instead of the experts' (docs/demonstrations.md)",
     )
@@ -285,7 +287,7 @@ def _bounds(text: str) -> tuple[float, float]:
         low, high = map(float, text.split(","))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not two numbers with a comma between") from error
-    if not -LONGEST <= low < high <= LONGEST:
+    if not (-LONGEST <= low < high <= LONGEST and high - low >= NARROWEST):
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a lower number and a higher one")
     return low, high
 

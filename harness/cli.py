@@ -141,7 +141,9 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
     plugins.add_installed()
     names = [plugins.task_or_name(name) for name in names]
     methods = (*METHODS, *VARIANTS)
-    choose("method or env", ",".join(names), (*methods, *ENVS))
+    for name in names:
+        if choose("method or env", name, (*methods, *ENVS)) != (name,):
+            raise BadInput(f"give methods and envs one by one, with spaces between, not {name!r:.80}")
     plugins.load([name for name in names if name in methods], [name for name in names if name in ENVS])
     with importing():
         from harness import testing

@@ -141,6 +141,8 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
             say(f"- {line}")
         for env in comparison.other_versions(first, other):
             say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
+        if comparison.is_other_scale(first, other):
+            say("- scores are not compared: 1 is what demonstrations return in one, and not in the other")
         found = comparison.as_lines(comparison.differences(first, other))
         say("\n" + markdown(comparison.HEADINGS, found) if found else "\nthere is nothing that both have")
     return 0

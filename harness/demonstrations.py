@@ -34,6 +34,8 @@ from methods.base import Array, Episodes
 SLACK = 1e-6
 """How far outside the bounds an action may be, by rounding; it is moved to the bound."""
 BINS = 10
+MOST_PAID = 1e100
+"""What an episode may return, at most."""
 _DAMAGES = (
     *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError),
     *(RuntimeError, zipfile.BadZipFile, zlib.error, struct.error),
@@ -180,6 +182,8 @@ def described(found: Found) -> list[str]:
 
 
 def _histogram(values: Array) -> list[str]:
+    if np.ptp(values) <= SLACK * np.abs(values).max():
+        return []
     counts, edges = np.histogram(values, BINS)
     scale = 40 / counts.max()
     return [
@@ -210,6 +214,8 @@ def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) ->
         )
         if [len(paid) for paid in rewards] != lengths:
             raise ValueError("an episode has not as many rewards as steps")
+        if rewards and max(np.abs(np.concatenate(rewards)).max() * n for n in lengths) > MOST_PAID:
+            raise ValueError(f"it has rewards that sum to more than {MOST_PAID:g}")
     cut_short = sum(not end and not cut for end, cut in zip(terminated, full, strict=True))
     return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed), cut_short)
 
@@ -246,7 +252,9 @@ def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: i
         return np.asarray(np.eye(spec.act_size)[rows])
     act = _numbers(rows, spec.act_size, "actions", episode)
     if spec.discrete:
-        return spec.executed(act)
+        if not (((act == 0) | (act == 1)).all() and (act.sum(axis=1) == 1).all()):
+            raise ValueError(f"episode {episode} has actions that are no choice: one 1 among 0s is needed")
+        return act
     if any(np.size(end) not in (1, spec.act_size) for end in bounds):
         raise ValueError("its bounds are of other actions than the task's")
     low, high = (np.broadcast_to(end, spec.act_size) for end in bounds)

@@ -143,8 +143,12 @@ def export(
         has = f"seeds {', '.join(map(str, seeds))}" if seeds else ", ".join(known)[:300] or "no cell"
         raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}")
     cell = cells[0]
+    if env not in ENVS:
+        raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
     if not results[cell].artifacts:
-        why = "; ".join(results[cell].warnings) or "it was run with --record none"
+        failed = [row.reason for row in results[cell].rows if row.status == "failed"]
+        unrecorded = ["it was run with --record none"] if run.request.conditions.record == "none" else []
+        why = "; ".join([*failed[:1], *results[cell].warnings] or unrecorded or ["it learned nothing"])
         raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
     learned = read_artifact(directory / artifact_of(cell))
     if learned.get(policy) is None:
@@ -152,7 +156,6 @@ def export(
     to = Path(to or f"{cell.name}__{policy}")
     if os.path.lexists(to) and not (to.is_dir() and not os.listdir(to)):
         raise BadInput(f"{to} is there already; give a new folder, or an empty one")
-    to.mkdir(parents=True, exist_ok=True)
     reward = learned.get("reward")
     parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
     facts = _facts(cell, policy, reward, results[cell].key, results[cell].origin)
@@ -160,6 +163,7 @@ def export(
         lost = f"{cell.name}: reward {NOT_KEPT}"
         unkept = [warning for warning in results[cell].warnings if warning.startswith(lost)]
         facts["why_no_reward"] = unkept[0] if unkept else "the method learns none"
+    to.mkdir(parents=True, exist_ok=True)
     for name, thing in parts.items():
         arrays, facts[name] = to_arrays(thing, name)
         if thing is not None:
@@ -175,7 +179,9 @@ def load_learned(folder: Path | str) -> Exported:
         facts = json.loads(read(folder / FACTS))
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        spec = SPECS[plugins.task_or_name(str(facts["env"]))]
+        if (env := plugins.task_or_name(str(facts["env"]))) not in ENVS:
+            raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
+        spec = SPECS[env]
         found = {}
         for name in PARTS:
             arrays = {} if facts[name] is None else from_bytes(read(folder / f"{name}.safetensors")).arrays
@@ -190,7 +196,9 @@ def load_learned(folder: Path | str) -> Exported:
 def make(env: str) -> gym.Env[Any, Any]:
     """The environment that policies of the task are for. Raises BadInput for an unknown one."""
     env = plugins.task_or_name(env)
-    choose("env", env, ENVS)
+    if choose("env", env, ENVS) != (env,):
+        raise BadInput(f"one env is needed, not {env!r:.80}")
+    plugins.load([], [env])
     return SPECS[env].make()
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, SupportsIndex
 
+import numpy as np
 import pandas as pd
 
 from harness import commands
 from harness.arguments import parser
 from harness.registry import BadInput
+from harness.run import plugins as plugged_in
 
 DEFAULT = Path("results/latest")
 
@@ -30,7 +34,7 @@ def run(
     seeds: int | Sequence[int] = 1,
     budget: str = "quick",
     out: Path | str = DEFAULT,
-    plugins: Sequence[str] = (),
+    plugins: Sequence[Path | str] = (),
     options: Sequence[str] = (),
 ) -> Frames:
     """Computes what is asked for and not there yet, as `irl-bench run` does; all that is in `out` then.
@@ -39,24 +43,45 @@ def run(
     `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why.
     Raises `harness.registry.BadInput` for what cannot be done.
     """
-    for name, given in {"methods": methods, "envs": envs, "plugins": plugins, "options": options}.items():
-        if isinstance(given, str):
-            raise BadInput(f"{name} must be a list, such as [{given!r}]")
-    if {"--plan", "--out"} & {*options}:
-        raise BadInput("options cannot hold --plan, which computes nothing, nor --out")
-    which = str(seeds) if isinstance(seeds, int) else ",".join(f"{seed}-{seed}" for seed in seeds)
-    words = ["run", "--methods", ",".join(methods), "--envs", ",".join(envs), "--seeds", which]
-    words += ["--budget", budget, "--out", str(out), *options]
-    for plugin in plugins:
-        words += ["--plugin", plugin]
+    lists: dict[str, Any] = {"methods": methods, "envs": envs, "plugins": plugins, "options": options}
+    lists |= {} if isinstance(seeds, SupportsIndex) else {"seeds": seeds}
+    for name, given in lists.items():
+        if isinstance(given, str) or not isinstance(given, Sequence | range | np.ndarray):
+            raise BadInput(f"{name} must be a list, not {given!r:.40}")
+    which = (
+        str(operator.index(seeds))
+        if isinstance(seeds, SupportsIndex)
+        else ",".join(f"{seed}-{seed}" for seed in seeds)
+    )
+    its_own = [f"--methods={','.join(methods)}", f"--envs={','.join(envs)}", f"--seeds={which}"]
+    its_own += [f"--budget={budget}", f"--out={out}"]
+    try:
+        alone, none = (parser().parse_args(["run", *words]) for words in (options, ()))
+    except SystemExit as error:
+        raise BadInput("options cannot hold --help") from error
+    for name in ("methods", "envs", "seeds", "budget", "out", "plan", "plugin"):
+        if getattr(alone, name) != getattr(none, name):
+            raise BadInput(f"options cannot hold --{name}")
+    words = ["run", *options, *its_own, *(f"--plugin={plugin}" for plugin in plugins)]
     commands.run(parser().parse_args(words))
     return load(out)
+
+
+def add_plugins(named: Sequence[Path | str]) -> None:
+    """Makes known here what plug-ins name, files or modules as of `--plugin`, such as a task that something
+    exported is of. Raises BadInput for a broken one."""
+    plugged_in.add([str(name) for name in named])
 
 
 def load(directory: Path | str) -> Frames:
     """What a run's directory holds. Raises BadInput where that is no finished run."""
     folder = Path(directory)
     try:
-        return Frames(pd.read_csv(folder / "scores.csv"), pd.read_csv(folder / "leaderboard.csv"))
+        return Frames(*(_table(folder / f"{name}.csv") for name in ("scores", "leaderboard")))
     except (OSError, ValueError) as error:
         raise BadInput(f"{folder} holds no finished run: {error}") from error
+
+
+def _table(file: Path) -> pd.DataFrame:
+    """A method may be called null or NA, and only what is empty is none."""
+    return pd.read_csv(file, keep_default_na=False, na_values=[""])

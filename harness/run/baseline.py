@@ -56,9 +56,10 @@ def comparable(
             beside, damaged = run.beside()
         results, unusable = {result.cell: result for result in beside} | results, unusable | damaged
         differ = [
-            f"{name} {getattr(conditions, name)}, not {getattr(request.conditions, name)}"
+            f"{name} {'none' if theirs == '' else theirs}, not {'none' if ours == '' else ours}"
             for name in DECIDING
-            if getattr(conditions, name) != getattr(request.conditions, name)
+            for theirs, ours in [(getattr(conditions, name), getattr(request.conditions, name))]
+            if theirs != ours
         ]
         for file, why in unusable.items():
             left_out.setdefault("", set()).add(f"{file}: {why}")

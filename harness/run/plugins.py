@@ -8,6 +8,7 @@ of the groups `irl_bench.methods` and `irl_bench.envs`; those are imported when 
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import importlib.metadata
 import importlib.util
@@ -16,6 +17,7 @@ import os
 import re
 import shutil
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -159,13 +161,33 @@ def sources(target: str) -> Sources:
     """What the numbers of a plug-in's object, by its target, come from, as it is now."""
     module, _, rest = target.partition(":")
     if module == __name__:
-        import gymnasium
-
-        entry = gymnasium.spec(rest.partition("/")[2]).entry_point
-        module = entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
-    elif module not in sys.modules:
+        return _sources_of_task(rest.partition("/")[2])
+    if module not in sys.modules:
         importlib.import_module(module)
     return sources_of(module)
+
+
+def _sources_of_task(env_id: str) -> Sources:
+    """Of a task of Gymnasium, and what it is registered with. Raises BadInput where that cannot be told."""
+    import gymnasium
+
+    spec = gymnasium.spec(env_id)
+    entry = spec.entry_point
+    found = sources_of(
+        entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
+    )
+    with_it = {"kwargs": spec.kwargs, "wrappers": list(map(str, spec.additional_wrappers))}
+    try:
+        told = json.dumps(
+            {**with_it, "entry": str(entry), "max_episode_steps": spec.max_episode_steps}, sort_keys=True
+        )
+    except (TypeError, ValueError) as error:
+        raise BadInput(
+            f"{env_id} is registered with arguments that are neither numbers nor texts ({error}); name it by "
+            "an EnvSpec of a plug-in",
+            READ,
+        ) from error
+    return dataclasses.replace(found, digests=[*found.digests, told])
 
 
 class _Gymnasium(dict[str, "EnvSpec"]):
@@ -174,7 +196,9 @@ class _Gymnasium(dict[str, "EnvSpec"]):
     def __missing__(self, env_id: str) -> EnvSpec:
         from envs import from_gymnasium
 
-        self[env_id] = from_gymnasium(env_id, f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there is a newer version of the task
+            self[env_id] = from_gymnasium(env_id, f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}")
         return self[env_id]
 
 
@@ -201,7 +225,7 @@ def _add(module: ModuleType, name: str) -> None:
 
 def _of_file(path: Path) -> ModuleType:
     """The module that the file is, read anew where it has changed since."""
-    name = f"{FILE_MODULE}{path.stem}"
+    name = FILE_MODULE + re.sub(r"\W", "_", path.stem)
     path = Path(os.path.normpath(path))
     known = sys.modules.get(name)
     if known and known.__file__ != str(path):
@@ -264,7 +288,7 @@ def _its_troubles(what: str) -> Iterator[None]:
         raise
     except ModuleNotFoundError as error:
         hint = "; a plug-in of several files is named as a module that Python can import"
-        raise BadInput(f"{what}: {_in_words(error)}{hint} ({READ})") from error
+        raise BadInput(f"{what}: {_in_words(error)}{hint}", READ) from error
     except BaseException as error:
         raise BadInput(f"{what}: {_in_words(error)}", READ) from error
 

@@ -56,7 +56,7 @@ def differing(one: Run, other: Run) -> list[str]:
     for field in dataclasses.fields(Conditions):
         a, b = (getattr(run.conditions, field.name) for run in (one, other))
         if a != b:
-            lines.append(f"{field.name}: {a}, there {b}")
+            lines.append(f"{field.name}: {_said(a)}, there {_said(b)}")
     facts = [_facts(run) for run in (one, other)]
     for name in dict.fromkeys([*facts[0], *facts[1]]):
         a, b = (", ".join(sorted(its.get(name, {"unknown"}))) for its in facts)
@@ -74,6 +74,10 @@ def differing(one: Run, other: Run) -> list[str]:
         if a != b:
             lines.append(f"{name} in {task}: the source or the settings of the method")
     return list(dict.fromkeys(lines))
+
+
+def _said(value: object) -> object:
+    return "none" if value == "" else value
 
 
 def _facts(run: Run) -> dict[str, set[str]]:
@@ -98,8 +102,17 @@ def other_versions(one: Run, other: Run) -> list[str]:
     )
 
 
+def is_other_scale(one: Run, other: Run) -> bool:
+    """Whether a score of 1 is what demonstrations return in one of them, and something else in the other."""
+    scales = [(run.conditions.experts, run.conditions.demonstrations) for run in (one, other)]
+    return scales[0] != scales[1] and "none" in (one.conditions.experts, other.conditions.experts)
+
+
 def differences(one: Run, other: Run) -> list[Difference]:
-    """Of every policy that both have, in the order of the first run's leaderboard."""
+    """Of every policy that both have, in the order of the first run's leaderboard; none where scores are of
+    different scales."""
+    if is_other_scale(one, other):
+        return []
     apart = other_versions(one, other)
     here, there = (scored_rows(run.results) for run in (one, other))
     groups = [_grouped(rows) for rows in (here, there)]

@@ -302,6 +302,17 @@ def test_what_cannot_be_compared_is_left_out_and_named(
     assert main(["compare", str(one), str(tmp_path / "nowhere")]) == 2
 
 
+def test_scores_of_other_scales_are_not_compared() -> None:
+    """1 is what the demonstrations return without an expert."""
+    without = dataclasses.replace(REQUEST.conditions, experts="none", demonstrations="abc: 3 episodes")
+    results = [dataclasses.replace(result, task_version="a") for result in make_results()]
+    one, other = (compare.Run("it", conditions, results) for conditions in (REQUEST.conditions, without))
+    assert compare.differences(one, one)
+    assert not compare.differences(one, other)
+    assert compare.is_other_scale(one, other)
+    assert "demonstrations: none, there abc: 3 episodes" in compare.differing(one, other)
+
+
 def test_the_probability_of_improvement_is_mann_and_whitneys() -> None:
     assert probability_of_improvement([1, 2, 3], [0, 0, 0]) == 1
     assert probability_of_improvement([1, 2], [1, 2]) == 0.5

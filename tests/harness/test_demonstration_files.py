@@ -249,6 +249,26 @@ def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "d.npz").read_bytes() == before
 
 
+@pytest.mark.parametrize("row", [(0.0, 0.0), (1.0, 1.0), (0.4, 0.6), (-3.0, 4.0)])
+def test_what_is_no_choice_is_refused(tmp_path: Path, row: tuple[float, float]) -> None:
+    episodes, _ = made(spec=CHOICES)
+    act = [one.copy() for one in episodes.act]
+    act[1][3] = row
+    demos.write(tmp_path / "d.npz", replace(episodes, act=tuple(act)))
+    with pytest.raises(BadInput, match="episode 1 has actions that are no choice"):
+        demos.read(tmp_path / "d.npz", CHOICES)
+
+
+def test_returns_that_no_histogram_has_are_described(tmp_path: Path) -> None:
+    episodes, rewards = made((2, 2), (True, True))
+    paid = [np.array([1.0, 1.0]), np.array([1.0, np.nextafter(1.0, 2.0)])]
+    demos.write(tmp_path / "near.npz", episodes, paid)
+    assert "returns     2.00 on average" in demos.described(demos.read(tmp_path / "near.npz", SWINGUP))
+    demos.write(tmp_path / "big.npz", episodes, [np.full(2, 1e308) for _ in rewards])
+    with pytest.raises(BadInput, match=r"sum to more than 1e\+100"):
+        demos.read(tmp_path / "big.npz", SWINGUP)
+
+
 def test_observations_that_the_task_does_not_have_are_refused(tmp_path: Path) -> None:
     episodes, rewards = made()
     obs = [one.copy() for one in episodes.obs]

@@ -168,8 +168,9 @@ def test_what_is_not_there_is_said(
         irl_bench.LearnedReward(
             irl_bench.make("cartpole_discrete"), export(run, "cartpole_discrete", "bc", to=tmp_path / "bc")
         )
-    with pytest.raises(BadInput, match="did you mean 'cartpole'"):
-        irl_bench.make("cartpol")
+    for name, why in {"cartpol": "did you mean 'cartpole'", "all": "one env", "gym:Nope-v1": "Nope"}.items():
+        with pytest.raises(BadInput, match=why):
+            irl_bench.make(name)
     with pytest.raises(BadInput, match="holds nothing that was exported"):
         load_learned(tmp_path / "nowhere")
 

@@ -9,8 +9,10 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
+import gymnasium
 import pandas as pd
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 import irl_bench
 from harness import registry
@@ -197,6 +199,30 @@ def test_what_is_no_plugin_is_said(tmp_path: Path) -> None:
             plugins.add([name])
 
 
+def test_a_key_is_of_a_file_with_a_dot_in_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.v2.py"
+    file.write_text(MINE)
+    plugins.add([str(file)])
+    before = key(Cell("swingup", "mine", 0))
+    file.write_text(MINE.replace("30", "31"))
+    plugins.add([str(file)])
+    assert key(Cell("swingup", "mine", 0)) != before
+
+
+def test_a_key_is_of_what_a_task_is_registered_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = "gymnasium.envs.classic_control:PendulumEnv"
+
+    def key_with(horizon: int = 200, **kwargs: object) -> str:
+        spec = EnvSpec("Heavy-v0", entry, max_episode_steps=horizon, kwargs=kwargs)
+        monkeypatch.setitem(gymnasium.registry, "Heavy-v0", spec)
+        return key(Cell(plugins.add_task("Heavy-v0"), "bc", 0))
+
+    found = {key_with(g=10.0), key_with(g=2.0), key_with(horizon=100, g=2.0)}
+    assert len(found) == 3
+    with pytest.raises(BadInput, match="registered with arguments that are neither numbers nor texts"):
+        key_with(g=object())
+
+
 def test_a_plugin_of_several_files_is_named_as_a_module(tmp_path: Path) -> None:
     (tmp_path / "several.py").write_text("import not_there_at_all")
     with pytest.raises(BadInput, match="is named as a module"):
@@ -314,6 +340,36 @@ if __name__ == "__main__":
     said = done.stdout.splitlines()[-2:]
     assert said[0] == "[1, 3] ['mine', 'mine', 'reference', 'reference']"
     assert said[1].startswith("BadInput nowhere holds no finished run")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"seeds": "12"},
+        {"methods": "bc"},
+        {"methods": None},
+        {"options": ["--out=other"]},
+        {"options": ["--seeds", "3"]},
+        {"options": ["--plan"]},
+        {"options": ["--help"]},
+        {"seeds": [-1]},
+    ],
+)
+def test_what_a_run_from_python_cannot_mean_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: dict
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInput):
+        irl_bench.run(**{"methods": ["bc"], "envs": ["swingup"], "budget": "smoke", "out": "run", **words})
+    assert not [*tmp_path.iterdir()]
+
+
+def test_texts_that_pandas_takes_for_nothing_are_texts(tmp_path: Path) -> None:
+    for name in ("scores", "leaderboard"):
+        (tmp_path / f"{name}.csv").write_text("method,score\nnull,\nNA,1.5\n")
+    found = irl_bench.load(tmp_path).scores
+    assert [*found.method] == ["null", "NA"]
+    assert [*found.score.isna()] == [True, False]
 
 
 def test_all_that_the_public_module_names_is_there() -> None:
