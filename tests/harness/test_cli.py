@@ -13,11 +13,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import msgspec
 import pytest
 
 from harness import cli, commands, registry
 from harness.judge.results import CellResult, Request
 from harness.run import engines, grid, isolated, keys, plan, store
+from harness.run.events import AnyEvent, Begun, Ended, Reported
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 from tests.harness.small_runs import snapshot
@@ -68,8 +70,8 @@ def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command:
 def test_the_registry_tells_the_truth() -> None:
     import envs
 
-    assert {n: registry.SPECS[n].summary for n in registry.ENVS} == {
-        n: e.summary for n, e in registry.ENVS.items()
+    assert {n: (registry.SPECS[n].summary, (*registry.SPECS[n].variants,)) for n in registry.ENVS} == {
+        n: (e.summary, e.variants) for n, e in registry.ENVS.items()
     }
     assert envs.BUDGETS == registry.BUDGETS
     for name in (*registry.METHODS, *registry.VARIANTS):
@@ -122,9 +124,24 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         assert [line.split()[0] for line in text.splitlines()] == list(names)
 
 
+def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
+    _, out, _ = main("list")
+    told = out.partition("dynamics of envs, for --transfer:\n")[2].splitlines()
+    assert "swingup long, heavy, gravity, light, flipped" in [" ".join(line.split()) for line in told]
+    assert len(told) == sum(bool(entry.variants) for entry in registry.ENVS.values())
+
+
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
+        ("run --methods iq_learn", "'iq_learn'; IQ-Learn is left out, and docs/adversarial.md says why\n"),
+        ("run --methods IQ-Learn,GIAL", "docs/adversarial.md says why; did you mean 'gail'?\n"),
+        ("run --methods AIRL,GAIL,DAgger", "; did you mean 'airl', 'gail', 'dagger'?\n"),
+        ("run --methods ppo", "'ppo'; ppo learns from rewards: tasks name their learner (docs/design.md)\n"),
+        ("run --methods D-REX", "no method named 'D-REX'; did you mean 'shaped_ranked'?\n"),
+        ("run --envs CartPole-v1", "no env named 'CartPole-v1'; did you mean 'cartpole_discrete'?\n"),
+        ("run --envs MountainCar-v0", "a task of Gymnasium is gym:MountainCar-v0\n"),
+        ("run --envs swingup.flipped", "it is --envs swingup --transfer flipped\n"),
         ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
         ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
         ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),
@@ -222,6 +239,48 @@ def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, t
     code, out, _ = main(*asked)
     assert (code, out.splitlines()[0].split(",")[0]) == (0, f"{every - there} cells to run")
     assert main(*asked, "--plan")[1].endswith("; 0 to run\n")
+
+
+def test_for_programs_standard_output_is_json_and_text_goes_to_standard_error(
+    main: Main, tmp_path: Path
+) -> None:
+    faults(tmp_path, cartpole__control_true__seed0="raise")
+    asked = (*SMOKE, "--methods", "bc", "--out", "run", "--json-progress")
+    code, out, err = main(*asked)
+    assert code == 1
+    told = [msgspec.json.decode(line, type=AnyEvent) for line in out.splitlines()]
+    assert (type(told[0]), told[0].cells) == (Begun, PER_SEED + 1)
+    ends = {one.name: one for one in told if isinstance(one, Ended)}
+    assert len(ends) == PER_SEED + 2
+    assert ends["cartpole__control_true__seed0"].status == "failed"
+    assert ends["cartpole__bc__seed0"].returns == {"pi_star": 2.0, "pi_R": 2.0}
+    assert (told[-2].cells_done, told[-2].cells_failed) == (PER_SEED + 1, 1)
+    assert isinstance(told[-1], Reported)
+    assert (told[-1].directory, told[-1].failed) == ("run", ["cartpole__control_true__seed0"])
+    assert len(told[-1].found) == 5
+    assert f"{PER_SEED + 1} cells to run" in err
+    assert all(line in err for line in told[-1].found)
+    code, out, _ = main(*asked)
+    assert [json.loads(line)["event"] for line in out.splitlines()] == ["reported"]
+
+
+def test_tables_are_printed_when_asked(main: Main) -> None:
+    assert "Behind best" not in main(*SMOKE, "--methods", "bc", "--out", "run")[1]
+    assert "Behind best" not in main("report", "run")[1]
+    out = main("report", "run", "--print")[1]
+    assert "cartpole; NOT A RESULT: budget smoke; one seed ranks no methods" in out
+    assert re.search(r" control_true +pi_R ", out)
+
+
+def test_a_directory_of_runs_is_named_as_one(main: Main, tmp_path: Path) -> None:
+    for name in ("absorbing", "native"):
+        (tmp_path / "study" / name).mkdir(parents=True)
+        (tmp_path / "study" / name / "run.json").write_text("{}")
+    expected = "runs in it are study/absorbing, study/native: name one\n"
+    assert main("report", "study") == (2, "", f"irl-bench: error: study holds no run; {expected}")
+    (tmp_path / "study/study.json").write_text("{}")
+    told = f"irl-bench: error: study holds a study (its tables: study.md); {expected}"
+    assert main("report", "study") == (2, "", told)
 
 
 def test_what_is_refused_to_a_run_is_refused_to_its_plan(main: Main, tmp_path: Path) -> None:
