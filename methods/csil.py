@@ -13,7 +13,7 @@ evidence.
 Deviates from the paper: its q is a network with a periodic last layer, fitted with its variance by gradient;
 its critic is trained on the demonstrations first, where here they are half of what it learns from all along
 (if every step is shown); its reward goes on learning, by a bound on the policy's distance, which here it
-does not, and is never below 0 here; and soft actor-critic weighs entropy as it finds best, that over uniform
+does not, and is never below 0 here; soft actor-critic weighs entropy as it finds best, that over uniform
 actions and not over p, so what is played is not the game of which q is the solution. Where the model is
 known, q counts.
 """

@@ -8,16 +8,16 @@ Where the model is known this is the algorithm line by line; the likelihood is t
 up to the horizon (Ziebart, Bagnell & Dey 2010), with the discount that rewards are solved under: one that
 explains the demonstrations without it may be worth another journey with it.
 
-Deviates from the paper elsewhere: the environments are continuous, so "solve the MDP" is reinforcement
+Deviates from the paper: elsewhere the environments are continuous, so "solve the MDP" is reinforcement
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
 expected visitations E[mu] come from rollouts of what the agent would do, without what it explores. The
-paper's prior on the network's weights is one on its slope here; with one on its values RL from scratch failed
-on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between reward and
-policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The
-network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
-absorption pays is learned like any state's reward. But once the policy no longer ends, nothing says that an
-end is bad. So where demonstrations end less often than random actions, an end pays at most the mean of what
-steps of these do.
+paper's prior on the network's weights is one on its slope here, for with one on its values RL from scratch
+failed on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between
+reward and policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire
+2007). The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so
+what absorption pays is learned like any state's reward. But once the policy no longer ends, nothing says that
+an end is bad: so where demonstrations end less often than random actions, an end pays at most the mean of
+what steps of these do.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ horizon, so what absorption pays is learned as well.
 
 Deviates from the paper: where the model is not known, "solve the MDP" is reinforcement learning that goes on
 a little under each new w, and feature expectations come from a few rollouts, so a later policy may be further
-from the expert. The paper ends with a mixture of all policies found, or one chosen by hand. Here R* has the
-mean of the latest w, each counting by its margin, and the agent learns under that last; pi* is the policy, of
-all found, that the margin problem, given it alone, separates least from the expert: the one with the smallest
-|mu_E - mu(j)|.
+from the expert. The paper ends with a mixture of all policies found, or one chosen by hand, where here R* has
+the mean of the latest w, each counting by its margin, and the agent learns under that last; pi* is the
+policy, of all found, that the margin problem, given it alone, separates least from the expert: the one with
+the smallest |mu_E - mu(j)|.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ cannot be told from f's pays like them, and what can pays less.
 Deviates from the paper: states that are compared are drawn from all of a level's episodes, where the paper
 compares stretches of two of them; rewards are bounded. The networks see an absorbing indicator, and episodes
 that terminated count absorbing steps up to the horizon, so what absorption pays is learned as well. Where
-demonstrations terminate less often than random actions it pays at most the least that a visited state does;
-without this RL on cart-pole failed once (`docs/tuning.md`).
+demonstrations terminate less often than random actions it pays at most the least that a visited state does,
+for without this RL on cart-pole failed once (`docs/tuning.md`).
 """
 
 from __future__ import annotations

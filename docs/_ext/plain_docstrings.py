@@ -52,7 +52,7 @@ def bullets(paragraph: str) -> str:
 
 def _capital(text: str) -> str:
     """Symbols, and names of code, stay as they are."""
-    return text if re.match(r"\W|\w\b|pi[*_]", text) else text[:1].upper() + text[1:]
+    return text if re.match(r"\W|(?!a )\w\b|pi[*_]", text) else text[:1].upper() + text[1:]
 
 
 def inline(text: str) -> str:

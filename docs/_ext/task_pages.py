@@ -119,7 +119,7 @@ def learner(rl: Any) -> str:
 
 
 def told(value: object) -> str:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else f"{value}"
+    return (" ".join(map(str, value)) or "none") if isinstance(value, tuple) else f"{value}"
 
 
 @functools.cache
