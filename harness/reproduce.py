@@ -83,8 +83,8 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
 
 
 def found(runs: dict[str, list[CellResult]], directory: Path) -> list[str]:
-    """What the terminal shows: what the thesis evaluates, in each task under each protocol, beside the control
-    that only says "stay alive"; and where all is."""
+    """What the terminal shows: what the thesis evaluates, by task and protocol, beside the control that only
+    says "stay alive"; and where all is."""
     lines = []
     for protocol, results in runs.items():
         boards: dict[str, dict[tuple[str, str], Entry]] = {}
