@@ -30,7 +30,7 @@ from harness.registry import (
 from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
-from harness.run.files import can_write, read
+from harness.run.files import can_write
 from harness.run.processes import let_cells_sleep
 from harness.run.progress import progress_for, say, tell
 from harness.run.request import merged, stored_request
@@ -93,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
 def reproduce(args: argparse.Namespace) -> int:
     """The study of the thesis, once under each protocol."""
     from harness import reproduce as study
+    from harness.show.terminal import wrapped
 
     _prepare()
     handle_signals()
@@ -112,7 +113,8 @@ def reproduce(args: argparse.Namespace) -> int:
                 results = _compute(run, request, args, engine, programs)
             found[protocol] = [results[cell] for cell in request.cells]
         study.write_study(args.out, found)
-        say("\n" + _text(args.out / "study.md"))
+        for line in ["", *study.found(found, args.out)]:
+            say(wrapped(line))
     return int(outcome.tell_troubles([result for results in found.values() for result in results]))
 
 
@@ -399,11 +401,6 @@ def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, C
             f"the baseline in {run.path} is {baseline.OTHER_VERSION}; give it again, or another --out"
         )
     return {result.cell: result for result in found}
-
-
-def _text(file: Path) -> str:
-    """What can be shown of a text file."""
-    return read(file).decode(errors="replace")
 
 
 def cores() -> int:

@@ -20,7 +20,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.leaderboard import SURVIVAL, Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.registry import BadInput
 from harness.run.files import write_atomic
@@ -28,6 +28,7 @@ from harness.run.marked import open_marked
 from harness.run.request import STUDY
 from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.show.report import as_csv
+from harness.show.terminal import score_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
@@ -79,6 +80,26 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
         with styled():
             write_atomic(directory / f"{env}_figure_5_3.png", png(_figure_5_3(env, results)))
             write_atomic(directory / f"{env}_study.png", png(_study(env, mine)))
+
+
+def found(runs: dict[str, list[CellResult]], directory: Path) -> list[str]:
+    """What the terminal shows: what the thesis evaluates, by task and protocol, beside the control that only
+    says "stay alive"; and where all is."""
+    lines = []
+    for protocol, results in runs.items():
+        boards: dict[str, dict[tuple[str, str], Entry]] = {}
+        for entry in leaderboard(scored_rows(results)):
+            if entry.shown == THESIS[1]:
+                boards.setdefault(entry.env, {})[entry.role, entry.policy] = entry
+                boards[entry.env][entry.method, entry.policy] = entry
+        for env, its in boards.items():
+            star, trained = its[THESIS[0], "pi_star"], its[THESIS[0], "pi_R"]
+            alive = its[SURVIVAL, "pi_R"]
+            lines.append(
+                f"{env}, {protocol}: pi* {score_of(star)}, pi_R {score_of(trained)}; "
+                f"{alive.method} {score_of(alive)}"
+            )
+    return [*lines, f"look at {directory / 'study.md'}, and the figures there"]
 
 
 def _line(entry: Entry) -> dict[str, str | int | float]:

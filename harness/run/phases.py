@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 IN_WORDS = {
-    "": "starting",
     "demonstrate": "reading demonstrations",
     "retrain": "RL",
     "score": "scoring",
@@ -20,7 +19,7 @@ RETURNS = re.compile(r"(\w+) (-?\d{1,20}\.\d+)")
 
 @dataclass(frozen=True)
 class Phase:
-    """A stage of a job; '' where it has told none yet.
+    """A stage of a job; '' where it has told none, as on a cluster.
 
     step, of: environment steps so far, and how many there will be; None where that is not told. returns: the
     mean true return of each of the cell's policies that was scored by now.

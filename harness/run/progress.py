@@ -161,7 +161,7 @@ class Display:
         room = max(20, width - 2 - len(doing))
         if len(name) > room:
             name = f"{name[: room // 2 - 1]}…{name[len(name) - (room - room // 2) :]}"
-        return f"  {name}{doing}"
+        return f"  {name}{doing}".rstrip()
 
 
 def _one_line(text: str) -> Text:

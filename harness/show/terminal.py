@@ -123,7 +123,7 @@ def _line(entry: Entry, best: Entry | None, intervals: bool) -> tuple[str, str, 
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds" if 0 < entry.seeds_ok < entry.seeds else ""
     note = "; ".join(filter(None, [role, seeds, entry.note]))
     note = textwrap.shorten(note, LONGEST_NOTE, placeholder=" …")
-    return entry.method, NAMES.get(entry.policy, entry.policy), _score(entry, intervals), behind, note
+    return entry.method, NAMES.get(entry.policy, entry.policy), score_of(entry, intervals), behind, note
 
 
 def _boards(results: Sequence[CellResult]) -> Boards:
@@ -133,7 +133,8 @@ def _boards(results: Sequence[CellResult]) -> Boards:
     return boards
 
 
-def _score(entry: Entry, interval: bool = True) -> str:
+def score_of(entry: Entry, interval: bool = True) -> str:
+    """As '0.98 [0.96, 1.00]', or without the interval; 'n/a' where there is none."""
     if not math.isfinite(entry.score_mean):
         return "n/a"
     known = interval and math.isfinite(entry.score_low)
@@ -198,7 +199,7 @@ def _first(entries: Sequence[Entry], best: Entry, tied: Sequence[str]) -> str:
     """The best of a board, and those that are not told apart from it."""
     most = max(e.seeds_ok for e in entries)
     seeds = f" ({best.seeds_ok} of {most} seeds)" if best.seeds_ok < most else ""
-    return f"{best.method} {_score(best)}{seeds}" + (f", not told apart: {_some(tied)}" if tied else "")
+    return f"{best.method} {score_of(best)}{seeds}" + (f", not told apart: {_some(tied)}" if tied else "")
 
 
 def _best_of(entries: Sequence[Entry], policy: str) -> Entry | None:

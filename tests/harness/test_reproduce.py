@@ -93,7 +93,19 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     for method in STUDIED:
         assert one[one["method"] == method]["trajectories"].is_monotonic_increasing
     assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
-    assert "| cartpole | native | shaped | 100 | pi_R" in capsys.readouterr().out
+    assert "| cartpole | native | shaped | 100 | pi_R" in (tmp_path / "study.md").read_text()
+    *lines, where = capsys.readouterr().out.splitlines()[-5:]
+    assert [line.partition(":")[0] for line in lines] == [
+        *("cartpole, absorbing", "pendulum, absorbing", "cartpole, native", "pendulum, native"),
+    ]
+    # 100 a trajectory, and as many more as the seed, of 500.
+    assert (
+        lines[0]
+        .split(": ", 1)[1]
+        .startswith("pi* 0.40 [0.40, 0.41], pi_R 0.20 [0.20, 0.21]; control_survival ")
+    )
+    assert "; control_plus1 " in lines[3]
+    assert where == f"look at {tmp_path / 'study.md'}, and the figures there"
 
     pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert len(pictures) == 4

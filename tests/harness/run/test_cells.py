@@ -39,6 +39,7 @@ from harness.run.codec import decode, encode
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for, expert_for
 from harness.run.files import sha256_of
+from harness.run.phases import phase_of
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 
 BC = Cell("cartpole", "bc", 0)
@@ -299,9 +300,11 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
 
 
 def test_nothing_is_recorded_where_that_was_asked(tmp_path: Path) -> None:
-    conditions = dataclasses.replace(SMOKE, record="none")
-    result, files = run_cell(BC, conditions, prepare([BC], conditions))
+    conditions, told = dataclasses.replace(SMOKE, record="none"), list[str]()
+    result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
     assert result.rows[0].status == "ok"
+    assert [phase_of(said).name for said in told] == ["demonstrate", "fit", "score", "record"]
+    assert phase_of(told[-1]).returns == {"pi_star": pytest.approx(result.rows[0].return_mean, abs=0.06)}
     assert result.files == {}
     assert files.keys() == {LEARNED}
     run(BC, tmp_path)

@@ -133,7 +133,7 @@ def test_cells_alone_are_counted_as_the_run_counts_them(capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("said", "phase", "shown"),
     [
-        ("", Phase(), "starting"),
+        ("", Phase(), ""),
         ("fit", Phase("fit"), "fit"),
         ("fit, 12,000 steps so far", Phase("fit", 12_000), "fit step 12k"),
         ("retrain, step 12,000 of 40,000", Phase("retrain", 12_000, 40_000), "RL step 12k of 40k"),
