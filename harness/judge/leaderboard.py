@@ -238,7 +238,7 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     best: dict[str, list[Row]] = {}  # rows of the best method, by policy
     for policy in _POLICIES:
         rivals = [
-            key for key in groups if key[1] == policy and _is_rival(key[0]) and math.isfinite(score[key])
+            key for key in groups if key[1] == policy and is_rival(key[0]) and math.isfinite(score[key])
         ]
         best[policy] = groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
 
@@ -254,12 +254,12 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         trained = key[1] == "pi_R"
         above = score[key] - bar if trained else math.nan
         share = score[key] / true if trained and true > 0 else math.nan
-        theirs = best[key[1]] if _is_rival(key[0]) else []
+        theirs = best[key[1]] if is_rival(key[0]) else []
         entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
 
 
-def _is_rival(method: str) -> bool:
+def is_rival(method: str) -> bool:
     """Whether it is compared with the other methods, or is there for comparison."""
     return method not in _ROLES
 
