@@ -1,10 +1,10 @@
-"""Comparisons of methods over runs and tasks (Agarwal et al. 2021): performance profiles, the probability of improvement,
-both with intervals of the stratified bootstrap; and the Pareto front of scores and costs."""
+"""Comparisons of methods over runs and tasks (Agarwal et al. 2021): performance profiles and the probability
+of improvement, with intervals of the stratified bootstrap; and the Pareto front of scores and costs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +37,9 @@ def runs_of(
     }
 
 
-def profile(
-    runs: Runs, levels: Sequence[float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The share of runs that score more than each level, the mean over tasks, and its 95 % interval's ends; (L,)
-    each."""
+def profile(runs: Runs, levels: Sequence[float]) -> NDArray[np.float64]:
+    """The share of runs that score more than each of L levels, the mean over tasks, and its 95 % interval's
+    ends, (L, 3)."""
 
     def shares(*tasks: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
         return np.stack(
@@ -49,8 +47,7 @@ def profile(
         )
 
     tasks = [np.asarray(scores, np.float64) for scores in runs.values()]
-    low, high = _bootstrap(tasks, shares)
-    return shares(*tasks), low, high
+    return np.stack([shares(*tasks), *_bootstrap(tasks, shares)], axis=-1)
 
 
 def improvement(runs: Runs, others: Runs) -> tuple[float, float, float]:
@@ -60,25 +57,28 @@ def improvement(runs: Runs, others: Runs) -> tuple[float, float, float]:
     count = len(pairs)
 
     def probability(*sides: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-        return np.mean(
+        tasks: NDArray[np.float64] = np.mean(
             [
                 (np.sign(one[..., :, None] - other[..., None, :]) / 2 + 0.5).mean(axis=(-1, -2))
                 for one, other in zip(sides[:count], sides[count:], strict=True)
             ],
             axis=0,
         )
+        return tasks
 
     sides = [one for one, _ in pairs] + [other for _, other in pairs]
     low, high = _bootstrap(sides, probability)
     return float(probability(*sides)), float(low), float(high)
 
 
-def _bootstrap(samples: Sequence[NDArray[np.float64]], statistic: object) -> tuple[NDArray[np.float64], ...]:
+def _bootstrap(
+    samples: Sequence[NDArray[np.float64]], statistic: Callable[..., NDArray[np.float64]]
+) -> NDArray[np.float64]:
     """The 95 % interval's ends, each sample resampled by itself."""
     from scipy.stats import bootstrap
 
     found = bootstrap(
-        samples,
+        tuple(samples),
         statistic,
         n_resamples=RESAMPLES,
         batch=200,
@@ -86,12 +86,12 @@ def _bootstrap(samples: Sequence[NDArray[np.float64]], statistic: object) -> tup
         method="percentile",
         rng=np.random.default_rng(0),
     )
-    return found.confidence_interval.low, found.confidence_interval.high
+    return np.asarray(found.confidence_interval)
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Numbers of the points (cost, score) that no other one beats: none scores as much for less, nor more for as
-    much. By cost."""
+    """Numbers of the points (cost, score) that no other one beats, by cost: none scores as much for less, nor
+    more for as much."""
     best, kept = -math.inf, []
     for number in sorted(range(len(points)), key=lambda i: (points[i][0], -points[i][1])):
         if points[number][1] > best:

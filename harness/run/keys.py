@@ -57,9 +57,9 @@ INSTRUCTIONS = ("sse4", "avx", "fma", "amx")
 
 @functools.cache
 def program() -> dict[str, bytes]:
-    """What Python can import of this program, the parts of the report's page and the shipped experts, by path below
-    `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files hold
-    by then."""
+    """What Python can import of this program, the parts of the report's page and the shipped experts, by path
+    below `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files
+    hold by then."""
     files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _counts(file)]
     files += [ROOT / PUBLIC] * (ROOT / PUBLIC).is_file()
     files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]

@@ -1,8 +1,9 @@
-"""Charts of boards: scores seed by seed, against cost, against the distance of rewards, and against demonstrations."""
+"""Charts of boards: scores seed by seed, against cost, reward distance, and demonstrations."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -52,8 +53,8 @@ def policy_signs(star: str = "π*", trained: str = "π_R, RL on R*") -> list[Sig
 
 
 def scores(board: Board) -> Chart | None:
-    """Every seed's score, means and intervals, a row for each method. In a variant the expert that is carried over
-    is a line."""
+    """Every seed's score, means and intervals, a row for each method. In a variant the expert that is carried
+    over is a line."""
     mine = [e for e in board.entries if e.method != REFERENCE]
     if not any(math.isfinite(e.score_mean) for e in mine):
         return None
@@ -65,20 +66,20 @@ def scores(board: Board) -> Chart | None:
     shown = [v for (method, _), its in dots.items() if method != REFERENCE for v in its]
     x = svg.around(shown, "normalized score", least=(0.0, 1.0))
     told = "; ".join(f"{e.method} {NAMES[e.policy]} {score(e)}" for e in mine if math.isfinite(e.score_mean))
-    plot = svg.Plot(board.name, f"Normalized scores in {board.name}: {told}.", x, rows=methods)
+    plot = svg.Plot("", f"Normalized scores in {board.name}: {told}.", x, rows=methods)
     plot.rule(x=0.0)
     plot.rule(x=1.0)
     for entry in board.entries:
         if entry.policy == "expert" and not board.is_nominal and math.isfinite(entry.score_mean):
             plot.rule(x=entry.score_mean, dash="1 3", look="c2")
-    for row, method in enumerate(methods):
-        if method in CONTROLS:
-            plot.shade(row)
-    lines: list[list[Item]] = []
     place = {method: row for row, method in enumerate(methods)}
+    for method in place.keys() & {*CONTROLS}:
+        plot.shade(place[method])
+    lines: list[list[Item]] = []
+    known = Counter(e.method for e in mine if math.isfinite(e.score_mean))
     for entry in mine:
         shape, look = POLICIES[entry.policy]
-        alone = entry.method in CONTROLS
+        alone = known[entry.method] == 1
         y = place[entry.method] + (0.0 if alone else -0.2 if entry.policy == "pi_star" else 0.2)
         lines.append([entry.method, entry.policy, score(entry)])
         if math.isfinite(entry.score_mean):
@@ -165,7 +166,7 @@ def distances(board: Board) -> Chart | None:
 
 
 def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
-    """Of one env's lines, scores against what is shown: a plot for each policy and a line for each method and each other way to show."""
+    """Of one env's lines, scores against demonstrations: a plot for each policy, a line for each method."""
     mine = [
         e
         for e in entries
@@ -175,7 +176,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
     counts = sorted({e.demos for e in mine})
     if len(counts) < 2:
         return None
-    kinds = list(dict.fromkeys((e.method, Shown(0, e.every, e.demonstrator)) for e in mine))
+    kinds = list(dict.fromkeys((e.method, _way(e)) for e in mine))
     drawn = kinds[:MOST_LINES]
     x = svg.Axis(0.8 * counts[0], 1.25 * counts[-1], "demonstrations (log)", log=True)
     y = svg.around([e.score_mean for e in mine], "", least=(0.0, 1.0))
@@ -192,9 +193,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         plot.rule(y=0.0)
         for place, (method, way) in enumerate(drawn):
             look, dash, shape = svg.look(place)
-            line = [
-                e for e in its if e.method == method and (e.every, e.demonstrator) == (way.every, way.demonstrator)
-            ]  # fmt: skip
+            line = [e for e in its if (e.method, _way(e)) == (method, way)]
             plot.line([(e.demos, e.score_mean) for e in line], look, dash=dash)
             for e in line:
                 plot.upright(e.demos, e.score_low, e.score_high, look)
@@ -224,3 +223,8 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         legend,
         Table(f"demonstrations {env}", headings, lines),
     )
+
+
+def _way(entry: Entry) -> Shown:
+    """How it was shown, but for how many."""
+    return Shown(0, entry.every, entry.demonstrator)

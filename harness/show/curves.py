@@ -1,4 +1,4 @@
-"""Charts of what happened over time: RL on R*, as in the thesis's figure 5.3, and the methods' own training."""
+"""Charts of what happened over time: RL on R*, as in the thesis's figure 5.3, and methods' own training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from harness.show.charts import Chart, Sign
 
 MOST_PANELS = 60
 """Of a board."""
-MOST_DRAWN = 60
+MOST_DRAWN = 40
 """Points of a line."""
 OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
 SIGNS: list[Sign] = [
@@ -48,10 +48,11 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
     if not low:
         return None
     y = svg.around([*low, *high, *stars.values()], "")
+    longest = max(its.index.max() for (_, name), its in means.items() if name != "expert")
+    x = svg.Axis(0, max(1.0, longest), "environment steps")
     plots = []
     for method in methods[:most]:
         own, true = means[method, "pi_R"], means.get((method, "pi_R_true"))
-        x = svg.Axis(0, max(1.0, own.index.max()), "environment steps")
         said = f"RL on the reward of {method} in {board.name}: true return and return under R* by steps."
         plot = svg.Plot(method, said, x, y, second=svg.around([*own["mean"]], ""))
         if truth is not None and method != "control_true":
@@ -80,7 +81,8 @@ def training(board: Board, most: int = MOST_PANELS) -> Chart | None:
                 curves.setdefault((result.cell.method, name), []).append(points)
     summaries = {key: _summary(its) for key, its in curves.items()}
     rank = {method: place for place, method in enumerate(dict.fromkeys(e.method for e in board.entries))}
-    known = sorted((key for key, its in summaries.items() if len(its) and key[0] in rank), key=lambda key: rank[key[0]])  # fmt: skip
+    known = [key for key, its in summaries.items() if len(its) and key[0] in rank]
+    known.sort(key=lambda key: rank[key[0]])
     plots = []
     for key in known[:most]:
         its = summaries[key]

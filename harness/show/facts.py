@@ -1,4 +1,4 @@
-"""What a report says besides scores: what was asked for, what computed it, how episodes ended, what to beware of."""
+"""What a report says besides scores: what was asked for, what computed it, how episodes ended, warnings."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from harness.judge.results import CellResult, Request, Row
 from harness.show import charts, curves, facts, profiles, tables
 from harness.show.boards import Board
 from harness.show.charts import Chart
+from harness.show.glossary import MEANINGS
 from harness.show.summary import anchor, summary
 from harness.show.tables import Table
 
@@ -31,10 +32,10 @@ WIDE = ("Note", "Episodes by ending")
 
 @dataclass(frozen=True)
 class Found:
-    """What a page is of. boards: those that are shown; drawn: those of them that have charts, of which those of
-    curves have `most_panels` plots. made: lines on the run, the last being its command; left_out: on what is not
-    shown. across, compared: lines, and rows, that compare policies across environments, but those in `without`,
-    of which `apart` says why."""
+    """What a page is of. boards: those that are shown; drawn: those of them that have charts, of which those
+    of curves have `most_panels` plots. made: lines on the run, the last being its command; left_out: on what
+    is not shown. across, compared: lines, and rows, that compare policies across environments, but those in
+    `without`, of which `apart` says why."""
 
     request: Request
     results: Sequence[CellResult]
@@ -72,7 +73,7 @@ def render(found: Found, parts: Mapping[str, str]) -> str:
         "apart": found.apart,
         "leaderboard": leaderboard,
         "filters": _choices(leaderboard),
-        "meanings": tables.MEANINGS,
+        "meanings": MEANINGS,
         "wide": WIDE,
         "anchor": anchor,
         "signs": charts.policy_signs(),
@@ -151,8 +152,8 @@ def _recordings(found: Found) -> list[tuple[str, str, str]]:
     for result in sorted(found.results, key=lambda result: result.cell):
         cell = result.cell
         for name in sorted(there & result.recordings.keys()):
-            policy = next((p for p in result.endings if p in name), "")
-            ended = ", ".join(f"{why} {count}" for why, count in result.endings.get(policy, {}).items())
+            its = next((counts for policy, counts in result.endings.items() if policy in name), {})
+            ended = ", ".join(f"{why} {count}" for why, count in its.items())
             lines.append((name, ended, f"irl-bench view . --env {cell.env} --method {cell.method}"))
     return lines
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from harness.judge.comparisons import MOST_SEEDS, Runs, improvement, profile, runs_of
 from harness.judge.leaderboard import is_rival
 from harness.judge.results import Row
@@ -14,7 +12,7 @@ from harness.show import svg
 from harness.show.charts import NAMES, POLICIES, Chart
 from harness.show.tables import Item, Table, interval
 
-LEVELS = np.round([*np.arange(0.0, 0.79, 0.1), *np.arange(0.8, 1.11, 0.02)], 2)
+LEVELS = [*(x / 10 for x in range(8)), *(x / 50 for x in range(40, 56))]
 """Closer where scores of methods that work are."""
 MOST_LINES = 7
 """Methods that are drawn, and compared with the best."""
@@ -23,8 +21,9 @@ BOOTSTRAP = "Stratified bootstrap over seeds, each task by itself; seeds are tak
 
 
 def charts(rows: Sequence[Row], without: Sequence[str]) -> list[Chart]:
-    """Both, of the methods that have runs enough; none where no two have. rows: what is compared across environments."""
-    found = {}
+    """Both, of the methods that have runs enough; none where no two have. rows: of all environments but those
+    `without`."""
+    found: dict[str, dict[str, Runs]] = {}
     for policy in POLICIES:
         every = runs_of(rows, policy, without)
         methods = sorted((m for m in every if is_rival(m)), key=lambda m: -_middle(every[m]))
@@ -40,21 +39,24 @@ def _middle(runs: Runs) -> float:
 def _profiles(found: dict[str, dict[str, Runs]]) -> Chart:
     """A plot for each policy; a line for each of the best methods, in a band."""
     plots, lines = [], list[list[Item]]()
-    looks = {m: svg.look(i) for i, m in enumerate(dict.fromkeys(m for by in found.values() for m in [*by][:MOST_LINES]))}  # fmt: skip
+    every = dict.fromkeys(m for methods in found.values() for m in [*methods][:MOST_LINES])
+    looks = {method: svg.look(place) for place, method in enumerate(every)}
     x = svg.Axis(0.0, 1.1, "score")
     for policy, methods in found.items():
         drawn = [*methods][:MOST_LINES]
         said = f"Share of the runs of {NAMES[policy]} above each score, for {', '.join(drawn)}."
         plot = svg.Plot(f"{NAMES[policy]}: share of runs above", said, x, svg.Axis(-0.02, 1.04))
         for method in drawn:
-            share, low, high = profile(methods[method], LEVELS)
+            shares = profile(methods[method], LEVELS)
             look, dash, _ = looks[method]
-            ends = [list(zip(LEVELS, end, strict=True)) for end in (low, high)]
-            plot.band(*ends, look)
-            plot.line(list(zip(LEVELS, share, strict=True)), look, dash=dash)
+            points = list(zip(LEVELS, shares.tolist(), strict=True))
+            plot.band(
+                [(x, low) for x, (_, low, _) in points], [(x, high) for x, (_, _, high) in points], look
+            )
+            plot.line([(x, share) for x, (share, _, _) in points], look, dash=dash)
             lines += [
-                [method, policy, f"{level:.2f}", interval(*values, "z.2f")]
-                for level, *values in zip(LEVELS, share, low, high, strict=True)
+                [method, policy, f"{x:.2f}", interval(share, low, high, "z.2f")]
+                for x, (share, low, high) in points
             ]
         plots.append(plot.render())
     legend = [(svg.key("", look, dash, line=True), method) for method, (look, dash, _) in looks.items()]
@@ -71,23 +73,24 @@ def _improvements(found: dict[str, dict[str, Runs]]) -> Chart:
     for policy, methods in found.items():
         best, *others = [*methods][: MOST_COMPARED + 1]
         its = {other: improvement(methods[best], methods[other]) for other in others}
-        told = "; ".join(f"{other} {value:.2f}" for other, (value, _, _) in its.items())
+        said = "; ".join(f"{other} {value:.2f}" for other, (value, _, _) in its.items())
         title = f"{NAMES[policy]}: P({best} > …)"
         x = svg.Axis(-0.02, 1.02, "probability")
         plot = svg.Plot(
-            title, f"Probability that {best} scores more, {NAMES[policy]}: {told}.", x, rows=others
+            title, f"Probability that {best} scores more, {NAMES[policy]}: {said}.", x, rows=others
         )
         plot.rule(x=0.5)
         shape, look = POLICIES[policy]
         for row, (other, (value, low, high)) in enumerate(its.items()):
             plot.span(low, high, row, look)
-            plot.mark(value, row, shape, look, f"{best} better than {other}: {value:.2f} [{low:.2f}, {high:.2f}]")  # fmt: skip
-            lines.append([other, policy, best, interval(value, low, high, "z.2f")])
+            told = interval(value, low, high, "z.2f")
+            plot.mark(value, row, shape, look, f"{best} better than {other}: {told}")
+            lines.append([other, policy, best, told])
         plots.append(plot.render())
     table = Table("improvement", ("Method", "Policy", "Better than it", "Probability [95 %]"), lines)
     note = (
-        "The method with the best interquartile mean against each other one. An interval that holds 0.5 tells the two "
-        f"not apart. {BOOTSTRAP}{_capped(found)}"
+        "The method with the best interquartile mean against each other. An interval that holds 0.5 tells "
+        f"the two not apart. {BOOTSTRAP}{_capped(found)}"
     )
     return Chart("Probability of improvement", plots, note, [], table)
 

@@ -1,5 +1,5 @@
-"""The first screen: a heat map of methods and boards, the best and what is not told apart from it, and what to beware of
-in each board."""
+"""The first screen: a heat map of methods and boards, the best and what is not told apart from it, and what
+to beware of on each board."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry, indistinct
-from harness.judge.results import REFERENCE
+from harness.judge.results import NOMINAL, REFERENCE
 from harness.show.boards import Board
 from harness.show.tables import NOTHING, is_best, score
 
@@ -64,28 +64,32 @@ def summary(boards: Sequence[Board]) -> Map:
     then controls."""
     by_line = {(b.name, e.method, e.policy): e for b in boards for e in b.entries if e.method != REFERENCE}
     roles = {e.method: e.role for e in by_line.values()}
+    nominal: dict[tuple[str, str], list[float]] = {}
+    for entry in by_line.values():
+        if entry.dynamics == NOMINAL and math.isfinite(entry.score_mean):
+            nominal.setdefault((entry.method, entry.policy), []).append(entry.score_mean)
 
-    def place(method: str) -> tuple[bool, float, float, str]:
-        means = [
-            _mean([e for e in by_line.values() if e.method == method and e.policy == policy])
-            for policy in ("pi_R", "pi_star")
-        ]
-        return roles[method] != "method", means[0], means[1], method
+    def place(method: str) -> tuple[int | float | str, ...]:
+        scores = [nominal.get((method, policy), [-math.inf]) for policy in ("pi_R", "pi_star")]
+        section = {"method": 0, "asks the expert": 1}.get(roles[method], 2)
+        return section, *(-sum(its) / len(its) for its in scores), method
 
     every = sorted(roles, key=place)
     methods = every[:MOST_METHODS]
-    nominal = [b for b in boards if b.is_nominal]
+    same = len({b.shown for b in boards}) == 1
+    alone = len({b.env for b in boards}) == 1
+    tasks = [b for b in boards if b.is_nominal]
     variants = [b for b in boards if not b.is_nominal]
     groups = []
     for title, policy, its in (
-        ("π* (what the method found)", "pi_star", nominal),
-        ("π_R (RL on the learned reward)", "pi_R", nominal),
-        ("Transfer: π* carried over", "pi_star", variants),
-        ("Transfer: π_R trained there on R*", "pi_R", variants),
+        ("π*", "pi_star", tasks),
+        ("π_R", "pi_R", tasks),
+        ("Transfer: π*", "pi_star", variants),
+        ("Transfer: π_R", "pi_R", variants),
     ):
         columns = [
             Column(
-                b.name,
+                _short(b, same, alone),
                 anchor(b.name),
                 _warned(b, policy),
                 [_tile(by_line.get((b.name, method, policy))) for method in methods],
@@ -98,8 +102,8 @@ def summary(boards: Sequence[Board]) -> Map:
     return Map(
         [(method, roles[method]) for method in methods],
         groups,
-        [found for b in nominal[:3] if (found := _found(b))],
-        sum(max(0, len(its) - MOST_COLUMNS) for its in (nominal, variants)),
+        [found for b in tasks[:3] if (found := _found(b))],
+        sum(max(0, len(its) - MOST_COLUMNS) for its in (tasks, variants)),
         len(every) - len(methods),
     )
 
@@ -109,10 +113,10 @@ def anchor(board: str) -> str:
     return "board-" + "".join(c if c.isalnum() else "-" for c in board)
 
 
-def _mean(entries: Sequence[Entry]) -> float:
-    """For sorting: less is better, what is not known last."""
-    known = [e.score_mean for e in entries if e.dynamics == "nominal" and math.isfinite(e.score_mean)]
-    return -sum(known) / len(known) if known else math.inf
+def _short(board: Board, same: bool, alone: bool) -> str:
+    """Its name, without what all have: what is shown, and of variants the environment."""
+    task = board.env if board.is_nominal else board.entries[0].dynamics if alone else board.entries[0].task
+    return task if same or not str(board.shown) else f"{task}, {board.shown}"
 
 
 def _tile(entry: Entry | None) -> Tile:
@@ -121,7 +125,7 @@ def _tile(entry: Entry | None) -> Tile:
     name = f"{entry.method}, {'π*' if entry.policy == 'pi_star' else 'π_R'}, {entry.board}: "
     if not math.isfinite(entry.score_mean):
         why = " ".join(entry.note.split())[:300] or NOTHING
-        failed = "failed" if entry.status == "failed" else "–"
+        failed = "failed" if entry.status == "failed" else "none"
         return Tile(failed, "", -1, name + why)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds"
     over = "; interval over episodes" if entry.varies == "episodes" else ""
@@ -144,7 +148,7 @@ def _warned(board: Board, policy: str) -> list[Warned]:
                 Warned(
                     "controls tie",
                     f"A control that knows nothing does as well: {why}. It tells no reward from none.",
-                )  # fmt: skip
+                )
             )
     failed = [e.method for e in board.entries if e.policy == policy and e.status == "failed"]
     if failed:

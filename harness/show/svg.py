@@ -1,10 +1,11 @@
-"""Plots as SVG for a page: text stays text, and the page's style says what colours are in light, dark and print."""
+"""Plots as SVG for a page: text stays text, and the page's style says what colours are, light or dark."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from markupsafe import Markup, escape
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
@@ -46,7 +47,12 @@ class Axis:
 
     def ticks(self, most: int = 5) -> list[tuple[float, str]]:
         """Values and their texts."""
-        finder = LogLocator(numticks=most) if self.log else MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+        few = self.log and self.high < 150 * self.low
+        finder = (
+            LogLocator(subs=(1, 2, 5) if few else (1,), numticks=most)
+            if self.log
+            else MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+        )
         inside = [float(v) for v in finder.tick_values(self.low, self.high) if self.low <= v <= self.high]
         large = self.log or max(abs(self.low), abs(self.high)) >= 1000
         text: Callable[[float], str] = EngFormatter(sep="") if large else lambda value: f"{value:.6g}"
@@ -68,8 +74,8 @@ def decades(values: Sequence[float], label: str) -> Axis:
 
 
 class Plot:
-    """One plot. said: what it shows, in a sentence. rows: names along the y axis instead of numbers; the y of what is drawn
-    is then a row's number from 0, downwards. second: an axis on the right."""
+    """One plot. said: what it shows, in a sentence. rows: names along the y axis instead of numbers; the y of
+    what is drawn is then a row's number from 0, downwards. second: an axis on the right."""
 
     def __init__(
         self,
@@ -87,7 +93,7 @@ class Plot:
         self.width = 340
         self.left = 14 + LETTER * max((min(len(row), 24) for row in rows), default=0) if rows else 50
         self.right = self.width - (46 if second else 12)
-        self.top = 26
+        self.top = 26 if title else 8
         self.bottom = self.top + (max(3, len(rows)) * 18 if rows else 170)
         self._parts: list[str] = []
         self._labels: list[tuple[float, float, float, float]] = []
@@ -122,7 +128,8 @@ class Plot:
         told = f' data-tip="{escape(tip)}"' if tip else ""
         open_one = " open" if shape in ("ring", "cross") else ""
         self._parts.append(
-            f'<path class="mark{open_one} {look}"{told} transform="translate({across:.0f} {down:.1f})" d="{SHAPES[shape]}"/>'
+            f'<path class="mark{open_one} {look}"{told} transform="translate({across:.0f} {down:.1f})" '
+            f'd="{SHAPES[shape]}"/>'
         )
 
     def dots(self, points: Sequence[Point], look: str) -> None:
@@ -185,16 +192,16 @@ class Plot:
     def render(self) -> Markup:
         """The SVG."""
         height = self.bottom + (36 if self.x.label else 22)
-        frame = [f'<text class="title" x="{4}" y="14">{escape(_short(self._title, 48))}</text>']
+        title = f'<text class="title" x="4" y="14">{escape(_short(self._title, 48))}</text>'
+        frame = [title] if self._title else []
         for value, text in self.x.ticks(5):
             across, _ = self.at(value, 0)
             frame.append(f'<text class="tick" x="{across:.0f}" y="{self.bottom + 14:.0f}">{text}</text>')
         if self._rows:
             for row, name in enumerate(self._rows):
                 _, down = self.at(0, row)
-                frame.append(
-                    f'<text class="row" x="{self.left - 6:.0f}" y="{down + 4:.0f}">{escape(_short(name, 24))}</text>'
-                )
+                at = f'x="{self.left - 6:.0f}" y="{down + 4:.0f}"'
+                frame.append(f'<text class="row" {at}>{escape(_short(name, 24))}</text>')
         else:
             frame += self._upright_ticks(self.y, self.left - 6, False)
         if self._second:
@@ -214,9 +221,9 @@ class Plot:
     def _upright_ticks(self, axis: Axis, across: float, second: bool) -> list[str]:
         kind = "row second" if second else "row"
         return [
-            f'<text class="{kind}" x="{across:.0f}" y="{self.bottom - (self.bottom - self.top) * axis.share(v) + 4:.0f}">'
-            f"{text}</text>"
-            for v, text in axis.ticks(5)
+            f'<text class="{kind}" x="{across:.0f}" y="{down + 4:.0f}">{text}</text>'
+            for value, text in axis.ticks(5)
+            for down in [self.bottom - (self.bottom - self.top) * axis.share(value)]
         ]
 
 
@@ -242,9 +249,9 @@ def key(shape: str, look: str, dash: str = "", *, line: bool = False) -> Markup:
 def _path(places: Sequence[Point]) -> str:
     """Whole units, each from the one before."""
     rounded = [(round(x), round(y)) for x, y in places]
-    kept = [rounded[0], *(b for a, b in zip(rounded, rounded[1:], strict=False) if a != b)]
+    kept = [rounded[0], *(b for a, b in pairwise(rounded) if a != b)]
     (x, y), *_ = kept
-    moves = " ".join(f"{b[0] - a[0]} {b[1] - a[1]}" for a, b in zip(kept, kept[1:], strict=False))
+    moves = " ".join(f"{b[0] - a[0]} {b[1] - a[1]}" for a, b in pairwise(kept))
     return f"M{x} {y}l{moves}".replace(" -", "-") if moves else f"M{x} {y}h0"
 
 
