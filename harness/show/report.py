@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from operator import attrgetter
 
@@ -102,7 +103,7 @@ def leaderboard_md(found: page.Found) -> str:
         parts.append(f"## Across environments\n\n{_listed(found.apart)}\n{_told(table)}")
     for board in found.boards:
         title = f"## {board.name}{f': {facts.NO_RESULT}, {board.flag}' if board.flag else ''}\n"
-        learned = [entry for entry in board.entries if entry.policy == "pi_R"]
+        learned = [e for e in board.entries if e.policy == "pi_R" and math.isfinite(e.score_mean)]
         tables = [
             _narrow("scores", board.entries),
             _narrow("rewards", learned),

@@ -102,13 +102,13 @@ def note(entry: Entry) -> str:
 FIRST: dict[str, Callable[[Entry], Item]] = {
     "Task": lambda e: e.env,
     "Dynamics": lambda e: e.dynamics,
-    "Demonstrations": lambda e: str(e.shown) or "as the budget says",
     "Method": lambda e: e.method,
     "Policy": lambda e: e.policy,
     "Score [95 %]": score,
     "Behind the best [95 %]": behind,
     "Above best lower control": _learned(lambda e: number(e.above_best_lower_control, "+z.2f")),
     "Seeds ok": lambda e: Number(f"{e.seeds_ok} of {e.seeds}", e.seeds_ok),
+    "Demonstrations": lambda e: str(e.shown) or "as the budget says",
     "Note": note,
 }
 """Columns of the leaderboard that matter first."""
