@@ -51,8 +51,8 @@ def why_no_result(env: str, request: Request, results: Sequence[CellResult]) -> 
 
 
 def warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
-    """What the reader must be told, a line each."""
-    found = [f"{r.cell.name}: {text}" for r in sorted(results, key=lambda r: r.cell) for text in r.warnings]
+    """What the reader must be told, a line each. results: in order."""
+    found = [f"{r.cell.name}: {text}" for r in results for text in r.warnings]
     unscored = {(r.task, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
     machines = {tuple((k, v) for k, v in r.origin.items() if k != PROGRAM_NAME) for r in results}
     if len(machines) > 1:

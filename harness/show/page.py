@@ -39,6 +39,7 @@ class Found:
 
     request: Request
     results: Sequence[CellResult]
+    """By cell."""
     rows: Sequence[Row]
     boards: Sequence[Board]
     drawn: Sequence[Board]
@@ -149,7 +150,7 @@ def _recordings(found: Found) -> list[tuple[str, str, str]]:
     """File, how all episodes of its policy ended, and the command that plays it."""
     there = {*found.recorded}
     lines = []
-    for result in sorted(found.results, key=lambda result: result.cell):
+    for result in found.results:
         cell = result.cell
         for name in sorted(there & result.recordings.keys()):
             its = next((counts for policy, counts in result.endings.items() if policy in name), {})

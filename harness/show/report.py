@@ -50,6 +50,7 @@ def report_files(
 
     A run may be partial: what is not known is an empty field, 'n/a' in tables for people.
     """
+    results = sorted(results, key=lambda result: result.cell)
     rows = scored_rows(results)
     entries = leaderboard(rows)
     envs = dict.fromkeys(entry.env for entry in entries)
