@@ -77,6 +77,7 @@ def render(found: Found, parts: Mapping[str, str]) -> str:
         "meanings": MEANINGS,
         "wide": WIDE,
         "anchor": anchor,
+        "anchors": {anchor(chart.title) for name in ("seeds", "transfer") for chart in drawn[name]},
         "signs": charts.policy_signs(),
         "carried": charts.policy_signs("π* carried over", "π_R, trained there on R*"),
         "learning_signs": curves.SIGNS,

@@ -110,7 +110,7 @@ def summary(boards: Sequence[Board]) -> Map:
 
 def anchor(board: str) -> str:
     """The id of its part of the page."""
-    return "board-" + "".join(c if c.isalnum() else "-" for c in board)
+    return "board-" + board.replace(" ", "_")
 
 
 def _short(board: Board, same: bool, alone: bool) -> str:

@@ -7,82 +7,28 @@ import io
 import json
 import math
 import re
-import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from harness.judge.results import CONTROLS, NOMINAL, UNSHOWN, CellResult, Shown
-from harness.run.reporting import write_report
+from harness.judge.results import CONTROLS, UNSHOWN
 from harness.show.tables import FIRST
-from tests.harness.made_results import REQUEST, make_results, make_row
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-SCREENSHOTS = Path(__file__).parents[2] / "output" / "report"
-"""What the page looks like, for people."""
 FIRST_PAINT = 5000
 """Milliseconds, of a machine that does other things too."""
 LINES = "#lines tbody tr"
 
 
-def of_two_demonstrations_and_a_variant() -> list[CellResult]:
-    """Results with all that a page has charts of."""
-    found = []
-    for result in make_results():
-        cell, rows = result.cell, result.rows
-        if cell.method == "control_survival":  # or no task would tell rewards apart
-            rows[:] = [make_row(cell.env, cell.method, cell.seed, "pi_R", return_mean=100.0)]
-        if "pi_R" in result.curves:
-            result.curves["pi_R_chosen"] = [result.curves["pi_R"][5]]
-        far = 0.1 + 0.1 * cell.seed
-        rows[:] = [
-            replace(r, reward_distance=far, reward_floor=0.01) if r.policy == "pi_R" else r for r in rows
-        ]
-        result.details["networks"] = 3.0
-        result.seconds.update(start=0.5, fit=2.0)
-        for shown in [cell.shown] if cell.method in UNSHOWN else [Shown(5), Shown(20)]:
-            for dynamics in (NOMINAL, "heavy") if cell.env == "cartpole" else (NOMINAL,):
-                its = replace(cell, shown=shown, dynamics=dynamics)
-                told = {"demos": shown.demos, "dynamics": dynamics}
-                found.append(replace(result, cell=its, rows=[replace(row, **told) for row in rows]))
-    return found
-
-
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of them."""
-    directory = tmp_path_factory.mktemp("run")
-    (directory / "recordings").mkdir()
-    results = of_two_demonstrations_and_a_variant()
-    name = "cartpole__bc__seed0__5_demos__pi_star.rrd"
-    next(r for r in results if r.cell.name == name[:-13]).recordings[name] = "0" * 64
-    (directory / "recordings" / name).touch()
-    write_report(directory, REQUEST, results)
-    return directory
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def looked(browser: Any, run: Path) -> Iterator[tuple[Any, list[str]]]:
+def looked(browser: Any, reported: Path) -> Iterator[tuple[Any, list[str]]]:
     """The page, and what it asked for, said or did wrong."""
     page, noted = browser.new_page(viewport={"width": 1300, "height": 900}), list[str]()
     page.on("request", lambda request: noted.append(request.url))
     page.on("console", lambda message: noted.append(message.text))
     page.on("pageerror", lambda error: noted.append(str(error)))
-    page.goto((run / "report.html").as_uri())
+    page.goto((reported / "report.html").as_uri())
     yield page, noted
     page.close()
 
@@ -118,17 +64,17 @@ def sort_by(page: Any, heading: str) -> str:
     return order
 
 
-def test_it_asks_for_nothing_and_says_nothing(looked: tuple[Any, list[str]], run: Path) -> None:
+def test_it_asks_for_nothing_and_says_nothing(looked: tuple[Any, list[str]], reported: Path) -> None:
     page, noted = looked
     page.mouse.wheel(0, 20_000)
-    assert noted == [(run / "report.html").as_uri()]
+    assert noted == [(reported / "report.html").as_uri()]
     policy = page.get_attribute("meta[http-equiv=Content-Security-Policy]", "content")
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
 
 
-def test_what_is_added_to_it_does_not_run(browser: Any, run: Path, tmp_path: Path) -> None:
-    text = (run / "report.html").read_text()
+def test_what_is_added_to_it_does_not_run(browser: Any, reported: Path, tmp_path: Path) -> None:
+    text = (reported / "report.html").read_text()
     (tmp_path / "page.html").write_text(text.replace("</body>", "<script>window.ran = 1</script></body>"))
     page = browser.new_page()
     page.goto((tmp_path / "page.html").as_uri())
@@ -144,9 +90,9 @@ def test_it_is_painted_at_once(looked: tuple[Any, list[str]]) -> None:
     assert 0 < painted < FIRST_PAINT
 
 
-def test_its_numbers_are_those_of_the_scores(page: Any, run: Path) -> None:
+def test_its_numbers_are_those_of_the_scores(page: Any, reported: Path) -> None:
     scores: dict[tuple[str, ...], list[float]] = {}
-    for row in csv.DictReader(io.StringIO((run / "scores.csv").read_text())):
+    for row in csv.DictReader(io.StringIO((reported / "scores.csv").read_text())):
         key = (row["env"], row["dynamics"], row["demos"], row["method"], row["policy"])
         scores.setdefault(key, []).append(float(row["normalized_score"] or "nan"))
     headings = ("Task", "Dynamics", "Demonstrations", "Method", "Policy", "Score [95 %]")
@@ -305,117 +251,7 @@ def test_the_best_is_marked_and_what_is_not_told_apart_from_it(page: Any) -> Non
     assert not best & {*CONTROLS}
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_no_fault(browser: Any, run: Path, scheme: str) -> None:
-    import axe_playwright_python
-
-    (script,) = Path(axe_playwright_python.__file__).parent.rglob("axe.min.js")
-    page = browser.new_page(color_scheme=scheme, viewport={"width": 900, "height": 900})
-    page.goto((run / "report.html").as_uri())
-    page.evaluate(f"{script.read_text(encoding='utf-8')};0")
-    found = page.evaluate("axe.run({ resultTypes: ['violations'] })")["violations"]
-    page.close()
-    assert [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in found] == []
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_numbers_stand_out_from_their_tiles(browser: Any, run: Path, scheme: str) -> None:
-    page = browser.new_page(color_scheme=scheme)
-    page.goto((run / "report.html").as_uri())
-    colours = page.evaluate(
-        """() => {
-            const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
-            const seen = colour => {
-                context.fillStyle = colour;
-                context.fillRect(0, 0, 1, 1);
-                return [...context.getImageData(0, 0, 1, 1).data].slice(0, 3);
-            };
-            const tile = document.querySelector(".heat td[data-tip]");
-            return [...Array(11).keys()].map(shade => {
-                tile.className = `h${shade}`;
-                const style = getComputedStyle(tile);
-                return [seen(style.color), seen(style.backgroundColor)];
-            });
-        }"""
-    )
-    page.close()
-
-    def luminance(colour: list[int]) -> float:
-        linear = [
-            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)
-        ]
-        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-    grounds = [luminance(ground) for _, ground in colours]
-    assert grounds == sorted(grounds, reverse=scheme == "light")
-    for text, ground in colours:
-        dark, light = sorted((luminance(text), luminance(ground)))
-        assert (light + 0.05) / (dark + 0.05) > 4.5
-
-
-@pytest.mark.parametrize(
-    ("name", "width", "media"),
-    [
-        ("390", 390, {}),
-        ("768", 768, {}),
-        ("1300", 1300, {}),
-        ("dark", 1300, {"color_scheme": "dark"}),
-        ("print", 794, {"media": "print"}),
-    ],
-)
-def test_it_fits_every_width(browser: Any, run: Path, name: str, width: int, media: dict[str, Any]) -> None:
-    page = browser.new_page(viewport={"width": width, "height": 900})
-    page.goto((run / "report.html").as_uri())
-    page.emulate_media(**media)
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert page.locator(".heat").bounding_box()["y"] < 500, "on the first screen"
-    small = page.eval_on_selector_all(
-        ".plots svg", "all => all.map(one => one.getBoundingClientRect().width).filter(width => width < 200)"
-    )
-    assert small == []
-    page.close()
-
-
-def test_without_scripts_it_is_whole_but_for_buttons(browser: Any, run: Path) -> None:
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto((run / "report.html").as_uri())
-    assert page.locator(LINES).first.is_visible()
-    assert not page.locator(".filters").is_visible()
-    context.close()
-
-
-def test_what_to_beware_of_stands_beside_what_it_concerns(browser: Any, tmp_path: Path) -> None:
-    results = make_results(seeds=1)
-    for result in results:
-        if result.cell.method == "control_survival" and result.cell.env == "pendulum":
-            result.rows[:] = [make_row("pendulum", "control_survival", 0, "pi_R", return_mean=500.0)]
-    results = [
-        replace(r, below_bar=(r.cell.env, r.cell.method) == ("cartpole", "reference")) for r in results
-    ]
-    write_report(tmp_path, REQUEST, results)
-    page = browser.new_page()
-    page.goto((tmp_path / "report.html").as_uri())
-    told = {
-        column.query_selector("a").text_content(): [
-            b.text_content() for b in column.query_selector_all("button")
-        ]
-        for column in page.query_selector_all(".heat thead tr:last-child th:has(a)")[2:]
-    }
-    assert told == {
-        "cartpole": ["not a result", "one seed", "controls tie"],
-        "pendulum": ["one seed", "controls tie"],
-    }
-    warning = page.locator(".heat .warn").get_by_text("not a result").first
-    warning.focus()
-    assert "the expert of seed 0 misses its bar" in page.text_content("#tip")
-    assert page.locator(LINES).get_by_text("NOT A RESULT: the expert of seed 0").count() > 5
-    page.close()
-
-
-def test_a_json_block_cannot_end_early(run: Path) -> None:
-    text = (run / "report.html").read_text()
+def test_a_json_block_cannot_end_early(reported: Path) -> None:
+    text = (reported / "report.html").read_text()
     (block,) = re.findall(r'<script type="application/json" id="files">(.*?)</script>', text)
     assert any(name.startswith("learning cartpole") for name in json.loads(block))
