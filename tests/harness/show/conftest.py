@@ -12,6 +12,7 @@ import pytest
 
 from harness.judge.results import NOMINAL, UNSHOWN, CellResult, Shown
 from harness.run.reporting import write_report
+from harness.show import figures, report
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -49,7 +50,10 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     name = "cartpole__bc__seed0__5_demos__pi_star.rrd"
     next(r for r in results if r.cell.name == name[:-13]).recordings[name] = "0" * 64
     (directory / "recordings" / name).touch()
-    write_report(directory, REQUEST, results)
+    with pytest.MonkeyPatch.context() as without:  # figures, which the page does not show
+        without.setattr(figures, "draw_scores", lambda board: None)
+        without.setattr(report, "draw_axes", lambda *its: [])
+        write_report(directory, REQUEST, results)
     return directory
 
 
