@@ -1,4 +1,5 @@
-# make run: the main job, from a fresh clone.   make test: every check.   make lock: pin what is installed.
+# make run: the main job, from a fresh clone.   make test: every check.   make docs: the pages, as HTML.
+# make lock: pin what is installed.
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/uv pip install --quiet --python $(BIN)/python --compile-bytecode
@@ -8,7 +9,7 @@ ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif
 
-.PHONY: run test lock
+.PHONY: run test docs lock
 
 run: .venv/installed
 	$(BIN)/python -m harness run --methods all --envs cartpole,highway
@@ -18,6 +19,11 @@ test: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -q -n auto --dist worksteal
+	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
+
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
+	@echo build/docs/index.html
 
 # Local labels such as +cpu name a build, not a version that an index offers.
 lock: $(BIN)/uv

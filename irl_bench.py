@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from harness.testing import ContractError, check_env, check_method
     from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
     from methods.network import Network
+    from methods.rewards import LinearReward, MeanReward, NetworkReward, StateReward
 
 _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
@@ -32,6 +33,7 @@ _FROM = {
         *("Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
     ),
     "methods.network": ("Network",),
+    "methods.rewards": ("LinearReward", "MeanReward", "NetworkReward", "StateReward"),
 }
 WHERE = {name: module for module, names in _FROM.items() for name in names}
 """The module that each name comes from."""
@@ -50,12 +52,16 @@ __all__ = [
     "Frames",
     "Learned",
     "LearnedReward",
+    "LinearReward",
+    "MeanReward",
     "Method",
     "Network",
+    "NetworkReward",
     "Policy",
     "Quantity",
     "Reward",
     "Shape",
+    "StateReward",
     "Transitions",
     "Unsuitable",
     "World",

@@ -196,6 +196,8 @@ DOUBLE_PENDULUM = task(
     variants={"heavy": Physics(mass=1.5), "gravity": Physics(gravity=1.4), "flipped": Physics(gear=-1.0)},
     ends="tip fell below 1 m",
 )
+"""A cart on a rail carries two poles, one on the other. A step pays 10, less 0.01 x^2 + (y - 2)^2 of the
+upper tip and less a little for speed. An episode ends where the tip falls below 1 m."""
 REACHER = task(
     "reacher",
     "Reacher-v5",
@@ -215,6 +217,8 @@ REACHER = task(
     axes=TOP,
     gamma=0.95,
 )
+"""An arm of two links in a plane, seen from above. A step pays minus the distance from its tip to the target,
+less 0.1 of the action's square. The target is another one in each episode. None ends before 50 steps."""
 RUNNING = SAC(
     net=(128, 128),
     batch=256,
@@ -248,6 +252,8 @@ HALFCHEETAH = task(
     },
     moves=True,
 )
+"""A body of seven links with two legs, in a vertical plane. A step pays the forward speed [m/s], less 0.1 of
+the action's square. Nothing ends an episode."""
 HOPPER = task(
     "hopper",
     "Hopper-v5",
@@ -265,6 +271,8 @@ HOPPER = task(
     ends="fell",
     moves=True,
 )
+"""A body on one leg, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
+action's square. An episode ends where it falls: the torso below 0.7 m, or tilted by more than 0.2 rad."""
 WALKER2D = task(
     "walker2d",
     "Walker2d-v5",
@@ -282,3 +290,6 @@ WALKER2D = task(
     ends="fell",
     moves=True,
 )
+"""A body on two legs, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
+action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than
+1 rad."""

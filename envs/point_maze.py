@@ -165,6 +165,8 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(gear=-1.0)},
     },
 )
+"""The ball starts below the wall and the target lies above it. With the wall moved, the way around is on the
+other side: what was learned must be worth something there as well."""
 
 gym.register(
     SPEC.env_id,

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
+from harness import examples
 from harness.registry import (
     BUDGETS,
     DEMONSTRATORS,
@@ -33,7 +34,10 @@ read or written; 130 stopped, such as by Ctrl-C."""
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise BadInput(message)
+        raise BadInput(message, page="commands")
+
+    def format_help(self) -> str:
+        return super().format_help() + examples.told(self.prog)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     _add_plugins(add)
     add.add_argument(
         "--seeds",
-        type=_seeds,
+        type=seeds,
         metavar="K|A,B-C",
         help="how many, from 0, or which: 0,3,5-9 (7-7 is seed 7 alone; default 1; 5 for full)",
     )
@@ -111,12 +115,15 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser(
         "reproduce", help="the thesis's evaluation, and what it left open", allow_abbrev=False
     )
-    add.add_argument("--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help="default 5")
+    add.add_argument("--seeds", type=seeds, metavar="K|A,B-C", default=seeds("5"), help="default 5")
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--out", default=Path("results/reproduce"), type=_folder, metavar="DIR")
     _add_how_cells_run(add)
     add = commands.add_parser("report", help="rebuild a run's tables and figures", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
+    add.add_argument(
+        "--print", action="store_true", help="print the tables, too, within the terminal's width"
+    )
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser(
@@ -184,10 +191,8 @@ def parser() -> argparse.ArgumentParser:
         if name == "train":
             add.add_argument("--workers", type=_count, metavar="N", help="processes at a time")
             of_others = "of experts for tasks of others, which are kept in the cache"
-            add.add_argument("--budget", default="full", choices=BUDGETS, help=f"{of_others}; default full")
-            add.add_argument(
-                "--seeds", type=_seeds, metavar="K|A,B-C", default=_seeds("5"), help=f"{of_others}; default 5"
-            )
+            add.add_argument("--budget", choices=BUDGETS, help=f"{of_others}; default full")
+            add.add_argument("--seeds", type=seeds, metavar="K|A,B-C", help=f"{of_others}; default 5")
     add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
     _add_plugins(add)
     return top
@@ -245,6 +250,12 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         choices=RECORDS,
         help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
     )
+    add(
+        "--json-progress",
+        action="store_true",
+        help="standard output is JSON, an object a line, for programs (docs/commands.md); text goes to "
+        "standard error",
+    )
     add("--retry-failed", action="store_true", help="compute again what failed before")
 
 
@@ -256,7 +267,7 @@ def _count(text: str) -> int:
     return _whole(text, MOST)
 
 
-def _seeds(text: str) -> tuple[int, ...]:
+def seeds(text: str) -> tuple[int, ...]:
     """How many from 0, or numbers and ranges."""
     if "," not in text and "-" not in text[1:]:
         return tuple(range(_count(text)))

@@ -66,7 +66,7 @@ def _dispatch(argv: list[str]) -> int:
         from harness import commands  # here, for `--help` and `list` to answer at once
 
     if args.command == "report":
-        return commands.report(args.directory)
+        return commands.report(args.directory, args.print)
     if args.command == "demos":
         return commands.demos(args)
     if args.command == "export":
@@ -108,6 +108,8 @@ def _list(named: Sequence[str]) -> int:
     for kind, table in PLUGINS.items():
         if table:
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
+    dynamics = {name: ", ".join(entry.variants) for name, entry in ENVS.items() if entry.variants}
+    sections["dynamics of envs, for --transfer"] = dynamics
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
         print(f"{title}:")
@@ -209,6 +211,12 @@ def _train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> i
     return 0
 
 
+def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
+    """Raises BadInput where one of the options is given."""
+    if given := [name for name in options if getattr(args, name) is not None]:
+        raise BadInput(f"leave out --{given[0]}: {why}")
+
+
 def _experts(args: argparse.Namespace) -> int:
     from harness.run import plugins
 
@@ -221,8 +229,11 @@ def _experts(args: argparse.Namespace) -> int:
             raise BadInput(
                 f"{theirs[0]} has no shipped experts: `experts train {theirs[0]}`, by itself, makes its own"
             )
+        _refuse(args, ("dir", "workers"), f"{theirs[0]} is trained one seed after the other, into the cache")
         plugins.load([], theirs)
-        return _train_for_runs(theirs, args.seeds, args.budget)
+        return _train_for_runs(theirs, args.seeds or range(5), args.budget or "full")
+    if args.what == "train":
+        _refuse(args, ("budget", "seeds"), f"experts of {envs[0]} are trained as those that are shipped were")
     with importing():
         from harness import expert_training
         from harness.commands import cores, handle_signals

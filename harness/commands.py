@@ -9,8 +9,11 @@ import os
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TextIO
 
+from harness import outcome
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
 from harness.registry import (
     ASKING,
@@ -29,16 +32,13 @@ from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write, read
 from harness.run.processes import let_cells_sleep
-from harness.run.progress import say, tell
+from harness.run.progress import progress_for, say, tell
 from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
 from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_plan, open_to_verify
-from harness.run.sums import SUMS
 from harness.show.compare import Run as Comparable
 
 LEFT_OUT = "left out, computed again if asked for"
-MOST_NAMED = 20
-"""Files that a line names, but for the first."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
     if args.demos_from:
         conditions = replace(conditions, demonstrations=_given(args, envs))
+    elif args.action_bounds:
+        raise BadInput("--action-bounds are of demonstrations of a file: --demos-from")
     if args.demonstrator == "medium":
         if args.experts == "trained":
             raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
@@ -76,12 +78,15 @@ def run(args: argparse.Namespace) -> int:
         tell(f"left out of the baseline: {line}")
     if args.plan:
         return _plan(args, request, engine, beside)
-    with open_for_run(args.out, request, engine.variables) as run:
+    with (
+        outcome.for_programs(args.json_progress) as programs,
+        open_for_run(args.out, request, engine.variables) as run,
+    ):
         if beside:
             run.keep_beside(beside)
-        results = _compute(run, request, args, engine)
-        whole = _write_report(run, list(results.values()), anew=False)
-        failed = _tell_troubles([results[cell] for cell in request.cells if cell in results])
+        results = _compute(run, request, args, engine, programs)
+        whole = outcome.report(run, list(results.values()), anew=False, programs=programs)
+        failed = outcome.tell_troubles([results[cell] for cell in request.cells if cell in results])
     return int(failed or not whole)
 
 
@@ -100,24 +105,27 @@ def reproduce(args: argparse.Namespace) -> int:
             requests[protocol] = Request(study.STUDIED, study.ENVS, args.seeds, conditions, shown)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later
         for protocol, request in requests.items():
-            with open_for_run(args.out / protocol, request, engine.variables) as run:
-                results = _compute(run, request, args, engine)
+            with (
+                outcome.for_programs(args.json_progress) as programs,
+                open_for_run(args.out / protocol, request, engine.variables) as run,
+            ):
+                results = _compute(run, request, args, engine, programs)
             found[protocol] = [results[cell] for cell in request.cells]
         study.write_study(args.out, found)
         say("\n" + _text(args.out / "study.md"))
-    return int(_tell_troubles([result for results in found.values() for result in results]))
+    return int(outcome.tell_troubles([result for results in found.values() for result in results]))
 
 
-def report(directory: Path) -> int:
-    """Rebuilds tables and figures from the cells that are stored there."""
+def report(directory: Path, tables: bool) -> int:
+    """Rebuilds tables and figures from the cells that are stored there. tables: whether they are printed."""
     _prepare()
     with open_for_report(directory) as run:
         results, unusable = run.load()
-        _tell_unusable(unusable, "left out")
-        if not results:
+        outcome.tell_unusable(unusable, "left out")
+        if not results and not run.beside()[0]:
             raise BadInput(f"{directory} holds no finished cell")
-        whole = _write_report(run, list(results.values()), anew=True)
-    failed = _tell_troubles(list(results.values()))
+        whole = outcome.report(run, list(results.values()), anew=True, tables=tables)
+    failed = outcome.tell_troubles(list(results.values()))
     return int(failed or not whole or bool(unusable))
 
 
@@ -160,6 +168,11 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
     if args.experts == "none" and found.returns is None:
         raise BadInput(
             f"{args.demos_from} tells no rewards, so nothing would score 1; leave out --experts none"
+        )
+    if args.experts == "none" and found.cut:
+        raise BadInput(
+            f"{found.cut} of the {len(found.episodes)} episodes of {args.demos_from} neither terminated nor "
+            "last until the horizon, so what they return is no score; leave out --experts none"
         )
     if max(args.demos) > len(found.episodes):
         raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")
@@ -216,7 +229,7 @@ def _read(path: Path) -> Comparable:
     with open_to_verify(path) as run:
         results, unusable = run.load()
         beside, damaged = run.beside()
-    _tell_unusable(unusable | damaged, "left out")
+    outcome.tell_unusable(unusable | damaged, "left out")
     if not results and not beside:
         raise BadInput(f"{path} holds no finished cell")
     return Comparable(str(path), run.request.conditions, [*results.values(), *beside])
@@ -303,7 +316,9 @@ def _check_all_inline(directory: Path, engine: Engine) -> None:
         others = keys.cell_keys(results, conditions, numeric(conditions.deterministic))
         now = keys.cell_keys(results, conditions, engine.variables)
     if any(others[cell] == result.key != now[cell] for cell, result in results.items()):
-        raise BadInput(f"{directory} holds cells that were computed otherwise; give another --out")
+        raise BadInput(
+            f"{directory} holds cells that were computed otherwise; give another --out", "commands"
+        )
 
 
 def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]) -> int:
@@ -312,7 +327,7 @@ def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: 
 
     with open_to_plan(args.out, request, engine.variables) as run:
         known, unusable = run.load()
-        _tell_unusable(unusable, LEFT_OUT)
+        outcome.tell_unusable(unusable, LEFT_OUT)
         beside = run.without_its_own(baseline) if baseline else _beside(run, request, engine)
     cells = _missing(request, known, beside, args.retry_failed)
     kept = [cell in known for cell in {*request.cells}.difference(cells)]
@@ -329,18 +344,20 @@ def _missing(
     request: Request, known: Mapping[Cell, CellResult], beside: Collection[Cell], retry: bool
 ) -> list[Cell]:
     """The cells of the request that have to be computed. retry: those that failed, too."""
-    again = {cell for cell, result in known.items() if retry and _has_failed(result)}
+    again = {cell for cell, result in known.items() if retry and outcome.has_failed(result)}
     return [cell for cell in request.cells if (cell not in known and cell not in beside) or cell in again]
 
 
 def _compute(
-    run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine
+    run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine, programs: TextIO | None
 ) -> dict[Cell, CellResult]:
-    """Computes what the request asks for and the directory lacks; returns all that is there then."""
+    """Computes what the request asks for and the directory lacks; returns all that is there then. programs:
+    of `outcome.for_programs`."""
+    from harness.run.events import Events
     from harness.run.grid import Grid
 
     known, unusable = run.load()
-    _tell_unusable(unusable, LEFT_OUT)
+    outcome.tell_unusable(unusable, LEFT_OUT)
     beside = _beside(run, request, engine)
     cells = _missing(request, known, beside, args.retry_failed)
     kept = len(request.cells) - len(cells)
@@ -348,7 +365,8 @@ def _compute(
     say(f"{len(cells)} cells to run, {kept} kept from before, {conditions.budget} budget, in {run.path}")
     if cells and not can_write(cache_folder()):
         tell(f"the cache {cache_folder()} cannot be written to: experts are trained for this run alone")
-    grid = Grid(conditions, run, engine)
+    told = progress_for if programs is None else partial(Events, stream=programs)
+    grid = Grid(conditions, run, engine, told)
     grid.run(cells)
     results, _ = run.load()
     if lost := [cell for cell in request.cells if cell not in results and cell not in beside]:
@@ -362,7 +380,7 @@ def _compute(
             )
             run.save(results[cell])
     if (
-        any(_has_failed(results[cell]) for cell in request.cells if cell in results)
+        any(outcome.has_failed(results[cell]) for cell in request.cells if cell in results)
         and (run.path / LOG).exists()
     ):
         tell(f"tracebacks are in {run.path / LOG}; --retry-failed tries again")
@@ -372,7 +390,7 @@ def _compute(
 def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, CellResult]:
     """What the run is shown beside and need not compute."""
     found, unusable = run.beside()
-    _tell_unusable(unusable, "left out of the baseline")
+    outcome.tell_unusable(unusable, "left out of the baseline")
     tasks = baseline.tasks_now(run.request, engine.variables)
     if not all(baseline.is_comparable(result, tasks, run.request) for result in found):
         raise BadInput(
@@ -381,67 +399,9 @@ def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, C
     return {result.cell: result for result in found}
 
 
-def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
-    """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
-    all is there that the run stored."""
-    from harness.run.reporting import write_report
-
-    incomplete = run.why_incomplete(results) if anew else ""
-    forgotten = run.forgotten(results)
-    damaged = run.damaged_files(results) | run.swapped(results)
-    beside, unusable = run.beside()
-    if anew or not run.is_sealed(results):
-        run.seal(results, write_report(run.path, run.request, [*results, *beside]))
-    say("\n" + _text(run.path / "leaderboard.md"))
-    shown = ["scores.csv", "report.html"]
-    shown += ["recordings"] * any(result.recordings for result in results)
-    shown += ["artifacts"] * any(result.artifacts for result in results)
-    for name in shown:
-        say(f"{name:11} {run.path / name}")
-    there = {result.cell for result in [*results, *beside]}
-    if absent := [cell.name for cell in run.request.cells if cell not in there]:
-        say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
-    _tell_unusable(damaged | unusable, "damaged")
-    if forgotten:
-        tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
-    if incomplete:
-        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
-    return not (forgotten or damaged or unusable or incomplete)
-
-
-def _and_more(names: Sequence[str]) -> str:
-    return f" and {len(names) - 1} more" if names[1:] else ""
-
-
 def _text(file: Path) -> str:
     """What can be shown of a text file."""
     return read(file).decode(errors="replace")
-
-
-def _tell_troubles(results: list[CellResult]) -> bool:
-    """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
-    for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
-        tell(f"WARNING: {warning}")
-    failed = [result for result in results if _has_failed(result)]
-    for result in failed:
-        reason = next(row.reason for row in result.rows if row.status == "failed")
-        tell(f"FAILED: {result.cell.name}: {reason}")
-    return bool(failed)
-
-
-def _tell_unusable(files: dict[Path, str], what_happens: str) -> None:
-    """A line for each reason."""
-    by_reason: dict[str, list[Path]] = {}
-    for path, reason in sorted(files.items()):
-        by_reason.setdefault(reason, []).append(path)
-    for reason, (first, *others) in sorted(by_reason.items()):
-        names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
-        more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
-        tell(f"{what_happens}: {names}{more}: {reason}")
-
-
-def _has_failed(result: CellResult) -> bool:
-    return any(row.status == "failed" for row in result.rows)
 
 
 def cores() -> int:

@@ -72,7 +72,8 @@ def extra(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise BadInput(f"{module} cannot be imported: pip install 'irl-bench[minari]'") from error
+        why = f"{module} cannot be imported: pip install 'irl-bench[minari]'"
+        raise BadInput(why, page="demonstrations") from error
 
 
 def raw(path: Path) -> Raw:

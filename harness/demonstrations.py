@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,13 +47,14 @@ class Found:
 
     episodes: actions in [-1, 1], or of choices. rewards: those in the file, (T,) an episode; None where it
     has none. form: of the file. guessed: how many episodes end at the horizon and are taken for cut there,
-    though the file calls them terminal.
+    though the file calls them terminal. cut: how many neither terminated nor last until the horizon.
     """
 
     episodes: Episodes
     rewards: tuple[Array, ...] | None
     form: str
     guessed: int = 0
+    cut: int = 0
 
     @property
     def returns(self) -> Array | None:
@@ -70,7 +72,10 @@ class Found:
 
     def __str__(self) -> str:
         """In a line, without the file's form, which does not matter."""
-        paid = "" if self.returns is None else f", return {self.returns.mean():.6g}"
+        paid = ""
+        if self.rewards is not None and self.returns is not None:
+            digest = hashlib.sha256(np.concatenate(self.rewards).tobytes()).hexdigest()[:8]
+            paid = f", return {self.returns.mean():.6g} by rewards {digest}"
         episodes, steps = len(self.episodes), int(self.episodes.lengths.sum())
         return f"{self.digest}: {episodes} episodes, {steps} steps{paid}"
 
@@ -84,13 +89,18 @@ def read(path: Path, spec: EnvSpec, bounds: tuple[float, float] | None = None) -
     try:
         return _found(forms.raw(path), spec, bounds)
     except _DAMAGES as error:
-        reason = printable(" ".join(str(error).split()))[:300] or type(error).__name__
-        raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}") from error
+        said = str(error)
+        if isinstance(error, OSError) and error.strerror:
+            inside = error.filename is not None and Path(error.filename) != path
+            said = f"{error.strerror}: {error.filename}" if inside else error.strerror
+        reason = printable(" ".join(said.split()))[:300] or type(error).__name__
+        raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}", "demonstrations") from error
 
 
 def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:
-    """An `.npz` of this project. Raises BadInput for another name, ValueError for episodes of which not every
-    step is shown."""
+    """An `.npz` of this project. Raises BadInput for another name, or where it is there already, ValueError
+    for episodes of which not every step is shown."""
+    _check_new(path)
     if path.suffix != ".npz":
         raise BadInput(f"{path}: give a name that ends in .npz")
     if not episodes.whole:
@@ -108,14 +118,18 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
     write_atomic(path, buffer.getvalue())
 
 
+def _check_new(path: Path) -> None:
+    if os.path.lexists(path):
+        raise BadInput(f"{path} is there already; give another name")
+
+
 def export(path: Path, env: str, seed: int, count: int, kind: Demonstrator) -> None:
     """Writes demonstrations that a run of that seed shows: an `.npz`, or a folder of Minari where the name
     ends in something else. Raises BadInput where that is there already, or Minari is missing."""
+    _check_new(path)
     if path.suffix == ".npz":
         write(path, *of_expert(env, seed, count, kind))
         return
-    if os.path.lexists(path):
-        raise BadInput(f"{path} is there already")
     forms.extra("minari")
     episodes, rewards = of_expert(env, seed, count, kind)
     forms.write_minari(
@@ -149,6 +163,8 @@ def described(found: Found) -> list[str]:
         f"episodes    {len(episodes)}, of which {ended} terminated",
         f"steps       {lengths.sum()}; {lengths.min()} to {lengths.max()} an episode",
     ]
+    if found.cut:
+        lines.append(f"endings     {found.cut} neither terminated nor last until the horizon")
     if found.guessed:
         lines.append(f"endings     {found.guessed} called terminal at the horizon are taken for cut there")
     for name, arrays in (("observed", episodes.obs), ("actions", episodes.act)):
@@ -175,6 +191,7 @@ def _histogram(values: Array) -> list[str]:
 def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) -> Found:
     obs = [_numbers(rows, spec.obs_size, "observations", i) for i, rows in enumerate(raw.obs)]
     act = [_actions(rows, spec, bounds or raw.bounds or (-1.0, 1.0), i) for i, rows in enumerate(raw.act)]
+    _check_possible(obs, spec)
     lengths = [len(rows) for rows in act]
     if longest := [i for i, length in enumerate(lengths) if length > spec.horizon]:
         raise ValueError(
@@ -193,7 +210,23 @@ def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) ->
         )
         if [len(paid) for paid in rewards] != lengths:
             raise ValueError("an episode has not as many rewards as steps")
-    return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed))
+    cut_short = sum(not end and not cut for end, cut in zip(terminated, full, strict=True))
+    return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed), cut_short)
+
+
+def _check_possible(obs: Sequence[Array], spec: EnvSpec) -> None:
+    """Raises ValueError for observations that the task's space does not have."""
+    space = spec.make().observation_space
+    assert isinstance(space, gym.spaces.Box)
+    low, high = (end.astype(np.float64) for end in (space.low, space.high))
+    beyond = SLACK * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    for i, rows in enumerate(obs):
+        if (outside := (rows < low - beyond) | (rows > high + beyond)).any():
+            step, entry = np.argwhere(outside)[0]
+            raise ValueError(
+                f"episode {i} observes {rows[step, entry]:.6g} as {spec.obs_names[entry].name}, "
+                f"which lies in [{low[entry]:g}, {high[entry]:g}]"
+            )
 
 
 def _numbers(rows: NDArray[Any], size: int, what: str, episode: int) -> Array:
@@ -223,7 +256,7 @@ def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: i
     if (most := outside.max()) > 1 + SLACK:
         there = f"[{low[outside.argmax()]:g}, {high[outside.argmax()]:g}]"
         raise ValueError(
-            f"episode {episode} has an action {most:.3g} times as large as {there}; "
+            f"episode {episode} has an action outside of {there}, {most:.6g} times as far from its middle; "
             "give others as --action-bounds"
         )
     return np.asarray(np.clip(act, -1, 1))

@@ -25,7 +25,7 @@ from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
-from harness.run.artifacts import read_artifact
+from harness.run.artifacts import NOT_KEPT, read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import printable
 from harness.run.files import read, write_atomic
@@ -39,7 +39,8 @@ PARTS = ("policy", "reward")
 
 @dataclass(frozen=True)
 class Exported:
-    """A policy, R* (None: the method learns none), the task that they are of, and what learned.json says."""
+    """A policy, R* (None: the method learns none, or it was not kept), the task that they are of, and what
+    learned.json says."""
 
     policy: ExportedPolicy
     reward: Reward | None
@@ -85,7 +86,7 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         gym.Wrapper.__init__(self, env)
         exported = folder if isinstance(folder, Exported) else load_learned(folder)
         if exported.reward is None:
-            raise BadInput("there is no reward in it: the method learns none")
+            raise BadInput(f"there is no reward in it: {exported.facts['why_no_reward']}")
         theirs = exported.spec.make()
         if (env.observation_space.shape, env.action_space) != (
             theirs.observation_space.shape,
@@ -131,15 +132,20 @@ def export(
     directory, env = Path(directory), plugins.task_or_name(env)
     with open_to_verify(directory) as run:
         results, _ = run.load()
+        beside, _ = run.beside()
     asked = (env, method, seed, NOMINAL)
     cells = [cell for cell in results if (cell.env, cell.method, cell.seed, cell.dynamics) == asked]
     if not cells:
+        if any((cell.env, cell.method) == (env, method) for cell in (result.cell for result in beside)):
+            raise BadInput(f"{env} {method} in {directory} is of a baseline; export it from the run it is of")
+        seeds = sorted({cell.seed for cell in results if (cell.env, cell.method) == (env, method)})
         known = sorted({f"{cell.env} {cell.method}" for cell in results})
-        raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {', '.join(known)[:300]}")
+        has = f"seeds {', '.join(map(str, seeds))}" if seeds else ", ".join(known)[:300] or "no cell"
+        raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}")
     cell = cells[0]
     if not results[cell].artifacts:
         why = "; ".join(results[cell].warnings) or "it was run with --record none"
-        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}")
+        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
     learned = read_artifact(directory / artifact_of(cell))
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
@@ -150,6 +156,10 @@ def export(
     reward = learned.get("reward")
     parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
     facts = _facts(cell, policy, reward, results[cell].key, results[cell].origin)
+    if reward is None:
+        lost = f"{cell.name}: reward {NOT_KEPT}"
+        unkept = [warning for warning in results[cell].warnings if warning.startswith(lost)]
+        facts["why_no_reward"] = unkept[0] if unkept else "the method learns none"
     for name, thing in parts.items():
         arrays, facts[name] = to_arrays(thing, name)
         if thing is not None:

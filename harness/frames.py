@@ -39,6 +39,11 @@ def run(
     `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why.
     Raises `harness.registry.BadInput` for what cannot be done.
     """
+    for name, given in {"methods": methods, "envs": envs, "plugins": plugins, "options": options}.items():
+        if isinstance(given, str):
+            raise BadInput(f"{name} must be a list, such as [{given!r}]")
+    if {"--plan", "--out"} & {*options}:
+        raise BadInput("options cannot hold --plan, which computes nothing, nor --out")
     which = str(seeds) if isinstance(seeds, int) else ",".join(f"{seed}-{seed}" for seed in seeds)
     words = ["run", "--methods", ",".join(methods), "--envs", ",".join(envs), "--seeds", which]
     words += ["--budget", budget, "--out", str(out), *options]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import re
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple, cast
@@ -29,14 +30,24 @@ PROTOCOLS = ("absorbing", "native", "state", "offset")
 
 
 class BadInput(Exception):
-    """What the user asked for cannot be done; its text is the one line they are told."""
+    """What the user asked for cannot be done; its text is the one line they are told.
+
+    page: of docs/, without its ending, where it says what can be done; the line ends with it.
+    """
+
+    def __init__(self, text: str, page: str = "") -> None:
+        super().__init__(f"{text} (docs/{page}.md)" if page else text)
 
 
 class Entry(NamedTuple):
-    """Where a method or an environment's `EnvSpec` is ('module:name') and what it is, in one line."""
+    """Where a method or an environment's `EnvSpec` is ('module:name') and what it is, in one line.
+
+    variants: an environment's other dynamics, known here without importing it.
+    """
 
     target: str
     summary: str
+    variants: tuple[str, ...] = ()
 
 
 METHODS = {
@@ -86,44 +97,67 @@ ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",
         "continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
+        ("long_pole", "heavy", "flipped"),
     ),
     "pendulum": Entry(
-        "envs.balancing.pendulum:SPEC", "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps"
+        "envs.balancing.pendulum:SPEC",
+        "MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
+        ("long_pole", "heavy", "flipped"),
     ),
     "highway": Entry(
         "envs.driving.highway:SPEC",
         "highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
+        ("dense",),
     ),
     "cartpole_discrete": Entry(
         "envs.balancing.cartpole_discrete:SPEC",
         "Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
+        ("long_pole", "heavy", "flipped"),
     ),
     "swingup": Entry(
         "envs.swingups.swingup:SPEC",
         "Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
+        ("long", "heavy", "gravity", "light", "flipped"),
     ),
     "cartpole_swingup": Entry(
         "envs.swingups.cartpole_swingup:SPEC",
         "RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
+        ("long_pole", "heavy", "gravity", "flipped"),
     ),
     "acrobot": Entry(
         "envs.swingups.acrobot:SPEC",
         "RLLab's Acrobot: lift two links upright by a motor between them, and hold them, within 10 s",
+        ("long", "heavy", "flipped"),
     ),
     "point_maze": Entry(
-        "envs.point_maze:SPEC", "AIRL's maze: push a ball around the end of a wall to a target, 100 steps"
+        "envs.point_maze:SPEC",
+        "AIRL's maze: push a ball around the end of a wall to a target, 100 steps",
+        ("wall_moved", "flipped"),
     ),
     "double_pendulum": Entry(
         "envs.mujoco_tasks:DOUBLE_PENDULUM",
         "MuJoCo InvertedDoublePendulum-v5: balance two poles on a cart for 1000 steps",
+        ("heavy", "gravity", "flipped"),
     ),
     "reacher": Entry(
-        "envs.mujoco_tasks:REACHER", "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps"
+        "envs.mujoco_tasks:REACHER",
+        "MuJoCo Reacher-v5: reach a target with an arm of two links, 50 steps",
+        ("heavy", "flipped"),
     ),
-    "halfcheetah": Entry("envs.mujoco_tasks:HALFCHEETAH", "MuJoCo HalfCheetah-v5: run, 1000 steps"),
-    "hopper": Entry("envs.mujoco_tasks:HOPPER", "MuJoCo Hopper-v5: hop without falling, up to 1000 steps"),
+    "halfcheetah": Entry(
+        "envs.mujoco_tasks:HALFCHEETAH",
+        "MuJoCo HalfCheetah-v5: run, 1000 steps",
+        ("weak_leg", "heavy", "flipped"),
+    ),
+    "hopper": Entry(
+        "envs.mujoco_tasks:HOPPER",
+        "MuJoCo Hopper-v5: hop without falling, up to 1000 steps",
+        ("weak_foot", "heavy", "flipped"),
+    ),
     "walker2d": Entry(
-        "envs.mujoco_tasks:WALKER2D", "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps"
+        "envs.mujoco_tasks:WALKER2D",
+        "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps",
+        ("weak_leg", "heavy", "flipped"),
     ),
     "gridworld": Entry(
         "envs.gridworld:SPEC",
@@ -132,6 +166,14 @@ ENVS = {
 }
 
 
+NO_NAMES = {
+    "iq_learn": "IQ-Learn is left out, and docs/adversarial.md says why",
+    **dict.fromkeys(
+        ("ppo", "sac", "td3", "ddpg", "dqn"),
+        "{} learns from rewards: tasks name their learner (docs/design.md)",
+    ),
+}
+"""What is said of names, in lower case and with _, that others might look for here."""
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
@@ -184,14 +226,38 @@ def choose(
     if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     if unknown := [name for name in names if name not in groups and name not in choices]:
-        as_ours = (name.lower().replace("-", "_") for name in unknown)
-        near = [difflib.get_close_matches(name, [*choices, *groups], n=1, cutoff=0.6) for name in as_ours]
-        hint = f"did you mean {', '.join(repr(one) for found in near for one in found)}?"
-        known = f"there are {', '.join(choices)}"
-        said = ", ".join(map(repr, unknown))
-        raise BadInput(f"no {kind} named {said}; {hint if all(near) else known}")
+        told = "; ".join(_instead(unknown, [*choices, *groups])) or f"there are {', '.join(choices)}"
+        raise BadInput(f"no {kind} named {', '.join(map(repr, unknown))}; {told}")
     chosen = {one for name in names for one in groups.get(name, (name,))}
     return tuple(name for name in choices if name in chosen)
+
+
+def _instead(unknown: Sequence[str], choices: Sequence[str]) -> list[str]:
+    """What is said of these names instead of all that there are; nothing where one of them is like none."""
+    told, meant = list[str](), list[str]()
+    for name in unknown:
+        as_ours = name.lower().replace("-", "_").replace("iqlearn", "iq_learn")
+        env, _, variant = name.partition(".")
+        if as_ours in choices:
+            meant.append(repr(as_ours))
+        elif as_ours in NO_NAMES:
+            told.append(NO_NAMES[as_ours].format(name))
+        elif env in ENVS and variant in ENVS[env].variants:
+            told.append(f"it is --envs {env} --transfer {variant}")
+        elif near := _mentioning(name, choices) or difflib.get_close_matches(as_ours, choices, 1):
+            meant.append(repr(near[0]))
+        elif re.fullmatch(r".+-v\d+", name):
+            told.append(f"a task of Gymnasium is gym:{name}")
+        else:
+            return []
+    return told + ([f"did you mean {', '.join(meant)}?"] if meant else [])
+
+
+def _mentioning(name: str, choices: Collection[str]) -> list[str]:
+    """Those of the choices whose summary has the name in it, such as 'CartPole-v1' or 'D-REX'."""
+    whole = re.compile(rf"(?<![\w-]){re.escape(name)}(?![\w-])", re.IGNORECASE)
+    entries = METHODS | VARIANTS | ENVS
+    return [one for one in choices if one in entries and whole.search(entries[one].summary)]
 
 
 def load_method(name: str) -> type[Method]:

@@ -25,6 +25,7 @@ from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHO
 from harness.registry import BadInput
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
+from harness.run.request import STUDY
 from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.show.report import as_csv
 
@@ -44,7 +45,7 @@ LINES = (
     ("shaped_decay", "pi_R", ORANGE, "--", r"$\pi_R$, with weight decay"),
 )
 """Method, policy, colour, style and label of each line of the study's figure."""
-MARKER, MARK = "study.json", b'{"study": "thesis", "format": 1}\n'
+MARK = b'{"study": "thesis", "format": 1}\n'
 
 
 @contextmanager
@@ -55,7 +56,7 @@ def open_study(path: Path) -> Iterator[None]:
         if (path / protocol).is_symlink():
             raise BadInput(f"cannot use {path / protocol}: it is a link")
     unfinished = r"scores\.csv|study\.(csv|md)|\w+\.png"
-    with open_marked(path, MARKER, MARK, "study", lambda data: data == MARK, unfinished):
+    with open_marked(path, STUDY, MARK, "study", lambda data: data == MARK, unfinished):
         yield
 
 

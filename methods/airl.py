@@ -1,9 +1,13 @@
 """Adversarial inverse reinforcement learning (Fu, Luo & Levine 2018).
 
-As in GAIL, a discriminator is fitted to tell demonstrated steps from the agent's, but of the form
-D = exp f / (exp f + pi), so that f is learned up to what the agent's own density says. f(s, a, s') is
-g + gamma h(s') - h(s): a reward g, of s and a or of s alone, and a potential h that shapes it, 0 in the
-absorbing state. R* is g. Where the policy is the best one under f and its entropy, g sees states alone, the
+As in GAIL, a discriminator is fitted to tell demonstrated steps from the agent's, but of a form in which f
+is learned up to what the agent's own density says.
+
+    D(s, a, s') = exp f(s, a, s') / (exp f(s, a, s') + pi(a|s))
+    f(s, a, s') = g(s, a) + gamma h(s') - h(s)
+
+g is a reward, of s and a or of s alone, and h a potential that shapes it, 0 in the absorbing state. R* is g.
+Where the policy is the best one under f and its entropy, g sees states alone, the
 true reward does, and the dynamics are deterministic and link states in every way ("decomposable"), g is the
 true reward up to a constant (the paper's appendix C). Where the model is known (`known`) it is.
 

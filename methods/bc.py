@@ -1,4 +1,7 @@
 """Behaviour cloning (Pomerleau 1991; Bain & Sammut 1999): regression from observations to actions.
+The error is squared, in units of each action's standard deviation over the demonstrations, sigma.
+
+    min over pi of E_D |(a - pi(s)) / sigma|^2
 
 It learns no reward, so there is no pi_R.
 """

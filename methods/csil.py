@@ -1,9 +1,11 @@
 """Coherent soft imitation learning (Watson, Huang & Heess 2023): behaviour cloning read as a reward.
 
-R*(s, a) = alpha (log q(a|s) - log p(a)), q a cloned policy and p a prior one, alpha being 1 over the number
-of an action's entries. Under the entropy that alpha weighs, and with p as what is preferred, q is the best
-policy of R*. Where q returns to p far from the demonstrations, R* is 0 there, and higher in demonstrated
-states. Soft actor-critic goes on from a clone.
+    R*(s, a) = alpha (log q(a|s) - log p(a))
+
+q is a cloned policy and p a prior one, alpha is 1 over the number of an action's entries. Under the
+entropy that alpha weighs, and with p as what is preferred, q is the best policy of R*. Where q returns to p
+far from the demonstrations, R* is 0 there, and higher in demonstrated states. Soft actor-critic goes on from
+a clone.
 
 q is a Gaussian process, whose posterior is known without any descent; its width and noise have the highest
 evidence.

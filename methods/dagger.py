@@ -1,6 +1,8 @@
 """DAgger (Ross, Gordon & Bagnell 2011), algorithm 3.1: behaviour cloning that asks the expert what it would
 do where its own policy leads, adds the answers to what it was shown, and clones again.
 
+    D_(i+1) = D_i + (s, pi_E(s)) for s that pi_i visits,   pi_(i+1) = clone of D_(i+1)
+
 It is told more than other methods are, and so it is a ceiling and no rival of theirs. It learns no reward.
 
 Deviates from the paper: pi* is the last clone, not the best of all on validation. Whoever demonstrates, it is

@@ -1,7 +1,8 @@
 """f-IRL (Ni et al. 2020), of the forward divergence: a reward of states whose soft policy visits what the
-demonstrations visit. It descends the divergence KL(rho_E || rho) of the two densities of states itself, whose
-gradient needs no game: it is the covariance, over the policy's trajectories, of what the ratio rho_E / rho
-comes to and of what the reward's gradient does (theorem 4.1, with h(u) = -u).
+demonstrations visit. It descends the divergence of the two densities of states itself, whose gradient needs
+no game: it is in proportion to a covariance over the policy's trajectories tau.
+
+    grad KL(rho_E || rho) ~ -cov_tau(sum_t rho_E(s_t) / rho(s_t), sum_t grad r(s_t))     (theorem 4.1)
 
 The ratio comes from a discriminator, and trajectories from what the agent explores with; those that are
 demonstrated stand among them, as in the authors' code. Where the model is known the gradient is exact, also

@@ -2,10 +2,13 @@
 absorbing state, as Discriminator-Actor-Critic (Kostrikov et al. 2019).
 
 A discriminator D of steps is fitted to tell demonstrations from what the agent does, and the agent is paid
-log D - log(1 - D), the logit, whose best is log(rho_E / rho_pi) of the two densities. R* is the last
-discriminator's logit, or the mean of the latest ones: in a zero-sum game it is the average of a player's
-choices that converges, while the last need not (Freund & Schapire 1999; Syed & Schapire 2007; Swamy et al.
-2021).
+its logit. At best that is the logarithm of the ratio of the two densities.
+
+    R*(s, a) = log D(s, a) - log(1 - D(s, a)),   at best log(rho_E(s, a) / rho_pi(s, a))
+
+R* is the last discriminator's logit, or the mean of the latest ones: in a zero-sum game it is the average of
+a player's choices that converges, while the last need not (Freund & Schapire 1999; Syed & Schapire 2007;
+Swamy et al. 2021).
 
 Deviates from the papers: the gradient penalty is on the discriminator's squared slope, without the target of
 1 that Kostrikov et al. have from Gulrajani et al. 2017, and among living steps alone

@@ -1,6 +1,8 @@
 """Maximum-entropy deep inverse reinforcement learning (Wulfmeier, Ondruska & Posner 2015; Ziebart et al.
-2008), algorithm 1: the gradient of the demonstrations' log-likelihood with respect to the reward is
-mu_D - E[mu], propagated back through a reward network.
+2008), algorithm 1: the gradient of the demonstrations' log-likelihood L with respect to the reward of a state
+is how often demonstrations visit it, less how often the policy does; it is propagated back through a network.
+
+    grad log L = sum_s (mu_D(s) - E[mu(s)]) grad r(s)
 
 Where the model is known this is the algorithm line by line; the likelihood is that of maximum causal entropy
 up to the horizon (Ziebart, Bagnell & Dey 2010), with the discount that rewards are solved under: one that
@@ -55,6 +57,7 @@ class MaxEnt:
     reward_steps: int = 100
     """Gradient steps on the reward in each iteration."""
     learning_rate: float = 1e-3
+    """Of Adam, on the reward."""
     batch: int = 256
     """Visitations sampled from the demonstrations, and as many from the rollouts."""
     rollouts: int = 10

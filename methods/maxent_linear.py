@@ -1,6 +1,8 @@
-"""Linear maximum-entropy inverse reinforcement learning (Ziebart, Maas, Bagnell & Dey 2008): the reward is
-w^T phi(s, a), and the gradient of the demonstrations' log-likelihood with respect to w is phi_D - E[phi], the
-demonstrations' mean features less those that w leads to.
+"""Linear maximum-entropy inverse reinforcement learning (Ziebart, Maas, Bagnell & Dey 2008): the gradient of
+the demonstrations' log-likelihood L with respect to weights of features is the demonstrations' mean features
+less those that the weights lead to.
+
+    r(s, a) = w^T phi(s, a),   grad_w log L = phi_D - E[phi]
 
 Where the model is known the likelihood is that of maximum causal entropy up to the horizon (Ziebart, Bagnell
 & Dey 2010), which is concave in w, maximised by L-BFGS.

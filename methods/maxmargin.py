@@ -1,6 +1,6 @@
 """Apprenticeship learning by maximum margin (Abbeel & Ng 2004).
 
-t(i) = max over |w| <= 1 of min over j < i of w^T (mu_E - mu(j))     (thesis, eq. 3.2)
+    t(i) = max over |w| <= 1 of min over j < i of w^T (mu_E - mu(j))     (thesis, eq. 3.2)
 
 or, as `maxmargin_projection`, w from the paper's simpler projection method (its section 3.1).
 

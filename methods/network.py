@@ -223,7 +223,9 @@ class Regression:
     error decides where a cloned balancer drifts to; then a little of it on all rows, or a great many."""
 
     learning_rate: float = 3e-3
+    """Of Adam."""
     batch: int = 256
+    """Rows of each of Adam's steps."""
     steps: int = 1000
     """Of Adam."""
     iterations: int = 1000

@@ -1,6 +1,6 @@
 """The shaped-reward model of "Faster Apprenticeship Learning Through Inverse Optimal Control".
 
-R(s, a) = -(a - f(s))^T (L(s) L(s)^T + I) (a - f(s))     (eq. 4.3)
+    R(s, a) = -(a - f(s))^T (L(s) L(s)^T + I) (a - f(s))     (eq. 4.3)
 
 Maximising R over the demonstrated pairs (eq. 4.4) learns the policy f and the reward together, without
 any reinforcement learning. As in figure 4.3, f is an auxiliary output of the model, fitted to the

@@ -5,7 +5,7 @@ Under maximum entropy an expert whose advantage is eq. 4.3 acts around f(s) with
 covariance in proportion to M(s)^-1, M(s) = L(s) L(s)^T + I. Its actions' negative log-likelihood, with a
 covariance C added to theirs, is up to constants
 
-(a - f(s))^T M(s) (a - f(s)) + tr(M(s) C) - log det M(s)
+    (a - f(s))^T M(s) (a - f(s)) + tr(M(s) C) - log det M(s)
 
 and least where M(s) is the inverse of C plus the covariance that the actions show. So noise in demonstrations
 tells M, and C does where there is little or none; it bounds M as well. C^-1 is in proportion to the Hessian

@@ -3,8 +3,12 @@
 R of eq. 4.3 is 0, its best, wherever the action is f(s): it says how to act in a state, and nothing about
 which state to be in. Here the policy is f, fitted as in `methods.shaped`, and the reward is one of states
 alone, by which f is the better the fewer of its actions are replaced by random ones. It is learned from these
-comparisons by logistic regression (Bradley & Terry 1952) on sums of rewards, and touches the environment for
-the rollouts alone. Only where `rl_steps` says so there is a little reinforcement learning: R* may pay well
+comparisons by logistic regression (Bradley & Terry 1952) on sums of rewards over states of two levels, i with
+less noise than j, and touches the environment for the rollouts alone.
+
+    max over r of E log sigma(sum_(s in i) r(s) - sum_(s in j) r(s))
+
+Only where `rl_steps` says so there is a little reinforcement learning: R* may pay well
 for states that no rollout visits. RL finds them, and each of its states is compared with one of f's: what
 cannot be told from f's pays like them, and what can pays less.
 
@@ -51,8 +55,9 @@ class ShapedRanked(Shaped):
     networks: int = 3
     """Of whose rewards R* is the mean."""
     reward_steps: int = 500
-    """Gradient steps on each network, and how many comparisons each is the mean of."""
+    """Gradient steps on each network."""
     reward_batch: int = 32
+    """Comparisons that each of these is the mean of."""
     reward_rate: float = 1e-3
     """Learning rate of these."""
 

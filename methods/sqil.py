@@ -1,6 +1,8 @@
-"""Soft Q imitation learning (Reddy, Dragan & Levine 2020): soft actor-critic that is paid 1 for demonstrated
-steps and 0 for its own, half of each batch being demonstrated. It has no discriminator, and no reward to be
+"""Soft Q imitation learning (Reddy, Dragan & Levine 2020): soft actor-critic that is paid for demonstrated
+steps, and for its own not. Half of each batch is demonstrated. It has no discriminator, and no reward to be
 retrained on.
+
+    r = 1 for demonstrated steps,   r = 0 for its own
 
 What it pays is never negative, and where episodes end an end pays 0: under protocol `native` it prefers to
 live (docs/termination.md). pi* is what the agent does at last, for no reward tells its checkpoints apart.

@@ -2,16 +2,22 @@
 
 import csv
 import dataclasses
+import importlib.util
 import itertools
 import os
 import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
+import pytest
+
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
+from harness.run.store import open_to_verify
+from harness.show.terminal import found
 from methods.settings import settings_for
 
 ROOT = Path(__file__).parent.parent
@@ -27,12 +33,57 @@ def test_every_test_that_the_table_of_faults_names_exists() -> None:
         assert f"def {test}(" in path.read_text(encoding="utf-8"), test
 
 
-def test_the_readme_is_short_and_what_it_links_to_is_there() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert text.count("\n") < 130
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
-        for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).exists(), link
+PAGES = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")))
+GENERATED = ("methods", "tasks", "api", "thesis")
+"""Folders of docs/ whose pages are made as the others are built, which checks links to them."""
+
+
+def test_the_readme_is_short() -> None:
+    assert (ROOT / "README.md").read_text(encoding="utf-8").count("\n") < 120
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for link, heading in re.findall(r"\]\(([^)#]*)(?:#([^)]+))?\)", text):
+        if link.startswith("https:") or link.split("/")[0] in GENERATED:
+            continue
+        there = page.parent / link if link else page
+        assert there.exists(), link
+        if heading:
+            headings = re.findall(r"^#+ (.*)", there.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in {anchor(one) for one in headings}, heading
+
+
+def anchor(heading: str) -> str:
+    """What GitHub calls a heading in links."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def test_the_picture_of_the_board_is_of_the_runs() -> None:
+    """Its numbers are those of the runs' files, and the picture is drawn of them by one command."""
+    board = ROOT / "results/reference/board"
+    lines = list(csv.DictReader((board / "board.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(lines) > 100
+    for line in lines:
+        found = csv.DictReader((board / line["run"] / "leaderboard.csv").read_text("utf-8").splitlines())
+        demos = "0" if line["demos"] == "100" else line["demos"]
+        asked = (line["task"], "nominal", demos, line["method"], line["policy"])
+        names = ("env", "dynamics", "demos", "method", "policy")
+        (its,) = [entry for entry in found if tuple(entry[name] for name in names) == asked]
+        for name in ("mean", "low", "high"):
+            assert float(line[name]) == pytest.approx(float(its[f"score_{name}"]), rel=1e-12)
+        assert line["seeds"] == its["seeds_ok"]
+    spec = importlib.util.spec_from_file_location("drawn_board", board / "board.py")
+    assert spec
+    assert spec.loader
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    now = script.board().to_csv(index=False, lineterminator="\n")
+    assert now == (board / "board.csv").read_text(encoding="utf-8")
+    texts = [text.get_text() for axes in script.figure(script.board()).axes for text in axes.texts]
+    drawn = sorted(text for text in texts if "." in text)
+    assert drawn == sorted(f"{float(line['mean']):z.2f}" for line in lines)
 
 
 def test_the_readmes_table_is_that_of_the_files() -> None:
@@ -40,22 +91,30 @@ def test_the_readmes_table_is_that_of_the_files() -> None:
     marked = re.search(r"<!-- (\w+) of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
     assert marked is not None
     entries = {key[1:]: entry for key, entry in leaderboard_of(marked[2]).items() if key[0] == marked[1]}
-    shown = [line.strip("| ").split(" | ") for line in marked[3].splitlines()[2:]]
+    _, _, *shown = cells_of(marked[3])
     assert {line[0].strip("`") for line in shown} == {method for method, _ in entries}
-    for method, *scores in shown:
-        for policy, score in zip(("pi_star", "pi_R"), [*scores, ""], strict=False):
+    for method, _, *scores in shown:
+        for policy, score in zip(("pi_star", "pi_R"), scores, strict=True):
             entry = entries.get((method.strip("`"), policy), {"score_mean": ""})
             expected = ""
             if entry["score_mean"]:
                 mean, low, high = (float(entry[f"score_{name}"]) for name in ("mean", "low", "high"))
                 expected = f"{mean:z.2f} [{low:z.2f}, {high:z.2f}]"
-            assert score.strip("| ") == expected, (method, policy)
+            assert score == expected, (method, policy)
+
+
+def test_the_end_of_a_run_is_as_the_readme_has_it() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    ((run, lines),) = re.findall(r"<!-- the end of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    with open_to_verify(ROOT / run) as stored:
+        results, _ = stored.load()
+        now = found(stored.request, list(results.values()), Path("results/latest"))
+    assert textwrap.dedent(lines).splitlines() == now
 
 
 def test_the_means_of_the_pages_are_those_of_the_files() -> None:
     """Of each table, every method and every task that it names."""
-    pages = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     tables = re.findall(r"<!-- means of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
     assert len(tables) > 1
     for run, table in tables:
@@ -213,7 +272,8 @@ def test_every_command_and_option_of_the_documents_exists() -> None:
     from harness.arguments import parser
 
     text = "".join(
-        page.read_text(encoding="utf-8") for page in (ROOT / "README.md", ROOT / "docs/commands.md")
+        (ROOT / page).read_text(encoding="utf-8")
+        for page in ("README.md", "docs/commands.md", "docs/getting_started.md", "docs/reproduce.md")
     )
     helps = parser().format_help()
     for command in re.findall(r"irl-bench (\w+)", text):

@@ -129,6 +129,12 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(max_force=-NOMINAL.max_force)},
     },
 )
+"""A cart on a track of 2.4 m to either side carries a pole of 1 m. The motor pushes the cart with up to 10 N.
+An episode ends, and its last step pays 0, where the cart leaves the track or the pole leans by more than 12
+degrees. Before, a step pays nearly 1, so what counts is how long the pole stands.
+
+    r = (10 - (1 - cos(angle)) - 0.00001 force^2) / 10
+"""
 
 gym.register(
     SPEC.env_id,

@@ -53,6 +53,8 @@ SPEC = EnvSpec(
     rl=DQN(),
     variants=cartpole.SPEC.variants,
 )
+"""The same cart and pole, pushed by 10 N to the left or to the right. A step pays 1. An episode ends where
+the cart leaves the track or the pole leans by more than 12 degrees."""
 
 gym.register(
     SPEC.env_id,

@@ -310,6 +310,9 @@ SPEC = EnvSpec(
     # Half as many again on the same stretch of road.
     variants={"dense": {"config": {"vehicles_density": 1.5, "vehicles_count": 18}}},
 )
+"""Each step pays the forward speed, 0 at 10 m/s and 1 at 25 m/s; a crash costs 25, and off the road a step
+pays 0. Either ends the episode. The reference driver is highway-env's IDM with MOBIL's lane changes at a
+target speed of 30 m/s: its return on the same episodes is what an expert must reach."""
 
 gym.register(
     SPEC.env_id,

@@ -32,17 +32,21 @@ from harness.registry import ASKING, Demonstrator
 T = TypeVar("T")
 
 _POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
+LOWER, SURVIVAL, ASKS = "lower control", "survival control", "asks the expert"
 _ROLES = {
     REFERENCE: "reference",
     "control_true": "upper control",
-    "control_survival": "survival control",
+    "control_survival": SURVIVAL,
     "control_shuffled": "shuffled control",
     "control_clone": "clone control",
-    **dict.fromkeys(LOWER_CONTROLS, "lower control"),
-    **dict.fromkeys(ASKING, "asks the expert"),
+    **dict.fromkeys(LOWER_CONTROLS, LOWER),
+    **dict.fromkeys(ASKING, ASKS),
 }
-UNINFORMED = ("control_survival", "control_shuffled")
-"""Controls that know nothing of how to do the task."""
+WITHOUT_OFFSET = ("native", "state")
+"""Protocols under which an end pays nothing: a constant +1 then says "stay alive", as control_survival does
+under the others, and that pays 0 everywhere, as +1 does there (docs/termination.md)."""
+UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
+"""Roles of controls that know nothing of how to do the task."""
 NO_BETTER = 0.05
 """A task where one of them scores within this of the best method's pi_R tells no reward from none."""
 NEGLIGIBLE = 0.005
@@ -91,7 +95,7 @@ class Entry:
     tied: bool
     """Whether that interval holds 0, or what is negligible beside it: it is not told apart from the best."""
     above_best_lower_control: float
-    """Of pi_R rows: score_mean minus the best score_mean of the three lower controls."""
+    """Of pi_R rows: score_mean minus the best score_mean of the lower controls, which are three."""
     share_of_true: float
     """Of pi_R rows: score_mean in units of what RL reaches on the true reward with as many steps."""
     reward_distance: float
@@ -231,7 +235,9 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     for row in rows:
         groups.setdefault((row.method, row.policy), []).append(row)
     score = {key: _mean([row.normalized_score for row in group]) for key, group in groups.items()}
-    bars = [score.get((control, "pi_R"), math.nan) for control in LOWER_CONTROLS]
+    protocol = rows[0].protocol
+    lower = [control for control in CONTROLS if role_of(control, protocol) == LOWER]
+    bars = [score.get((control, "pi_R"), math.nan) for control in lower]
     bar = max(bars) if all(map(math.isfinite, bars)) else math.nan
     true = score.get(("control_true", "pi_R"), math.nan)
 
@@ -257,6 +263,14 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         theirs = best[key[1]] if is_rival(key[0]) else []
         entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
+
+
+def role_of(method: str, protocol: str) -> str:
+    """What it is there for, 'method' where it is compared with the others."""
+    if protocol in WITHOUT_OFFSET:
+        swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER}
+        return swapped.get(method) or _ROLES.get(method, "method")
+    return _ROLES.get(method, "method")
 
 
 def is_rival(method: str) -> bool:
@@ -286,8 +300,10 @@ def _entry(
         score_low, score_high = mean_interval([row.normalized_score for row in scored])
         returns = mean_interval([row.return_mean for row in known])
     behind, behind_low, behind_high = _behind(scored, best, scales)
+    sources: dict[str, list[int]] = {}
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
+        sources.setdefault(row.source, []).append(row.seed)
         if row.status != "ok":
             reasons.setdefault((row.status, row.reason), []).append(str(row.seed))
         elif not math.isfinite(row.normalized_score):
@@ -300,7 +316,7 @@ def _entry(
         every=shown.every,
         demonstrator=shown.demonstrator,
         method=first.method,
-        role=_ROLES.get(first.method, "method"),
+        role=role_of(first.method, first.protocol),
         policy=first.policy,
         protocol=first.protocol,
         status=next(status for status in ("failed", "skipped", "ok") if status in statuses),
@@ -332,13 +348,26 @@ def _entry(
         rl_solves=_mean([row.rl_solves for row in ok]),
         note="; ".join(
             [
-                *sorted({row.source for row in rows if row.source}),
+                *(
+                    _from(source, seeds, len(sources) > 1)
+                    for source, seeds in sorted(sources.items())
+                    if source
+                ),
                 *(
                     f"{status} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(seeds)}): {reason}"
                     for (status, reason), seeds in reasons.items()
                 ),
             ]
         ),
+    )
+
+
+def _from(source: str, seeds: list[int], in_part: bool) -> str:
+    """Where these seeds come from. in_part: whether others come from elsewhere."""
+    return (
+        f"{source} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(map(str, seeds))})"
+        if in_part
+        else source
     )
 
 
@@ -372,17 +401,18 @@ def _mean(values: Sequence[float]) -> float:
 
 def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
     """Of entries of one board an env, the envs in which a control that knows nothing scores about as much as
-    the best method's pi_R or more, and which one does."""
+    the best method's pi_R or more, and which one does best."""
     boards: dict[str, list[Entry]] = {}
     for entry in entries:
-        if entry.policy == "pi_R":
+        if entry.policy == "pi_R" and math.isfinite(entry.score_mean):
             boards.setdefault(entry.env, []).append(entry)
     found = {}
     for env, mine in boards.items():
-        best = max((e.score_mean for e in mine if e.role == "method" and e.seeds_ok), default=math.nan)
-        for entry in mine:
-            if entry.method in UNINFORMED and entry.score_mean >= best - NO_BETTER:
-                found[env] = f"{entry.method} scores {entry.score_mean:.2f} there, the best method {best:.2f}"
+        best = max((e.score_mean for e in mine if e.role == "method"), default=math.nan)
+        knows_nothing = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
+        if knows_nothing:
+            top = max(knows_nothing, key=lambda e: e.score_mean)
+            found[env] = f"{top.method} scores {top.score_mean:.2f} there, the best method {best:.2f}"
     return found
 
 

@@ -376,8 +376,9 @@ def as_seeds(seeds: Sequence[int]) -> str:
     return ",".join(ranges)
 
 
-def command_of(request: Request) -> str:
-    """The command line that asks for all of it; several where no one does."""
+def command_of(request: Request, beside: bool = False) -> str:
+    """The command line that asks for all of it; several where no one does. beside: whether it is shown beside
+    a baseline."""
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
     known = {*BUILT_IN["method"], *BUILT_IN["env"]}
@@ -389,6 +390,7 @@ def command_of(request: Request) -> str:
     dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
     words += ["--transfer", ",".join(dynamics)] if dynamics else []
     words += ["--demos-from", "FILE"] if c.demonstrations else []
+    words += ["--baseline", "DIR"] if beside else []
     words += [] if c.retrain else ["--no-retrain"]
     words += [] if c.deterministic else ["--fast"]
     many: dict[tuple[int, str], list[int]] = {}

@@ -18,6 +18,8 @@ from methods.base import Policy, Reward
 
 FORMAT = 2
 KIND = "safetensors"
+NOT_KEPT = "is not kept (docs/plugins.md)"
+"""How a warning begins, after the names of a cell and what it learned, that says why that is in no file."""
 LARGEST = 1 << 28
 """Bytes of a file that is read, at most."""
 
@@ -32,7 +34,7 @@ def artifact(
             its_arrays, parts[name] = to_arrays(thing, name)
             arrays |= its_arrays
         except (TypeError, ValueError, RecursionError) as error:
-            troubles.append(f"{cell.name}: {name} is not kept: {error}")
+            troubles.append(f"{cell.name}: {name} {NOT_KEPT}: {error}")
     facts = {"format": FORMAT, "cell": asdict(cell), "conditions": asdict(conditions), "learned": parts}
     return (as_bytes(Kept(arrays, facts)) if parts else b""), troubles
 

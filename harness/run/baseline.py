@@ -13,6 +13,7 @@ from pathlib import Path
 
 from harness.judge.results import (
     CONTROL_METHODS,
+    LONGEST_TEXT,
     NOMINAL,
     PROGRAM_NAME,
     REFERENCE,
@@ -20,14 +21,16 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Request,
+    Shown,
 )
 from harness.registry import METHODS, VARIANTS, BadInput
+from harness.run.codec import printable
 from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
 from harness.run.request import REQUEST
 from harness.run.store import open_to_verify
 
-SAME, OTHER = "baseline", "baseline, of another machine, packages or instructions"
-"""What is said of a row's source."""
+MACHINE = ("processor", "family, model, stepping", "instructions", "system")
+"""Of what a cell was computed with, what is not packages."""
 DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
@@ -50,6 +53,8 @@ def comparable(
     for folder in [run for path in paths for run in _runs(path)]:
         with open_to_verify(folder) as run:
             (results, unusable), conditions = run.load(), run.request.conditions
+            beside, damaged = run.beside()
+        results, unusable = {result.cell: result for result in beside} | results, unusable | damaged
         differ = [
             f"{name} {getattr(conditions, name)}, not {getattr(request.conditions, name)}"
             for name in DECIDING
@@ -58,6 +63,11 @@ def comparable(
         for file, why in unusable.items():
             left_out.setdefault("", set()).add(f"{file}: {why}")
         asked = {cell: result for cell, result in results.items() if _is_asked(cell, request)}
+        for env, shown in _shown_otherwise(results, request).items():
+            left_out[env].add(
+                f"methods in {folder.name} were shown {_in_words(shown)}, and here "
+                f"{_in_words(request.shown)} (--demos, --subsample, --demonstrator)"
+            )
         now = _methods_now(asked, request, variables)
         for cell, result in asked.items():
             unseeded = dataclasses.replace(cell, seed=0)
@@ -74,14 +84,15 @@ def comparable(
                 told.add(f"{cell.method} in {folder.name} is of another version of the method")
             elif first != its:
                 told.add(f"{cell.method} in {folder.name} is of another version than in {where}")
-            elif cell not in found or _source(result, True) == SAME:
+            elif cell not in found or not _other(result, True):
                 versions[unseeded] = its, where
-                found[cell] = _marked(result, conditions.deterministic == request.conditions.deterministic)
+                alike = conditions.deterministic == request.conditions.deterministic
+                found[cell] = _marked(result, folder.name, alike)
     there = {cell.env for cell in found}
     for env in request.envs:
         if env not in there:
             why = "; ".join(sorted(left_out[env])) or "none"
-            raise BadInput(f"the baseline has no {env} that can be compared: {why}")
+            raise BadInput(f"the baseline has no {env} that can be compared: {why}", page="plugins")
     return [found[cell] for cell in sorted(found)], sorted(set[str]().union(*left_out.values()))
 
 
@@ -89,7 +100,7 @@ def _runs(path: Path) -> list[Path]:
     """The run there, or those in its folders. Raises BadInput where there is none."""
     runs = [path] if (path / REQUEST).exists() else sorted(file.parent for file in path.rglob(REQUEST))
     if not runs:
-        raise BadInput(f"the baseline {path} holds no run")
+        raise BadInput(f"the baseline {path} holds no run", page="plugins")
     return runs
 
 
@@ -125,16 +136,35 @@ def _is_asked(cell: Cell, request: Request) -> bool:
     )
 
 
-def _source(result: CellResult, same: bool) -> str:
-    """same: whether instructions were fixed alike."""
-    theirs, ours = (
-        {name: value for name, value in facts.items() if name != PROGRAM_NAME}
-        for facts in (result.origin, origin())
+def _shown_otherwise(cells: Iterable[Cell], request: Request) -> dict[str, set[Shown]]:
+    """What methods were shown, by environments in which none was shown what the request asks for."""
+    found: dict[str, set[Shown]] = {}
+    for cell in cells:
+        if cell.env in request.envs and cell.method not in UNSHOWN:
+            found.setdefault(cell.env, set()).add(cell.shown)
+    return {env: shown for env, shown in found.items() if not shown & {*request.shown}}
+
+
+def _in_words(shown: Iterable[Shown]) -> str:
+    return " or ".join(str(one) or "as many demonstrations as the budget says" for one in sorted(shown))
+
+
+def _other(result: CellResult, alike: bool) -> list[str]:
+    """What of how it was computed is not as here. alike: whether instructions were fixed alike."""
+    theirs, ours = result.origin, origin()
+    differ = sorted(
+        name
+        for name in {*theirs, *ours} - {PROGRAM_NAME}
+        if theirs.get(name) != ours.get(name) and name not in MACHINE
     )
-    return SAME if same and theirs == ours else OTHER
+    machine = any(theirs.get(name) != ours.get(name) for name in MACHINE)
+    packages = f"other packages ({', '.join(differ)})"
+    return ["another machine"] * machine + [packages] * bool(differ) + ["other instructions"] * (not alike)
 
 
-def _marked(result: CellResult, same: bool) -> CellResult:
-    """With its source in each row, and without files, which stay where they are."""
-    rows = [dataclasses.replace(row, source=_source(result, same)) for row in result.rows]
+def _marked(result: CellResult, run: str, alike: bool) -> CellResult:
+    """With its source in each row, and without files, which stay where they are. run: its name."""
+    others = _other(result, alike)
+    source = f"baseline {printable(run)}" + (f", of {' and '.join(others)}" if others else "")
+    rows = [dataclasses.replace(row, source=source[:LONGEST_TEXT]) for row in result.rows]
     return dataclasses.replace(result, rows=rows, recordings={}, artifacts={})

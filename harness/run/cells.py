@@ -15,6 +15,7 @@ from harness.run.cache import as_bytes
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
+from harness.run.phases import returned
 from harness.run.stages import Made, Task, missed_bar, policies, row, score
 from methods.base import Policy, Reward
 
@@ -28,12 +29,15 @@ def run_cell(
     """Everything of one cell, and the files that it adds to the run, by their path there; where nothing is to
     be kept of what it learned, that as `LEARNED`. inputs: of `prepare`. tell: called with what is being done.
     Raises what its method raises."""
-    task = Task(cell, conditions, Shared(inputs), tell=tell)
+    told = _Told(tell)
+    task = Task(cell, conditions, Shared(inputs), tell=told)
     made = policies(task)
     nobody = cell.method == REFERENCE and conditions.experts == "none"
     if nobody:
         made = [Made("expert", None), *made[1:]]
-    scored = {one.name: score(task, one.policy, one.reward) for one in made if one.policy}
+    scored = {
+        one.name: told.scored(one.name, score(task, one.policy, one.reward)) for one in made if one.policy
+    }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     learned, lost = learned_file(task, made)
     keeps = conditions.record != "none"
@@ -63,6 +67,21 @@ def run_cell(
     folders = {"recordings": recordings, "artifacts": artifacts}
     files = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
     return result, files if keeps or not learned else files | {LEARNED: learned}
+
+
+class _Told:
+    """Tells what is being done, with what policies returned that were scored by now."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell, self._returns = tell, dict[str, float]()
+
+    def __call__(self, doing: str) -> None:
+        self._tell("; ".join([doing, *([returned(self._returns)] if self._returns else [])]))
+
+    def scored(self, name: str, its: Evaluation) -> Evaluation:
+        """What was found, which is told from now on."""
+        self._returns[name] = float(its.returns.mean())
+        return its
 
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:

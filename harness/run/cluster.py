@@ -68,6 +68,11 @@ class Ray:
         work: str = WORK,
     ) -> None:
         host, _, port = address.rpartition(":")
+        if not (not address or address == "auto" or (host and port.isdecimal())):
+            raise BadInput(
+                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}",
+                page="cluster",
+            )
         local = not address or host in ("127.0.0.1", "localhost")
         os.environ |= SILENT | (LOOPBACK if local else {})  # which Ray reads as it is imported
         self._ray = _imported()
@@ -106,7 +111,8 @@ class Ray:
             try:
                 self._ray.init(**options)
             except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
-                raise BadInput(f"no Ray cluster {self._address}: {' '.join(str(error).split())}") from error
+                why = " ".join(str(error).split())
+                raise BadInput(f"no Ray cluster {self._address}: {why}", page="cluster") from error
             stack.callback(self._ray.shutdown)
             remote = self._ray.remote(num_cpus=1, max_retries=0)
             self._begin: Callable[..., Any] = remote(node.compute_there).remote
@@ -194,12 +200,12 @@ def _check_reachable(host: str, port: str) -> None:
     try:
         socket.create_connection((host, int(port)), ANSWERS).close()
     except (OSError, ValueError) as error:
-        raise BadInput(f"no Ray cluster answers at {host}:{port}: {error}") from error
+        raise BadInput(f"no Ray cluster answers at {host}:{port}: {error}", page="cluster") from error
 
 
 def _imported() -> Any:
     try:
         import ray
     except ImportError as error:
-        raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'") from error
+        raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
     return ray

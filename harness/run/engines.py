@@ -8,11 +8,14 @@ import importlib
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, cast
+
+import numpy as np
 
 from harness.judge.results import (
     LEARNED,
@@ -147,8 +150,8 @@ class Inline:
 
 
 def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: None) -> Outcome:
-    """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, and RuntimeError where it
-    is not done under the job's key."""
+    """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, ComplexWarning where the
+    imaginary part of a number would be dropped, and RuntimeError where it is not done under the job's key."""
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
     plugins.in_cells([job.cells[0].env])
     _check_key(job, variables)
@@ -156,7 +159,8 @@ def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: Non
     if job.shared:
         return Outcome(files=module.prepare(job.cells, job.conditions))
     (cell,) = job.cells
-    result, files = module.run_cell(cell, job.conditions, job.inputs, tell)
+    with warnings.catch_warnings(action="error", category=np.exceptions.ComplexWarning):
+        result, files = module.run_cell(cell, job.conditions, job.inputs, tell)
     _check(result, files, cell, job.conditions.protocol)
     encoded = encode(replace(result, origin=machine()))
     decode(encoded)

@@ -29,6 +29,7 @@ from harness.run.costs import Costs
 from harness.run.engines import Engine, Job, Outcome
 from harness.run.keys import cell_keys
 from harness.run.progress import Progress, progress_for
+from harness.run.tally import Tally
 
 Group = tuple[str, int]
 """An environment and a seed: what its cells share is made first."""
@@ -53,11 +54,15 @@ class Sink(Protocol):
 @dataclass(frozen=True)
 class Grid:
     """What to do with cells: under which conditions, on which engine, and where results go, each as soon as
-    it is there."""
+    it is there.
+
+    told: makes what is told meanwhile, from what is to be done and what jobs that run do (`progress_for`).
+    """
 
     conditions: Conditions
     sink: Sink
     engine: Engine
+    told: Callable[[Tally, Callable[[str], str]], Progress] = progress_for
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Computes every cell. On an exception, KeyboardInterrupt included, the engine is left first."""
@@ -66,11 +71,15 @@ class Grid:
         costs = Costs(self.conditions)
         jobs = self.jobs(cells, costs)
         expected = {job.name: costs.of(job) for job in jobs}
-        with self.engine, progress_for(expected, self.engine.workers, self.engine.doing) as progress:
-            try:
-                Schedule(self, jobs, progress, costs).run()
-            finally:
-                costs.keep()
+        tally = Tally(expected, {job.name for job in jobs if job.shared})
+        told = self.told(tally, self.engine.doing)  # now, since the engine changes the environment
+        with self.engine:
+            tally.workers = self.engine.workers
+            with told as progress:
+                try:
+                    Schedule(self, jobs, progress, costs).run()
+                finally:
+                    costs.keep()
 
     def jobs(self, cells: Sequence[Cell], costs: Costs) -> list[Job]:
         """What computes the cells, the first to be done first."""
@@ -159,7 +168,7 @@ class Schedule:
         return heapq.heappop(self.ready)[1] if self.ready else None
 
     def _start(self, job: Job) -> None:
-        self.progress.started(job.name)
+        self.progress.started(job)
         self.started[job.name] = time.monotonic()
         self.preparing += job.shared
         if not job.shared:
@@ -193,7 +202,7 @@ class Schedule:
         if not job.shared:
             self._keep(job, outcome, seconds)
             return
-        self.progress.finished(job.name, "failed" if outcome.error else "ok", outcome.error)
+        self.progress.finished(job, "failed" if outcome.error else "ok", outcome.error)
         held = self.held.pop(_group(job))
         if outcome.error:
             for cell in held:
@@ -217,12 +226,15 @@ class Schedule:
                 error = "what came back is not the cell's"
         if error:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
+            self.progress.finished(job, "failed", error)
         else:
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), files)
-        unsuitable = "" if error or any(row.status == "ok" for row in result.rows) else result.rows[0].reason
-        label = "failed" if error else "skipped" if unsuitable else "ok"
-        self.progress.finished(cell.name, label, error or unsuitable)
+            returns = {str(row.policy): row.return_mean for row in result.rows if row.status == "ok"}
+            if returns:
+                self.progress.finished(job, "ok", returns=returns)
+            else:
+                self.progress.finished(job, "skipped", result.rows[0].reason)
         for other in self.later.pop(cell):
             self._release(other)
         self.left[_group(job)] -= 1

@@ -33,7 +33,7 @@ LOOK_EVERY = 1.0
 """Seconds between looks for processes that jobs left behind."""
 LOG, TEMPORARY, DOING = "log", "tmp", "doing"
 """In the folder of a job."""
-MOST_TOLD = 100
+MOST_TOLD = 200
 """Bytes of what a job says that it does that are shown."""
 LONGEST_LOG = 1 << 20
 """Bytes of what a job printed that are kept: the last ones."""

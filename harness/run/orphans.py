@@ -52,10 +52,11 @@ def take_in(wanted: bool) -> bool:
 
 
 def end_descendants() -> None:
-    """Kills every process that this one started, and those that they started."""
+    """Kills every process that this one started, and those that they started: these first, which nobody finds
+    once the one between is dead."""
     deadline = time.monotonic() + PATIENCE
     while (found := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
-        _kill(found)
+        _kill(found[::-1])
 
 
 def end_orphans() -> int:

@@ -11,12 +11,13 @@ from typing import Self
 
 import psutil
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, before
+from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, Status, before
 from harness.run.costs import FILE, SHARED, Costs, name_of
 from harness.run.engines import Job, Outcome
 from harness.run.environment import cache_folder
 from harness.run.grid import Grid, Schedule
-from harness.run.progress import clock
+from harness.run.progress import NOTHING
+from harness.run.tally import clock
 
 CORES = (2, 64, 1000)
 LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505
@@ -67,9 +68,11 @@ class Simulated:
 class Silent:
     """Progress that nobody is told of, and a sink that keeps nothing."""
 
-    def started(self, name: str) -> None: ...
+    def started(self, job: Job) -> None: ...
 
-    def finished(self, name: str, status: str, reason: str = "") -> None: ...
+    def finished(
+        self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
+    ) -> None: ...
 
     def save(self, result: CellResult, files: Mapping[str, bytes]) -> None: ...
 

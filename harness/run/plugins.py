@@ -51,7 +51,8 @@ FILE_MODULE = "irl_bench_plugin_"
 _read: dict[str, bytes] = {}
 """What files were when they were read, by the name of their module."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
-READ = "docs/plugins.md"
+READ = "plugins"
+"""The page about them."""
 
 
 def add(named: Sequence[str]) -> None:
@@ -60,6 +61,8 @@ def add(named: Sequence[str]) -> None:
     told = _told()
     for name in named:
         with _its_troubles(f"the plug-in {name} cannot be loaded"):
+            if not name.endswith(".py") and Path(name).is_file():
+                raise BadInput(f"the plug-in {name} is a file whose name does not end in .py")
             module = (
                 _of_file(Path(name).absolute()) if name.endswith(".py") else importlib.import_module(name)
             )
@@ -186,11 +189,11 @@ def _told() -> list[list[str]]:
 
 def _add(module: ModuleType, name: str) -> None:
     if not any(hasattr(module, table) for table in TABLES.values()):
-        raise BadInput(f"the plug-in {name} says neither METHODS nor ENVS ({READ})")
+        raise BadInput(f"the plug-in {name} says neither METHODS nor ENVS", READ)
     for kind, table in TABLES.items():
         things = getattr(module, table, {})
         if not isinstance(things, Mapping):
-            raise BadInput(f"the plug-in {name}: {table} must be a dict of what it has, by name ({READ})")
+            raise BadInput(f"the plug-in {name}: {table} must be a dict of what it has, by name", READ)
         for its_name, thing in things.items():
             _check(kind, its_name, thing)
             _register(kind, its_name, Entry(f"{module.__name__}:{table}/{its_name}", f"of {name}"))
@@ -205,7 +208,7 @@ def _of_file(path: Path) -> ModuleType:
         raise BadInput(f"two plug-ins are called {path.name}; rename one")
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise BadInput(f"there is no plug-in {path}")
+        raise BadInput(f"there is no plug-in {path}", READ)
     content = path.read_bytes()
     if known and _read.get(name) == content:
         return known
@@ -233,16 +236,16 @@ def _check(kind: str, name: object, thing: object) -> None:
     from envs import EnvSpec
 
     if kind == "method" and not (isinstance(thing, type) and callable(getattr(thing, "fit", None))):
-        raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60} ({READ})")
+        raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60}", READ)
     if kind == "env" and not (isinstance(thing, EnvSpec) and thing.name == name):
-        raise BadInput(f"the env {name} must be an EnvSpec of that name, not {thing!r:.60} ({READ})")
+        raise BadInput(f"the env {name} must be an EnvSpec of that name, not {thing!r:.60}", READ)
 
 
 def _register(kind: str, name: object, entry: Entry) -> None:
     """Raises BadInput for a name that cannot be used, or is another's."""
     if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
         raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
-    taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", *GROUPS}
+    taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", "expert", *GROUPS}
     if taken or name.startswith(("control_", GYMNASIUM_NAME)):
         raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
     known = PLUGINS[kind]
@@ -259,8 +262,11 @@ def _its_troubles(what: str) -> Iterator[None]:
         yield
     except (BadInput, KeyboardInterrupt):
         raise
+    except ModuleNotFoundError as error:
+        hint = "; a plug-in of several files is named as a module that Python can import"
+        raise BadInput(f"{what}: {_in_words(error)}{hint} ({READ})") from error
     except BaseException as error:
-        raise BadInput(f"{what}: {_in_words(error)}") from error
+        raise BadInput(f"{what}: {_in_words(error)}", READ) from error
 
 
 def _in_words(error: BaseException) -> str:

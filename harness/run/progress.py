@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
-from collections.abc import Callable
-from types import TracebackType
-from typing import Protocol, Self
+from collections.abc import Callable, Mapping
+from itertools import islice
+from types import MappingProxyType, TracebackType
+from typing import TYPE_CHECKING, Protocol, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.padding import Padding
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from harness.run.codec import printable
+from harness.run.phases import phase_of, returned
+from harness.run.tally import Tally, clock
 
-FEW, EVERY = 64, 1.0
-"""Where more tasks run, how long the rest may take is reckoned once in so many seconds: each is looked at."""
+if TYPE_CHECKING:
+    from harness.judge.results import Status
+    from harness.run.engines import Job
+
+NOTHING: Mapping[str, float] = MappingProxyType({})
+NOTES = 5
+"""Of what was told above the display, that is shown again where a narrower terminal had to be cleared."""
+
+
+PREPARING = "expert and demonstrations"
+"""What a job does that makes what cells share."""
 
 
 class Progress(Protocol):
-    """What a run tells as it goes; a context manager."""
+    """What a run tells as it goes; a context manager. returns: the mean true return of each of a cell's
+    policies."""
 
-    def started(self, name: str) -> None: ...
+    def started(self, job: Job) -> None: ...
 
-    def finished(self, name: str, status: str, reason: str = "") -> None: ...
+    def finished(
+        self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
+    ) -> None: ...
 
     def __enter__(self) -> Self: ...
 
@@ -35,12 +50,12 @@ class Progress(Protocol):
     ) -> None: ...
 
 
-def progress_for(costs: dict[str, float], workers: int, doing: Callable[[str], str]) -> Progress:
-    """The one that suits standard output. costs: what each task is expected to take, in any unit. doing: what
-    a task that runs does, in a few words."""
+def progress_for(tally: Tally, doing: Callable[[str], str]) -> Progress:
+    """The one that suits standard output, by what the environment says now of the terminal. doing: what a job
+    that runs does, by its name, as `phase_of` reads it."""
     if sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
-        return _Display(_Tally(costs, workers), doing)
-    return _Lines(_Tally(costs, workers))
+        return Display(tally, doing, Console(highlight=False))
+    return Lines(tally)
 
 
 def say(text: str) -> None:
@@ -57,78 +72,10 @@ def _shown(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
-class _Tally:
-    """What is done, what runs, and how long the rest may take."""
+class Lines:
+    """One line when a job starts and one when it ends."""
 
-    def __init__(self, costs: dict[str, float], workers: int) -> None:
-        self.costs = costs
-        self.workers = workers
-        self.waiting = dict(costs)
-        self.running: dict[str, float] = {}
-        """When each task started, in seconds of `time.monotonic`."""
-        self.failed = 0
-        self._left = sum(costs.values())
-        """What is expected of those that wait."""
-        self._spent = self._done = 0.0
-        self._start = time.monotonic()
-        self._eta, self._reckoned = "?", -math.inf
-
-    def begin(self, name: str) -> None:
-        self._left -= self.waiting.pop(name, 0.0)
-        self.running[name] = time.monotonic()
-
-    def end(self, name: str, status: str) -> float | None:
-        """Seconds that the task took; None if it never ran."""
-        self._left -= self.waiting.pop(name, 0.0)
-        self.failed += status == "failed"
-        if name not in self.running:
-            return None
-        seconds = time.monotonic() - self.running.pop(name)
-        if status != "failed":
-            self._spent += seconds
-            self._done += self.costs[name]
-        return seconds
-
-    @property
-    def left(self) -> int:
-        return len(self.waiting) + len(self.running)
-
-    @property
-    def elapsed(self) -> float:
-        return time.monotonic() - self._start
-
-    def eta(self) -> str:
-        """How long the rest may take, by the pace so far."""
-        now = time.monotonic()
-        if len(self.running) <= FEW or now - self._reckoned >= EVERY:
-            self._eta, self._reckoned = self._reckon(now), now
-        return self._eta
-
-    def _reckon(self, now: float) -> str:
-        if not self._done:
-            return "?"
-        pace = self._spent / self._done
-        rest = max(self._left * pace, 0.0)
-        of_running = [max(self.costs[name] * pace - now + start, 0.0) for name, start in self.running.items()]
-        return clock(max([(rest + sum(of_running)) / self.workers, *of_running]))
-
-    def line(self) -> str:
-        failed = f", {self.failed} failed" if self.failed else ""
-        done = len(self.costs) - self.left
-        return f"{done} of {len(self.costs)} done{failed}, {clock(self.elapsed)} passed, ETA {self.eta()}"
-
-
-def clock(seconds: float) -> str:
-    """`seconds` as m:ss or h:mm:ss."""
-    minutes, second = divmod(round(seconds), 60)
-    hours, minute = divmod(minutes, 60)
-    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
-
-
-class _Lines:
-    """One line when a task starts and one when it ends."""
-
-    def __init__(self, tally: _Tally) -> None:
+    def __init__(self, tally: Tally) -> None:
         self.tally = tally
 
     def __enter__(self) -> Self:
@@ -137,26 +84,34 @@ class _Lines:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def started(self, name: str) -> None:
-        self.tally.begin(name)
-        say(f"start   {name}")
+    def started(self, job: Job) -> None:
+        self.tally.begin(job.name)
+        say(f"start   {job.name}")
 
-    def finished(self, name: str, status: str, reason: str = "") -> None:
-        seconds = self.tally.end(name, status)
+    def finished(
+        self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
+    ) -> None:
+        seconds = self.tally.end(job.name, status)
         took = "not run" if seconds is None else f"{seconds:.1f} s"
-        why = f": {reason}" if reason else ""
-        say(f"{status:7} {name} ({took}; {self.tally.left} left, ETA {self.tally.eta()}){why}")
+        more = f": {reason or returned(returns)}" if reason or returns else ""
+        eta = clock(self.tally.eta())
+        say(f"{status:7} {job.name} ({took}; {self.tally.left} cells left, ETA {eta}){more}")
 
 
-class _Display:
-    """What runs and how far the whole is, redrawn in place; failures stay above it."""
+class Display:
+    """What runs and how far the whole is, redrawn in place; failures stay above it.
 
-    def __init__(self, tally: _Tally, doing: Callable[[str], str]) -> None:
-        self.tally, self.doing = tally, doing
-        self.console = Console()
-        self.live = Live(
-            get_renderable=self._render, console=self.console, refresh_per_second=2, transient=True
-        )
+    console: of the terminal, made while the environment says what that can show.
+    """
+
+    def __init__(self, tally: Tally, doing: Callable[[str], str], console: Console) -> None:
+        self.tally, self.doing, self.console = tally, doing, console
+        self._preparing: set[str] = set()
+        self._notes: list[str] = []
+        self._again: list[str] = []
+        self._last = ""
+        self._width = console.width
+        self.live = Live(get_renderable=self._render, console=console, refresh_per_second=2, transient=True)
 
     def __enter__(self) -> Self:
         self.live.start()
@@ -166,27 +121,48 @@ class _Display:
         self.live.stop()
         self.console.print(Text(self.tally.line()))
 
-    def started(self, name: str) -> None:
-        self.tally.begin(name)
+    def started(self, job: Job) -> None:
+        if job.shared:
+            self._preparing.add(job.name)
+        self.tally.begin(job.name)
 
-    def finished(self, name: str, status: str, reason: str = "") -> None:
-        self.tally.end(name, status)
+    def finished(
+        self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
+    ) -> None:
+        self.tally.end(job.name, status)
+        if returns:
+            self._last = f"{job.name}: {returned(returns)}"
         if reason:
-            self.console.print(Text(f"{status:7} {name}: {reason}"))
+            self._notes = [*self._notes[1 - NOTES :], f"{status:7} {job.name}: {reason}"]
+            self.console.print(Text(self._notes[-1]))
 
     def _render(self) -> RenderableType:
+        width, height = self.console.size
+        if width < self._width:  # A terminal may have wrapped what was drawn: how much of it is not known.
+            self.console.clear()
+            self._again = self._notes
+        self._width = width
         now = time.monotonic()
-        tasks = list(self.tally.running.items())
-        most = max(
-            1, self.console.height - 4
-        )  # beside how many more there are, the bar, the line, the cursor
-        running = [
-            Text(f"  {name}  {clock(now - t)}  {printable(self.doing(name))}".rstrip())
-            for name, t in tasks[:most]
-        ]
-        if len(tasks) > most:
-            running.append(Text(f"  and {len(tasks) - most} more"))
-        total = len(self.tally.costs)
-        return Group(
-            *running, ProgressBar(total=total, completed=total - self.tally.left), Text(self.tally.line())
-        )
+        tasks = self.tally.running.copy()
+        # Below are how many more there are, the bar, two lines, the cursor.
+        most = max(1, height - 5 - len(self._again))
+        lines = [*self._again]
+        lines += [self._line(name, now - start, width) for name, start in islice(tasks.items(), most)]
+        lines += [f"  and {len(tasks) - most} more"] if len(tasks) > most else []
+        # Of itself a bar ends without a new line.
+        bar = Padding(ProgressBar(total=max(1, self.tally.cells), completed=self.tally.done), 0)
+        below = [self.tally.line(), *([f"latest: {self._last}"] if self._last else [])]
+        return Group(*map(_one_line, lines), bar, *map(_one_line, below))
+
+    def _line(self, name: str, seconds: float, width: int) -> str:
+        """What a job does. Of a long name the middle is left out: both ends tell it from others."""
+        phase = PREPARING if name in self._preparing else phase_of(printable(self.doing(name)))
+        doing = f"  {clock(seconds)}  {phase}"
+        room = max(20, width - 2 - len(doing))
+        if len(name) > room:
+            name = f"{name[: room // 2 - 1]}…{name[len(name) - (room - room // 2) :]}"
+        return f"  {name}{doing}"
+
+
+def _one_line(text: str) -> Text:
+    return Text(text, no_wrap=True, overflow="ellipsis")

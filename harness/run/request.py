@@ -11,6 +11,7 @@ from typing import Any
 
 from harness.judge.results import ALL_SHOWN, FORMATS, MOST_SEEDS, Conditions, Request
 from harness.registry import ENVS, METHODS, VARIANTS, BadInput
+from harness.run import plugins
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
 
@@ -24,6 +25,10 @@ FOLDERS = {
     "figures": "png",
 }
 """Of a run's directory, and how the names of files end that a run writes there."""
+STUDY = "study.json"
+"""Marks the directory of a study, which holds runs (`harness.reproduce`)."""
+MOST_NAMED = 5
+"""Runs that a line names."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -52,8 +57,11 @@ def existing(path: Path) -> Request:
     try:
         request = stored_request(path)
     except BadInput as error:
-        if runs := sorted(file.parent.name for file in path.glob(f"*/{REQUEST}")):
-            raise BadInput(f"{path} holds no run itself; there are {', '.join(runs[:5])} in it") from error
+        if runs := sorted(str(file.parent) for file in path.glob(f"*/{REQUEST}")):
+            more = f" and {len(runs) - MOST_NAMED} more" if len(runs) > MOST_NAMED else ""
+            is_study = "a study (its tables: study.md)" if (path / STUDY).exists() else "no run"
+            told = f"{path} holds {is_study}; runs in it are {', '.join(runs[:MOST_NAMED])}{more}: name one"
+            raise BadInput(told) from error
         raise
     if request is None:
         raise BadInput(f"{path} holds no run (no run.json)")
@@ -75,7 +83,15 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
     for name in KEYS:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
         if there != asked:
-            raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
+            said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
+            raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
+    known = {*METHODS, *VARIANTS, *ENVS}
+    if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
+        raise BadInput(
+            f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
+            "or give another --out",
+            page="plugins",
+        )
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),

@@ -14,6 +14,9 @@ _SET_SIGNAL_OF_PARENTS_DEATH = 1
 
 
 def _end(number: int, frame: FrameType | None) -> None:
+    # The signal may come again as another thread of the run ends: amid the killing this would begin anew,
+    # find nobody below a cell that is dead by then, and end this process.
+    signal.signal(number, signal.SIG_IGN)
     try:
         end_descendants()
     finally:

@@ -20,18 +20,21 @@ def made(request: Request, results: Sequence[CellResult]) -> list[str]:
     days = sorted(r.finished.partition(" ")[0] for r in results if r.finished)
     spans = f"{days[0]} to {days[-1]}" if days and days[0] != days[-1] else "".join(days[:1])
     instructions = "fixed" if conditions.deterministic else "of the machine"
-    there, asked = len(results), len(request.cells)
+    asked = {*request.cells}
+    there = sum(result.cell in asked for result in results)
+    others = sorted({r.cell.seed for r in results if any(row.source for row in r.rows)})
+    seeds = _seeds(request.seeds) + (f" (of the baseline: {_seeds(others)})" if others else "")
     told = ", ".join(experts) or "unknown"
     if conditions.experts == "none":
         told = "a score of 1 is the mean return of the demonstrations"
     return [
-        *([f"not complete: {there} of the {asked} cells that were asked for"] if there < asked else []),
-        f"budget {conditions.budget}, protocol {conditions.protocol}, {_seeds(request.seeds)}, "
+        *([f"not complete: {there} of the {len(asked)} cells asked for"] if there < len(asked) else []),
+        f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, "
         f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {told}",
         *([f"demonstrations of a file, {conditions.demonstrations}"] if conditions.demonstrations else []),
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",
-        f"command: {command_of(request)}",
+        f"command: {command_of(request, bool(others))}",
     ]
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from harness.judge.leaderboard import Entry, indistinct
+from harness.judge.leaderboard import ASKS, Entry, indistinct
 from harness.judge.results import NOMINAL, REFERENCE
 from harness.show.boards import Board
 from harness.show.tables import NOTHING, is_best, score
@@ -71,7 +71,7 @@ def summary(boards: Sequence[Board]) -> Map:
 
     def place(method: str) -> tuple[int | float | str, ...]:
         scores = [nominal.get((method, policy), [-math.inf]) for policy in ("pi_R", "pi_star")]
-        section = {"method": 0, "asks the expert": 1}.get(roles[method], 2)
+        section = {"method": 0, ASKS: 1}.get(roles[method], 2)
         return section, *(-sum(its) / len(its) for its in scores), method
 
     every = sorted(roles, key=place)

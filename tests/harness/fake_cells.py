@@ -203,9 +203,11 @@ def install() -> None:
 
     grid = harness.run.grid.Grid
 
-    def told_where(conditions: Conditions, run: RunDirectory, engine: Engine) -> harness.run.grid.Grid:
+    def told_where(
+        conditions: Conditions, run: RunDirectory, engine: Engine, *more: object
+    ) -> harness.run.grid.Grid:
         os.environ[FOLDER] = str(run.path.absolute())
-        return grid(conditions, run, engine)
+        return grid(conditions, run, engine, *more)
 
     harness.run.grid.Grid = told_where
     harness.run.isolated.Isolated = functools.partial(

@@ -19,7 +19,7 @@ from harness.run.codec import checksum
 from harness.run.environment import numeric
 from harness.run.store import open_for_run
 from harness.show import compare
-from tests.harness.made_results import REQUEST, make_results, make_row
+from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 
 MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
 VARIABLES = numeric(True)
@@ -58,7 +58,7 @@ def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> Non
     assert {result.cell.env for result in found} == {"cartpole"}
     fine = [r.cell for r in make_results(("cartpole",)) if all(row.status != "failed" for row in r.rows)]
     assert [result.cell for result in found] == sorted(fine)
-    assert {row.source for result in found for row in result.rows} == {baseline.SAME}
+    assert {row.source for result in found for row in result.rows} == {"baseline one"}
 
 
 def of_another_task(result: dict) -> None:
@@ -110,14 +110,18 @@ def test_other_instructions_are_marked(tmp_path: Path) -> None:
     )
     made(tmp_path / "fast", request=fast)
     found, _ = baseline.comparable([tmp_path / "fast"], MINE, VARIABLES)
-    assert {row.source for result in found for row in result.rows} == {baseline.OTHER}
+    assert {row.source for result in found for row in result.rows} == {"baseline fast, of other instructions"}
 
 
 def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
     edited(board, of_another_task)
     edited(board, lambda result: result["origin"].update(processor="another"))
     found, _ = baseline.comparable([board], MINE, VARIABLES)
-    assert {row.source for result in found for row in result.rows} == {baseline.OTHER}
+    assert {row.source for result in found for row in result.rows} == {"baseline one, of another machine"}
+    edited(board, lambda result: result["origin"].update(torch="1.0", scipy="1.0"))
+    found, _ = baseline.comparable([board], MINE, VARIABLES)
+    (source,) = {row.source for result in found for row in result.rows}
+    assert source == "baseline one, of another machine and other packages (scipy, torch)"
 
 
 def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Path) -> None:
@@ -163,7 +167,7 @@ class Computes:
 
     asked: list[Cell]
 
-    def __init__(self, conditions: object, sink: store.RunDirectory, engine: object) -> None:
+    def __init__(self, conditions: object, sink: store.RunDirectory, *more: object) -> None:
         self.sink = sink
 
     def run(self, cells: list[Cell]) -> None:
@@ -187,11 +191,14 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     assert {cell.method for cell in Computes.asked} == {"gail", "control_shuffled", "control_clone"}
     scores = pd.read_csv(tmp_path / "run/scores.csv", keep_default_na=False)
     assert set(scores[scores.method == "gail"].source) == {""}
-    assert set(scores[scores.method == "shaped"].source) == {"baseline"}
+    assert set(scores[scores.method == "shaped"].source) == {"baseline one"}
     leaderboard = pd.read_csv(tmp_path / "run/leaderboard.csv")
     gail = leaderboard[(leaderboard.method == "gail") & (leaderboard.policy == "pi_star")]
     assert gail.score_mean.item() == pytest.approx((470 - 20) / 480)
-    assert leaderboard[leaderboard.method == "shaped"].note.str.startswith("baseline").all()
+    assert (leaderboard[leaderboard.method == "shaped"].note == "baseline one").all()
+    made = (tmp_path / "run/leaderboard.md").read_text()
+    assert "seeds 0 to 2 (of the baseline: seeds 0 to 2)" in made
+    assert " --baseline DIR" in made
     assert main(["verify", "run"]) == 0
     before = (tmp_path / "run/leaderboard.csv").read_bytes()
     assert main(["report", "run"]) == 0  # which needs the baseline no more
@@ -200,6 +207,44 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     damaged.write_text("{")
     assert main(["verify", "run"]) == 1
     assert main(["report", "run"]) == 1
+
+
+def test_a_run_of_a_baselines_rows_alone_is_a_run(
+    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It computes nothing, is reported, and is a baseline itself."""
+    assert run("--baseline", str(board), "--out", "first") == 0
+    assert run("--baseline", "first", "--out", "second") == 0
+    assert not Computes.asked
+    before = (tmp_path / "second/leaderboard.csv").read_bytes()
+    assert main(["report", "second"]) == 0
+    assert (tmp_path / "second/leaderboard.csv").read_bytes() == before
+    assert run("--baseline", "second", "--out", "third") == 0
+    assert not Computes.asked
+    capsys.readouterr()
+    words = ("--env", "cartpole", "--method", "gail")
+    assert main(["export", "second", *words]) == 2
+    assert "cartpole gail in second is of a baseline" in capsys.readouterr().err
+
+
+def test_what_methods_were_shown_otherwise_is_told(
+    run: Callable[..., int],
+    board: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(commands, "_compute", lambda *_: {})
+    run("--baseline", str(board), "--demos", "5", "--out", "run")
+    told = "methods in one were shown as many demonstrations as the budget says, and here 5 demonstrations"
+    assert told in capsys.readouterr().err
+
+
+def test_a_line_of_a_method_says_which_of_its_seeds_are_the_baselines() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if result.cell.seed != 1:
+            result.rows[:] = [dataclasses.replace(row, source="baseline one") for row in result.rows]
+    assert entry_of(results, "shaped", "pi_R").note == "baseline one (seeds 0, 2)"
 
 
 def test_a_refused_baseline_writes_nothing(

@@ -13,11 +13,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import msgspec
 import pytest
 
 from harness import cli, commands, registry
 from harness.judge.results import CellResult, Request
 from harness.run import engines, grid, isolated, keys, plan, store
+from harness.run.events import AnyEvent, Begun, Ended, Reported
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
 from tests.harness.small_runs import snapshot
@@ -68,8 +70,8 @@ def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command:
 def test_the_registry_tells_the_truth() -> None:
     import envs
 
-    assert {n: registry.SPECS[n].summary for n in registry.ENVS} == {
-        n: e.summary for n, e in registry.ENVS.items()
+    assert {n: (registry.SPECS[n].summary, (*registry.SPECS[n].variants,)) for n in registry.ENVS} == {
+        n: (e.summary, e.variants) for n, e in registry.ENVS.items()
     }
     assert envs.BUDGETS == registry.BUDGETS
     for name in (*registry.METHODS, *registry.VARIANTS):
@@ -122,9 +124,24 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         assert [line.split()[0] for line in text.splitlines()] == list(names)
 
 
+def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
+    _, out, _ = main("list")
+    told = out.partition("dynamics of envs, for --transfer:\n")[2].splitlines()
+    assert "swingup long, heavy, gravity, light, flipped" in [" ".join(line.split()) for line in told]
+    assert len(told) == sum(bool(entry.variants) for entry in registry.ENVS.values())
+
+
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
+        ("run --methods iq_learn", "'iq_learn'; IQ-Learn is left out, and docs/adversarial.md says why\n"),
+        ("run --methods IQ-Learn,GIAL", "docs/adversarial.md says why; did you mean 'gail'?\n"),
+        ("run --methods AIRL,GAIL,DAgger", "; did you mean 'airl', 'gail', 'dagger'?\n"),
+        ("run --methods ppo", "'ppo'; ppo learns from rewards: tasks name their learner (docs/design.md)\n"),
+        ("run --methods D-REX", "no method named 'D-REX'; did you mean 'shaped_ranked'?\n"),
+        ("run --envs CartPole-v1", "no env named 'CartPole-v1'; did you mean 'cartpole_discrete'?\n"),
+        ("run --envs MountainCar-v0", "a task of Gymnasium is gym:MountainCar-v0\n"),
+        ("run --envs swingup.flipped", "it is --envs swingup --transfer flipped\n"),
         ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
         ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
         ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),
@@ -149,6 +166,11 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
         ("run --protocol naive", "invalid choice: 'naive'"),
         ("run --rl torch", "invalid choice: 'torch'"),
         ("run --bud smoke", "unrecognized arguments"),
+        ("run --envs swingup --action-bounds=-2,2", "--action-bounds are of demonstrations of a file"),
+        ("experts train swingup --budget quick", "leave out --budget: experts of swingup are trained as"),
+        ("experts train swingup --seeds 3", "leave out --seeds"),
+        ("experts train gym:Pendulum-v1 --dir mine", "leave out --dir: gym_Pendulum-v1 is trained one"),
+        ("experts train gym:Pendulum-v1 --workers 2", "leave out --workers"),
         ("run --out", "expected one argument"),
         ("run --out mine", "mine is not empty and holds no run"),
         ("run --out mine/file", "cannot use mine/file"),
@@ -177,7 +199,7 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     run = Path("results/latest")
     code, out, err = main(*SMOKE, "--methods", "bc,bc", "--workers", "2")
     assert code == 0
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED + 1} ok; budget smoke, protocol absorbing, seed 0; NOT A RESULT" in out
     assert err == "WARNING: cartpole: low bar\n"
     assert len(computed(run)) == PER_SEED + 1
     before = scores(run)
@@ -189,7 +211,8 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     code, _, err = main("run", "--budget", "quick")
     assert (code, err) == (
         2,
-        f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out\n",
+        f"irl-bench: error: {run} holds a run with budget smoke, not quick; give another --out "
+        "(docs/commands.md)\n",
     )
 
 
@@ -218,6 +241,48 @@ def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, t
     assert main(*asked, "--plan")[1].endswith("; 0 to run\n")
 
 
+def test_for_programs_standard_output_is_json_and_text_goes_to_standard_error(
+    main: Main, tmp_path: Path
+) -> None:
+    faults(tmp_path, cartpole__control_true__seed0="raise")
+    asked = (*SMOKE, "--methods", "bc", "--out", "run", "--json-progress")
+    code, out, err = main(*asked)
+    assert code == 1
+    told = [msgspec.json.decode(line, type=AnyEvent) for line in out.splitlines()]
+    assert (type(told[0]), told[0].cells) == (Begun, PER_SEED + 1)
+    ends = {one.name: one for one in told if isinstance(one, Ended)}
+    assert len(ends) == PER_SEED + 2
+    assert ends["cartpole__control_true__seed0"].status == "failed"
+    assert ends["cartpole__bc__seed0"].returns == {"pi_star": 2.0, "pi_R": 2.0}
+    assert (told[-2].cells_done, told[-2].cells_failed) == (PER_SEED + 1, 1)
+    assert isinstance(told[-1], Reported)
+    assert (told[-1].directory, told[-1].failed) == ("run", ["cartpole__control_true__seed0"])
+    assert len(told[-1].found) == 5
+    assert f"{PER_SEED + 1} cells to run" in err
+    assert all(line in err for line in told[-1].found)
+    code, out, _ = main(*asked)
+    assert [json.loads(line)["event"] for line in out.splitlines()] == ["reported"]
+
+
+def test_tables_are_printed_when_asked(main: Main) -> None:
+    assert "Behind best" not in main(*SMOKE, "--methods", "bc", "--out", "run")[1]
+    assert "Behind best" not in main("report", "run")[1]
+    out = main("report", "run", "--print")[1]
+    assert "cartpole; NOT A RESULT: budget smoke; one seed ranks no methods" in out
+    assert re.search(r" control_true +pi_R ", out)
+
+
+def test_a_directory_of_runs_is_named_as_one(main: Main, tmp_path: Path) -> None:
+    for name in ("absorbing", "native"):
+        (tmp_path / "study" / name).mkdir(parents=True)
+        (tmp_path / "study" / name / "run.json").write_text("{}")
+    expected = "runs in it are study/absorbing, study/native: name one\n"
+    assert main("report", "study") == (2, "", f"irl-bench: error: study holds no run; {expected}")
+    (tmp_path / "study/study.json").write_text("{}")
+    told = f"irl-bench: error: study holds a study (its tables: study.md); {expected}"
+    assert main("report", "study") == (2, "", told)
+
+
 def test_what_is_refused_to_a_run_is_refused_to_its_plan(main: Main, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes").write_text("x")
@@ -230,7 +295,7 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     faults(tmp_path, cartpole__bc__seed0="raise")
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED} ok, 1 failed; " in out
     assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in faked (fake_cells.py:" in err
     damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
     damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
@@ -266,7 +331,7 @@ def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
 
     monkeypatch.setattr(store.RunDirectory, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (0, True)
+    assert (code, f"{PER_SEED + 1} ok; " in out) == (0, True)
     assert (
         "lost or damaged while the run went on, computed again: cartpole__control_true__seed0, 1 in all"
         in err
@@ -315,7 +380,7 @@ def test_inline_cells_take_no_others_with_them(main: Main, tmp_path: Path, behav
     faults(tmp_path, cartpole__control_true__seed0=behaviour)
     code, out, _ = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
     assert code == (behaviour != "changes_its_process")
-    assert f"a table of {PER_SEED + 1} cells" in out
+    assert f"{PER_SEED + 1 - code} ok" in out
     assert Path.cwd() == tmp_path
 
 
@@ -354,7 +419,7 @@ def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
 
     monkeypatch.setattr(store.RunDirectory, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"a table of {PER_SEED + 1} cells" in out) == (1, True)
+    assert (code, f"{PER_SEED} ok, 1 failed; " in out) == (1, True)
     reason = "its stored result cannot be used: it is gone"
     assert f"FAILED: cartpole__control_true__seed0: {reason}" in err
     assert main("verify", "run")[0] == 0
@@ -397,7 +462,7 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     for _ in range(2):
         assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
     assert built == [1 + PER_SEED]
-    assert "a table of" in main(*SMOKE, "--methods", "bc", *out)[1]
+    assert f"{PER_SEED + 1} ok" in main(*SMOKE, "--methods", "bc", *out)[1]
     (tmp_path / "run/leaderboard.md").write_text("something else\n")
     assert main(*SMOKE, "--methods", "bc", *out)[0] == 0
     assert main(*SMOKE, "--methods", "bc,maxent", *out)[0] == 0

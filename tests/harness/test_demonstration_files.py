@@ -7,6 +7,7 @@ import pickle
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,9 @@ def made(
 ) -> tuple[Episodes, tuple[np.ndarray, ...]]:
     """Episodes and rewards."""
     rng = np.random.default_rng(0)
-    obs = tuple(rng.normal(size=(n + 1, spec.obs_size)).astype(np.float32).astype(float) for n in lengths)
+    obs = tuple(
+        rng.uniform(-0.4, 0.4, (n + 1, spec.obs_size)).astype(np.float32).astype(float) for n in lengths
+    )
     act = tuple(spec.random_actions(n, rng) for n in lengths)
     return Episodes(obs, act, ended), tuple(rng.normal(size=n) for n in lengths)
 
@@ -123,7 +126,7 @@ def test_imitations_folders_are_read_and_their_infos_are_not(tmp_path: Path) -> 
     assert [len(act) for act in two.episodes.act] == [200, 3, 7]
     native = [2 * act for act in episodes.act]
     scaled = imitation(tmp_path / "native", episodes, rewards, 1, native)
-    with pytest.raises(BadInput, match=r"2 times as large as \[-1, 1\]; give others as --action-b"):
+    with pytest.raises(BadInput, match=r"an action outside of \[-1, 1\], .* give others as --action-b"):
         demos.read(scaled, SWINGUP)
     assert same(demos.read(scaled, SWINGUP, (-2.0, 2.0)).episodes, episodes)
 
@@ -214,6 +217,47 @@ def test_a_file_without_rewards_needs_an_expert(tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "run").exists()
 
 
+def test_episodes_that_were_cut_short_are_no_score(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What an episode of 7 steps of 200 returns says nothing of the other 193."""
+    demos.write(tmp_path / "d.npz", *made(ended=(False, True, False)))
+    run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--plan"]
+    from_file = ["--demos-from", str(tmp_path / "d.npz")]
+    assert main([*run, *from_file]) == 0
+    assert main([*run, *from_file, "--experts", "none"]) == 2
+    assert "1 of the 3 episodes of" in capsys.readouterr().err
+    assert main(["demos", "inspect", from_file[1], "--env", "swingup"]) == 0
+    assert "1 neither terminated nor last until the horizon" in capsys.readouterr().out
+
+
+def test_other_rewards_are_another_run() -> None:
+    episodes, rewards = made()
+    shuffled = tuple(paid[::-1].copy() for paid in rewards)
+    one, other = (demos.Found(episodes, paid, "npz") for paid in (rewards, shuffled))
+    assert one.digest == other.digest
+    assert str(one) != str(other)
+
+
+def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demos.write(tmp_path / "d.npz", *made())
+    before = (tmp_path / "d.npz").read_bytes()
+    to = ["--env", "swingup", "--to", str(tmp_path / "d.npz")]
+    for words in (["import", str(tmp_path / "d.npz")], ["export", "--demos", "1"]):
+        assert main(["demos", *words, *to]) == 2
+        assert "d.npz is there already" in capsys.readouterr().err
+    assert (tmp_path / "d.npz").read_bytes() == before
+
+
+def test_observations_that_the_task_does_not_have_are_refused(tmp_path: Path) -> None:
+    episodes, rewards = made()
+    obs = [one.copy() for one in episodes.obs]
+    obs[1][4, 2] = 8.1
+    demos.write(tmp_path / "d.npz", replace(episodes, obs=tuple(obs)), rewards)
+    with pytest.raises(BadInput, match=r"episode 1 observes 8.1 as .*, which lies in \[-8, 8\]"):
+        demos.read(tmp_path / "d.npz", SWINGUP)
+
+
 def test_other_content_is_another_run_and_another_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -232,7 +276,8 @@ def test_other_content_is_another_run_and_another_key(
     capsys.readouterr()
     assert main([*run, str(tmp_path / "two.npz")]) == 2
     assert "holds a run with demonstrations" in capsys.readouterr().err
-    assert main([*run[:-1]]) == 2  # as it has them of a file
+    assert main([*run[:-1]]) == 2
+    assert ": 2 episodes, 17 steps, not none; give another --out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What is exported is what was scored, bit for bit, and other programs take it."""
 
+import dataclasses
 import json
 import shutil
 from collections import Counter
@@ -22,10 +23,11 @@ from harness.exported import FACTS, export, load_learned
 from harness.judge.results import Cell, Conditions, Request, artifact_of
 from harness.learn.seeds import evaluation_seeds
 from harness.registry import ENVS, PLUGINS, SPECS, BadInput
-from harness.run.artifacts import read_artifact
+from harness.run.artifacts import artifact, read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.store import open_for_run
+from harness.run.files import sha256_of
+from harness.run.store import open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", "shaped", 0), Cell("cartpole_discrete", "bc", 0)]
@@ -160,7 +162,7 @@ def test_what_is_not_there_is_said(
 
     shaped, choices = ("--env", "cartpole", "--method", "shaped"), ("--env", "cartpole_discrete", "--method")
     assert "has no cartpole_discrete gail, seed 0; it has cartpole shaped" in refused(*choices, "gail")
-    assert "has no cartpole shaped, seed 7" in refused(*shaped, "--seed", "7")
+    assert "has no cartpole shaped, seed 7; it has seeds 0" in refused(*shaped, "--seed", "7")
     assert "has no pi_R; it has pi_star" in refused(*choices, "bc", "--policy", "pi_R")
     with pytest.raises(BadInput, match="the method learns none"):
         irl_bench.LearnedReward(
@@ -170,6 +172,28 @@ def test_what_is_not_there_is_said(
         irl_bench.make("cartpol")
     with pytest.raises(BadInput, match="holds nothing that was exported"):
         load_learned(tmp_path / "nowhere")
+
+
+def test_a_reward_that_could_not_be_kept_is_no_method_without_one(run: Path, tmp_path: Path) -> None:
+    class Own:
+        absorbing = 0.0
+
+        def __call__(self, obs: np.ndarray, act: np.ndarray, after: np.ndarray, /) -> np.ndarray:
+            return -np.square(act).sum(axis=1)
+
+    cell = CELLS[0]
+    kept = read_artifact(run / artifact_of(cell))
+    with open_to_verify(run) as directory:
+        stored = directory.load()[0][cell]
+    data, troubles = artifact(cell, CONDITIONS, {"pi_star": kept["pi_star"], "reward": Own()})
+    with open_for_run(tmp_path / "own", Request(("shaped",), (cell.env,), (0,), CONDITIONS)) as directory:
+        result = dataclasses.replace(
+            stored, warnings=troubles, recordings={}, artifacts={f"{cell.name}.safetensors": sha256_of(data)}
+        )
+        directory.save(result, {artifact_of(cell): data})
+    folder = export(tmp_path / "own", cell.env, cell.method, to=tmp_path / "to")
+    with pytest.raises(BadInput, match=r"reward is not kept .*no dataclass of"):
+        irl_bench.LearnedReward(irl_bench.make(cell.env), folder)
 
 
 def test_without_artifacts_nothing_is_exported(run: Path, tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ class InstantGrid:
 
     computed: ClassVar[list[Cell]] = []
 
-    def __init__(self, conditions: Conditions, sink: Any, engine: Any) -> None:
+    def __init__(self, conditions: Conditions, sink: Any, *more: Any) -> None:
         self.protocol, self.sink = conditions.protocol, sink
 
     def run(self, cells: Sequence[Cell]) -> None:

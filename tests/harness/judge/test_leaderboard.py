@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 from scipy.stats import sem, t
 
-from harness.judge.leaderboard import leaderboard, overall, scored_rows
+from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
 from harness.judge.results import Cell, CellResult
 from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
 
@@ -29,6 +30,35 @@ def test_leaderboard_aggregates_over_seeds_and_measures_rewards_against_the_best
     assert found["control_untrained", "pi_R"].above_best_lower_control == 0
     roles = {entry.method: entry.role for entry in entries}
     assert (roles["control_true"], roles["control_plus1"]) == ("upper control", "lower control")
+
+
+@pytest.mark.parametrize("protocol", ["native", "state"])
+def test_where_an_end_pays_nothing_plus1_is_the_survival_control_and_survival_a_lower_one(
+    protocol: str,
+) -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        result.rows[:] = [dataclasses.replace(row, protocol=protocol) for row in result.rows]
+    entries = {(e.method, e.policy): e for e in leaderboard(scored_rows(results))}
+    roles = {method: entry.role for (method, _), entry in entries.items()}
+    assert roles["control_plus1"] == "survival control"
+    assert (
+        roles["control_survival"] == roles["control_minus1"] == roles["control_untrained"] == "lower control"
+    )
+    # The bar is no more what +1 scores but what the others do, here control_survival.
+    assert entries["shaped", "pi_R"].above_best_lower_control == pytest.approx((435 - 445) / 480)
+
+
+@pytest.mark.parametrize("method", ["control_untrained", "control_survival", "control_shuffled"])
+def test_a_task_where_a_control_that_knows_nothing_ties_tells_no_reward_from_none(method: str) -> None:
+    results = [r for r in make_results(("cartpole",)) if r.cell.method != "control_survival"]
+    assert indistinct(leaderboard(scored_rows(results))) == {}
+    for seed in range(3):
+        row = make_row("cartpole", method, seed, "pi_R", return_mean=430.0)
+        results = [r for r in results if r.cell != Cell("cartpole", method, seed)]
+        results.append(CellResult(Cell("cartpole", method, seed), [row]))
+    told = indistinct(leaderboard(scored_rows(results)))
+    assert told == {"cartpole": f"{method} scores 0.85 there, the best method 0.86"}
 
 
 def test_leaderboard_is_sorted_by_score_and_hides_no_failure() -> None:

@@ -144,11 +144,18 @@ def test_a_cluster_is_asked_for_with_a_token_that_is_not_there(
     assert "Traceback" not in printed
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense:words"])
-def test_an_address_without_a_cluster_is_refused_in_a_line(address: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1: "),
+        ("nonsense:words", "--address is HOST:PORT of the head of a Ray cluster"),
+    ],
+)
+def test_an_address_without_a_cluster_is_refused_in_a_line(address: str, said: str, tmp_path: Path) -> None:
     asked = ["--methods", "line", "--engine", "ray", "--address", address]
     code, printed = finish(start(tmp_path / "run", *asked))
     assert code == 2
-    assert printed.startswith(f"irl-bench: error: no Ray cluster answers at {address}: ")
+    assert printed.startswith(f"irl-bench: error: {said}")
+    assert printed.endswith("(docs/cluster.md)\n")
     assert printed.count("\n") == 1
     assert not (tmp_path / "run").exists()

@@ -197,6 +197,15 @@ def test_what_is_no_plugin_is_said(tmp_path: Path) -> None:
             plugins.add([name])
 
 
+def test_a_plugin_of_several_files_is_named_as_a_module(tmp_path: Path) -> None:
+    (tmp_path / "several.py").write_text("import not_there_at_all")
+    with pytest.raises(BadInput, match="is named as a module"):
+        plugins.add([str(tmp_path / "several.py")])
+    (tmp_path / "mine.txt").write_text(MINE)
+    with pytest.raises(BadInput, match=r"does not end in \.py"):
+        plugins.add([str(tmp_path / "mine.txt")])
+
+
 def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
     (tmp_path / "other.py").write_text(MINE.replace("moon", "mars"))
     with pytest.raises(
@@ -345,6 +354,32 @@ def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) ->
         tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=str(site), code=2
     )
     assert "the method broken cannot be loaded: AttributeError" in broken
+
+
+def test_a_run_that_has_a_plugins_cells_goes_on_with_the_plugin_alone(
+    tmp_path: Path, mine: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or what it computed would be dropped from the board."""
+    monkeypatch.chdir(tmp_path)
+    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", str(mine))
+    before = (tmp_path / "results/latest/leaderboard.csv").read_bytes()
+    refused = command(tmp_path, "run", "--methods", "bc", "--envs", "swingup", *SMOKE, code=2)
+    assert "holds cells of mine, which is of a plug-in" in refused
+    assert (tmp_path / "results/latest/leaderboard.csv").read_bytes() == before
+
+
+def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path) -> None:
+    complex_ones = MINE.replace(
+        "steps: int = 30",
+        "steps: int = 30\n\n    def fit(self, demos, world, rng):\n"
+        "        return Learned(lambda obs: 0.5j + obs[:, :1] * 0, None)",
+    )
+    (tmp_path / "odd.py").write_text(complex_ones)
+    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", "odd.py", code=1)
+    scores = irl_bench.load(tmp_path / "results/latest").scores
+    reasons = scores[scores.method == "mine"].reason
+    assert len(reasons)
+    assert reasons.str.startswith("ComplexWarning: Casting complex values to real").all()
 
 
 def test_experts_of_a_task_of_gymnasium_are_trained_for_runs(tmp_path: Path) -> None:

@@ -213,8 +213,10 @@ def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
     assert b"cartpole__reference__seed0" in shown
     assert b"  computing" in shown
     assert b"failed  cartpole__shaped__seed0: ValueError" in shown
-    total = PER_SEED + 2  # and the expert
-    assert f"{total} of {total} done, 1 failed".encode() in shown
+    total = PER_SEED + 1
+    assert f"{total} of {total} cells done, 1 failed".encode() in shown
+    assert b"\x1b[?25l" in shown, "the cursor is hidden"
+    assert b"\x1b[?25h" in shown.rpartition(b"\x1b[?25l")[2], "and shown again"
 
 
 @pytest.mark.parametrize("how", ["moved", "deleted"])

@@ -1,0 +1,101 @@
+"""What is said of a run: what it came to, what failed, what is damaged; to people, and to programs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TextIO
+
+from harness.judge.results import CellResult
+from harness.run.progress import say, tell
+from harness.run.store import RunDirectory
+from harness.run.sums import SUMS
+
+MOST_NAMED = 20
+"""Files that a line names, but for the first; cells that failed, a line each."""
+
+
+@contextmanager
+def for_programs(asked: bool) -> Iterator[TextIO | None]:
+    """Where JSON for programs goes, if that is asked for: standard output. All text goes to standard error
+    until the context ends."""
+    if not asked:
+        yield None
+        return
+    programs = sys.stdout
+    with redirect_stdout(sys.stderr):
+        yield programs
+
+
+def report(
+    run: RunDirectory,
+    results: list[CellResult],
+    anew: bool,
+    tables: bool = False,
+    programs: TextIO | None = None,
+) -> bool:
+    """Writes what these results come to, and says it in five lines. anew: even where it is as it was written.
+    tables: printed besides. programs: of `for_programs`. Returns whether all is there that the run stored."""
+    from harness.run.events import Reported, write
+    from harness.run.reporting import write_report
+    from harness.show import terminal
+
+    incomplete = run.why_incomplete(results) if anew else ""
+    forgotten = run.forgotten(results)
+    damaged = run.damaged_files(results) | run.swapped(results)
+    beside, unusable = run.beside()
+    if anew or not run.is_sealed(results):
+        run.seal(results, write_report(run.path, run.request, [*results, *beside]))
+    shown = [*results, *beside]
+    for line in terminal.tables(run.request, shown) if tables else []:
+        say(line)
+    say("")
+    found = terminal.found(run.request, shown, run.path)
+    for line in found:
+        say(terminal.wrapped(line))
+    if programs:
+        failed = [result.cell.name for result in results if has_failed(result)]
+        write(programs, Reported(directory=str(run.path), failed=failed, found=found))
+    there = {result.cell for result in shown}
+    if absent := [cell.name for cell in run.request.cells if cell not in there]:
+        say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
+    tell_unusable(damaged | unusable, "damaged")
+    if forgotten:
+        tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
+    if incomplete:
+        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
+    return not (forgotten or damaged or unusable or incomplete)
+
+
+def _and_more(names: Sequence[str]) -> str:
+    return f" and {len(names) - 1} more" if names[1:] else ""
+
+
+def tell_troubles(results: list[CellResult]) -> bool:
+    """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
+    for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
+        tell(f"WARNING: {warning}")
+    failed = [result for result in results if has_failed(result)]
+    for result in failed[:MOST_NAMED]:
+        reason = next(row.reason for row in result.rows if row.status == "failed")
+        tell(f"FAILED: {result.cell.name}: {reason}")
+    if len(failed) > MOST_NAMED:
+        tell(f"FAILED: {len(failed) - MOST_NAMED} more, whose reasons are in scores.csv")
+    return bool(failed)
+
+
+def tell_unusable(files: dict[Path, str], what_happens: str) -> None:
+    """A line for each reason."""
+    by_reason: dict[str, list[Path]] = {}
+    for path, reason in sorted(files.items()):
+        by_reason.setdefault(reason, []).append(path)
+    for reason, (first, *others) in sorted(by_reason.items()):
+        names = ", ".join([str(first), *(path.name for path in others[:MOST_NAMED])])
+        more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+        tell(f"{what_happens}: {names}{more}: {reason}")
+
+
+def has_failed(result: CellResult) -> bool:
+    return any(row.status == "failed" for row in result.rows)

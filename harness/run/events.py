@@ -1,0 +1,201 @@
+"""Progress for programs: one JSON object a line, of the types below (docs/commands.md)."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal, Self, TextIO
+
+import msgspec
+
+from harness.run.phases import phase_of
+from harness.run.progress import NOTHING
+from harness.run.tally import Tally
+
+if TYPE_CHECKING:
+    from harness.judge.results import Status
+    from harness.run.engines import Job
+
+FORMAT: Literal[1] = 1
+LOOK_EVERY = 1.0
+"""Seconds between looks at what jobs do."""
+
+
+class JobName(msgspec.Struct, frozen=True, kw_only=True):
+    """What is computed: a cell; or, where `method` is null, what the cells of an environment and a seed
+    share. The fields are those of scores.csv."""
+
+    name: str
+    env: str
+    seed: int
+    method: str | None = None
+    dynamics: str | None = None
+    demos: int | None = None
+    every: int | None = None
+    demonstrator: str | None = None
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
+    """seconds: since the run began to compute."""
+
+    seconds: float
+
+
+class Begun(Event, frozen=True, kw_only=True):
+    """First. cells: to be computed. eta: seconds until all are, as they are expected."""
+
+    format: Literal[1] = FORMAT
+    cells: int
+    workers: int
+    eta: float
+
+
+class Started(Event, frozen=True, kw_only=True):
+    job: JobName
+
+
+class Doing(Event, frozen=True, kw_only=True):
+    """A job that runs is in another phase, or further in it; told once a second at most. step, of:
+    environment steps, null where they are not told. returns: as of `Ended`, rounded, of those policies that
+    were scored by now."""
+
+    name: str
+    phase: str
+    step: int | None
+    of: int | None
+    returns: dict[str, float]
+
+
+class Ended(Event, frozen=True, kw_only=True):
+    """A job has ended. took: seconds; null where it never ran. reason: why it failed or was skipped. returns:
+    each policy's mean true return over the evaluation episodes. cells_done and cells_left: of `cells`; failed
+    ones are done. eta: as of `Begun`."""
+
+    name: str
+    status: Literal["ok", "skipped", "failed"]
+    took: float | None
+    reason: str
+    returns: dict[str, float]
+    cells_done: int
+    cells_left: int
+    cells_failed: int
+    eta: float
+
+
+class Computed(Event, frozen=True, kw_only=True):
+    """No more is computed. stopped: whether that is before all was, such as by Ctrl-C."""
+
+    cells_done: int
+    cells_left: int
+    cells_failed: int
+    stopped: bool
+
+
+class Reported(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag="reported"):
+    """Last. failed: names of cells, of this run and before. found: what people are told, a line each."""
+
+    directory: str
+    failed: list[str]
+    found: list[str]
+
+
+AnyEvent = Begun | Started | Doing | Ended | Computed | Reported
+
+
+def write(stream: TextIO, event: AnyEvent) -> None:
+    """As a line, at once."""
+    stream.write(msgspec.json.encode(event).decode() + "\n")
+    stream.flush()
+
+
+class Events:
+    """Of a run, to a stream. doing: as of `progress_for`."""
+
+    def __init__(self, tally: Tally, doing: Callable[[str], str], stream: TextIO) -> None:
+        self.tally, self.doing, self.stream = tally, doing, stream
+        self._said: dict[str, str] = {}
+        """What each job that runs said last."""
+        self._lock = threading.RLock()
+        self._left = threading.Event()
+        self._looks = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> Self:
+        its = self.tally
+        self._write(Begun(seconds=its.elapsed, cells=its.cells, workers=its.workers, eta=its.eta()))
+        self._looks.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._left.set()
+        self._looks.join()
+        self._write(Computed(seconds=self.tally.elapsed, **self._counts(), stopped=error is not None))
+
+    def started(self, job: Job) -> None:
+        self.tally.begin(job.name)
+        with self._lock:
+            self._said[job.name] = ""
+        self._write(Started(seconds=self.tally.elapsed, job=job_name(job)))
+
+    def finished(
+        self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
+    ) -> None:
+        took = self.tally.end(job.name, status)
+        with self._lock:
+            self._said.pop(job.name, None)
+        event = Ended(
+            seconds=self.tally.elapsed,
+            name=job.name,
+            status=status,
+            took=took,
+            reason=reason,
+            returns={name: value for name, value in returns.items() if math.isfinite(value)},
+            **self._counts(),
+            eta=self.tally.eta(),
+        )
+        self._write(event)
+
+    def _counts(self) -> dict[str, int]:
+        its = self.tally
+        return {"cells_done": its.done, "cells_left": its.left, "cells_failed": its.failed}
+
+    def _look(self) -> None:
+        while not self._left.wait(LOOK_EVERY):
+            for name in list(self._said):
+                said = self.doing(name)
+                with self._lock:
+                    if said and self._said.get(name, said) != said:
+                        self._said[name] = said
+                        phase = phase_of(said)
+                        event = Doing(
+                            seconds=self.tally.elapsed,
+                            name=name,
+                            phase=phase.name,
+                            step=phase.step,
+                            of=phase.of,
+                            returns=dict(phase.returns),
+                        )
+                        self._write(event)
+
+    def _write(self, event: AnyEvent) -> None:
+        with self._lock:
+            write(self.stream, event)
+
+
+def job_name(job: Job) -> JobName:
+    cell = job.cells[0]
+    if job.shared:
+        return JobName(name=job.name, env=cell.env, seed=cell.seed)
+    return JobName(
+        name=job.name,
+        env=cell.env,
+        seed=cell.seed,
+        method=cell.method,
+        dynamics=cell.dynamics,
+        demos=cell.shown.demos,
+        every=cell.shown.every,
+        demonstrator=cell.shown.demonstrator,
+    )

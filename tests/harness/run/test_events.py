@@ -1,0 +1,90 @@
+"""Progress for programs: lines of JSON that are of the types that docs/commands.md tells."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from harness.judge.results import Cell, Conditions, Shown
+from harness.run import events
+from harness.run.engines import Job
+from harness.run.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
+from harness.run.tally import Tally
+
+ROOT = Path(__file__).parents[3]
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
+SHARED = Job((Cell("cartpole", "bc", 3),), True, CONDITIONS, "key")
+BC = Job((Cell("cartpole", "bc", 3, Shown(5, 20, "noisy"), "flipped"),), False, CONDITIONS, "key")
+KINDS = (Begun, Started, Doing, Ended, Computed, Reported)
+
+
+def decoded(text: str) -> list[AnyEvent]:
+    """Every line, of a known type; nothing is in it that no type has."""
+    found = [msgspec.json.decode(line, type=AnyEvent) for line in text.splitlines()]
+    assert [json.loads(line) for line in text.splitlines()] == [msgspec.to_builtins(event) for event in found]
+    return found
+
+
+def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events, "LOOK_EVERY", 0.01)
+    stream, said = io.StringIO(), "retrain, step 12,000 of 40,000; pi_star 66.1"
+    tally = Tally({SHARED.name: 1.0, BC.name: 10.0}, {SHARED.name}, workers=2)
+    with Events(tally, lambda name: said if name == BC.name else "", stream) as told:
+        told.started(SHARED)
+        told.finished(SHARED, "ok")
+        told.started(BC)
+        while "doing" not in stream.getvalue():
+            time.sleep(0.005)
+        time.sleep(0.05)
+        told.finished(BC, "ok", returns={"pi_star": 66.125, "pi_R": float("nan")})
+    begun, shared, made, started, doing, ended, computed = decoded(stream.getvalue())
+    assert isinstance(begun, Begun)
+    assert (begun.format, begun.cells, begun.workers, begun.eta) == (1, 1, 2, pytest.approx(5.5, abs=5))
+    assert isinstance(shared, Started)
+    assert (shared.job.name, shared.job.method, shared.job.demos) == ("cartpole__expert__seed3", None, None)
+    assert isinstance(made, Ended)
+    assert (made.name, made.cells_done, made.cells_left) == ("cartpole__expert__seed3", 0, 1)
+    assert isinstance(started, Started)
+    its = started.job
+    assert (its.env, its.dynamics, its.method, its.seed) == ("cartpole", "flipped", "bc", 3)
+    assert (its.demos, its.every, its.demonstrator) == (5, 20, "noisy")
+    assert isinstance(doing, Doing)
+    assert (doing.name, doing.phase, doing.step, doing.of) == (BC.name, "retrain", 12_000, 40_000)
+    assert doing.returns == {"pi_star": 66.1}
+    assert isinstance(ended, Ended)
+    assert (ended.status, ended.reason, ended.returns) == ("ok", "", {"pi_star": 66.125})
+    assert (ended.cells_done, ended.cells_left, ended.cells_failed) == (1, 0, 0)
+    assert ended.took is not None
+    assert isinstance(computed, Computed)
+    assert (computed.cells_done, computed.stopped) == (1, False)
+
+
+def test_what_failed_or_never_ran_and_a_stop_are_told() -> None:
+    stream = io.StringIO()
+    told = Events(Tally({BC.name: 1.0, "other": 1.0}), lambda name: "", stream)
+    with contextlib.suppress(KeyboardInterrupt), told:
+        told.finished(BC, "failed", "no expert: no gradient")
+        raise KeyboardInterrupt
+    _, ended, computed = decoded(stream.getvalue())
+    assert isinstance(ended, Ended)
+    assert (ended.status, ended.took, ended.reason) == ("failed", None, "no expert: no gradient")
+    assert isinstance(computed, Computed)
+    assert (computed.cells_failed, computed.cells_left, computed.stopped) == (1, 1, True)
+
+
+def test_every_event_and_field_is_told_in_the_documents() -> None:
+    text = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"<!-- events -->\n(.*?)<!-- end", text, re.DOTALL)
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+    told = {name.strip("`"): re.findall(r"`(\w+)`", fields) for name, _, fields in rows}
+    expected = {kind.__struct_config__.tag: list(kind.__struct_fields__) for kind in KINDS}
+    assert {name: sorted(fields) for name, fields in told.items()} == {
+        str(name): sorted(fields) for name, fields in expected.items()
+    }
