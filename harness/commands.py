@@ -134,7 +134,7 @@ def report(directory: Path, tables: bool) -> int:
 def compare(directory: Path, others: Sequence[Path]) -> int:
     """Shows what differs between a run and each of the others."""
     from harness.show import compare as comparison
-    from harness.show.report import markdown
+    from harness.show.tables import markdown
 
     first, *rest = [_read(path) for path in (directory, *others)]
     for other in rest:
@@ -244,8 +244,8 @@ def _prepare() -> None:
     scratch.remove_abandoned(scratch.base())
     keys.versions(keys.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
-    if keys.TEMPLATE not in keys.program():
-        raise BadInput(f"{keys.TEMPLATE} is missing; install the program again")
+    if missing := [part for part in keys.PAGE_PARTS if part not in keys.program()]:
+        raise BadInput(f"{missing[0]} is missing; install the program again")
     try:
         importlib.import_module("harness.run.isolated")
         importlib.import_module("harness.run.grid")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -31,12 +32,16 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     ordered = np.sort(np.asarray(values, np.float64))
     if ordered[0] == ordered[-1]:
         return float(ordered[0]), float(ordered[0])
+    reach = _reach(len(ordered)) * float(ordered.std(ddof=1)) / math.sqrt(len(ordered))
+    return float(ordered.mean()) - reach, float(ordered.mean()) + reach
+
+
+@functools.cache
+def _reach(count: int) -> float:
+    """Standard errors that Student's 95 % interval of the mean of so many values reaches to either side."""
     from scipy.stats import t
 
-    reach = float(
-        t.ppf(0.5 + CONFIDENCE / 2, len(ordered) - 1) * ordered.std(ddof=1) / math.sqrt(len(ordered))
-    )
-    return float(ordered.mean()) - reach, float(ordered.mean()) + reach
+    return float(t.ppf(0.5 + CONFIDENCE / 2, count - 1))
 
 
 def normal_interval(mean: float, error: float) -> tuple[float, float]:

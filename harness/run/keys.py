@@ -50,16 +50,16 @@ PUBLIC = "irl_bench.py"
 """The module that gives plug-ins all of those under one name."""
 EXPERTS = ("results/reference/experts", "harness/shipped")
 """Where the shipped experts are: in the repository, and where the package is installed."""
-TEMPLATE = "harness/show/report.html.j2"
+PAGE_PARTS = tuple(f"harness/show/report.{kind}" for kind in ("html.j2", "css", "js"))
 ROOT = Path(__file__).parents[2]
 INSTRUCTIONS = ("sse4", "avx", "fma", "amx")
 
 
 @functools.cache
 def program() -> dict[str, bytes]:
-    """What Python can import of this program, the report's template and the shipped experts, by path below
-    `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files hold
-    by then."""
+    """What Python can import of this program, the parts of the report's page and the shipped experts, by path
+    below `ROOT`. Read once: keys are of this reading, and the cells' processes use it and not what the files
+    hold by then."""
     files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _counts(file)]
     files += [ROOT / PUBLIC] * (ROOT / PUBLIC).is_file()
     files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
@@ -86,9 +86,8 @@ def experts_version(env: str) -> str:
 def _counts(file: Path) -> bool:
     *folders, name = file.relative_to(ROOT).parts
     stem, _, kind = name.partition(".")
-    return (
-        all(part.isidentifier() for part in (*folders, stem)) and kind in ("py", "html.j2") and file.is_file()
-    )
+    counts = kind in ("py", "html.j2", "css", "js")
+    return counts and all(part.isidentifier() for part in (*folders, stem)) and file.is_file()
 
 
 def write_program(folder: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from harness.judge.results import CellResult, Request
 from harness.run.files import write_atomic
-from harness.run.keys import TEMPLATE, program
+from harness.run.keys import PAGE_PARTS, program
 from harness.show.report import report_files
 
 
@@ -18,7 +18,8 @@ def write_report(directory: Path, request: Request, results: Sequence[CellResult
     recorded: list[str] = []
     with suppress(OSError):
         recorded = os.listdir(directory / "recordings")
-    files = report_files(request, results, program()[TEMPLATE].decode(), recorded)
+    parts = {Path(name).name: program()[name].decode() for name in PAGE_PARTS}
+    files = report_files(request, results, parts, recorded)
     for name, content in files.items():
         write_atomic(directory / name, content)
     return [directory / name for name in files]

@@ -20,7 +20,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from harness.judge.leaderboard import Entry
-from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
+from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, Row
+from harness.show.boards import Board
+from harness.show.facts import NO_RESULT
 
 RED = "#b00020"
 BLUE, ORANGE = "#0072b2", "#d55e00"
@@ -30,8 +32,6 @@ POLICIES = {
     "pi_R": (r"$\pi_R$ (RL on R*)", ORANGE, "D"),
 }
 """Label, colour and marker."""
-MOST_PANELS, MOST_IN_ALL = 60, 2000
-"""Of a figure and of a report: one takes a tenth of a second."""
 MOST_SEEDS = 100
 """Seeds whose own lines and dots are drawn; means are of all."""
 LONGEST_ALT = 20_000
@@ -65,59 +65,16 @@ def styled() -> Iterator[None]:
         yield
 
 
-def draw(
-    env: str,
-    entries: Sequence[Entry],
-    rows: Sequence[Row],
-    results: Sequence[CellResult],
-    envs: int = 1,
-    flag: str = "",
-    in_all: int = MOST_IN_ALL,
-) -> list[Picture]:
-    """The figures of one board of `envs`, from its lines, its scored rows and its results: scores, learning
-    curves of RL, training curves of methods; those that have nothing to show are left out. flag: what is said
-    above each. in_all: panels of all boards, at most."""
-    file = file_of(env)
-    most = min(MOST_PANELS, max(1, in_all // (2 * envs)))
+def draw_scores(board: Board) -> Picture | None:
+    """A point a seed, a diamond or disc at the mean, a bar for its interval; controls on grey. None where
+    there is only the reference."""
+    if all(entry.method == REFERENCE for entry in board.entries):
+        return None
     with styled():
-        rl, truth, chosen, training = _curves([entry.method for entry in entries], results)
-        scored = any(entry.method != REFERENCE for entry in entries)
-        pictures = [_scores(env, entries, rows, flag)] if scored else []
-        if rl:
-            alt = f"Return under R* and true return against environment steps in {env}, a panel for each of: "
-            pictures.append(
-                _panels(
-                    f"{file}_rl.png",
-                    f"{env}: RL on R* (the ringed checkpoints count; each panel has its own scale)",
-                    alt + ", ".join(rl) + ".",
-                    "environment steps (left, blue: return learned from; right, orange: true return)",
-                    rl,
-                    truth,
-                    chosen,
-                    flag,
-                    most,
-                )
-            )
-        if training:
-            alt = f"Training curves in {env}, a panel for each of: "
-            pictures.append(
-                _panels(
-                    f"{file}_training.png",
-                    f"{env}: training of the methods",
-                    alt + ", ".join(training) + ".",
-                    "iteration",
-                    training,
-                    {},
-                    {},
-                    flag,
-                    most,
-                )
-            )
-    return pictures
+        return _scores(board.name, board.entries, board.rows, board.flag)
 
 
 def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) -> Picture:
-    """A point a seed, a diamond or disc at the mean, a bar for its interval; controls on grey."""
     methods = list(dict.fromkeys(entry.method for entry in entries if entry.method != REFERENCE))
     figure = Figure(figsize=(8, 1.4 + 0.48 * len(methods)), layout="constrained")
     axes = figure.add_subplot()
@@ -157,7 +114,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     seeds = f"the first {MOST_SEEDS} seeds" if max(map(len, dots.values())) > MOST_SEEDS else "seeds"
     axes.set_xlabel(f"normalized score (small dots: {seeds}; markers: means; bars: 95 % intervals)")
     if flag:
-        axes.set_title(flag, color=RED, pad=18)
+        axes.set_title(f"{NO_RESULT}: {flag}", color=RED, pad=18)
     for label, colour, marker in POLICIES.values():
         axes.scatter([], [], s=38, color=colour, marker=marker, label=label)
     figure.legend(loc="outside upper right", ncols=2, frameon=False)
@@ -186,72 +143,6 @@ def _why(entry: Entry) -> str:
     """Why there is no score, in a line."""
     text = " ".join(entry.note.split()) or "no score: what would score 1 is missing, or no better than random"
     return text if len(text) <= 70 else text[:69] + "…"
-
-
-Curves = dict[str, list[list[tuple[float, float]]]]
-"""Lines by the title of their panel, one a seed."""
-
-
-def _curves(methods: Sequence[str], results: Sequence[CellResult]) -> tuple[Curves, Curves, Curves, Curves]:
-    """RL's curves under the reward learned from, their true returns, the checkpoints that count, and the
-    methods' own curves, in the order of `methods`."""
-    rank = {method: place for place, method in enumerate(dict.fromkeys(methods))}
-    ranked = [result for result in results if result.cell.method in rank]
-    ranked.sort(key=lambda result: (rank[result.cell.method], result.cell.seed))
-    rl: Curves = {}
-    truth: Curves = {}
-    chosen: Curves = {}
-    training: Curves = {}
-    for result in ranked:
-        method = result.cell.method
-        for name, points in sorted(result.curves.items()):
-            finite = [point for point in points if math.isfinite(point[1])]
-            if not finite:
-                continue
-            if name in ("pi_R", "expert"):
-                rl.setdefault("expert" if name == "expert" else method, []).append(finite)
-            elif name in ("pi_R_true", "pi_R_chosen"):
-                (truth if name == "pi_R_true" else chosen).setdefault(method, []).append(finite)
-            else:
-                training.setdefault(f"{method}: {name}", []).append(finite)
-    return rl, truth, chosen, training
-
-
-def _panels(
-    file: str,
-    title: str,
-    alt: str,
-    xlabel: str,
-    curves: Curves,
-    second: Curves,
-    ringed: Curves,
-    flag: str,
-    most: int,
-) -> Picture:
-    """A panel for each title of `curves`, up to `most`; those of `second` have an axis of their own, on the
-    right, and points of `ringed` a ring."""
-    if len(curves) > most:
-        title += f" (the first {most} of {len(curves)} panels)"
-        curves = dict(list(curves.items())[:most])
-    if max(map(len, curves.values())) > MOST_SEEDS:
-        title += f" (lines of the first {MOST_SEEDS} seeds)"
-    columns = min(4, len(curves))
-    lines = math.ceil(len(curves) / columns)
-    figure = Figure(figsize=(2.5 * columns + 0.3, 1.9 * lines + 0.3), layout="constrained")
-    for place, (name, seeds) in enumerate(curves.items()):
-        axes: Axes = figure.add_subplot(lines, columns, place + 1)
-        plot_seeds(axes, seeds, BLUE)
-        points = [point for points in ringed.get(name, []) for point in points]
-        axes.plot(*(zip(*points, strict=True) if points else ([], [])), "o", color=BLUE, fillstyle="none")
-        axes.set_title(name, parse_math=False)
-        if name in second:
-            twin = axes.twinx()
-            twin.spines["right"].set_visible(True)
-            plot_seeds(twin, second[name], ORANGE)
-    figure.supxlabel(xlabel, fontsize=9)
-    if flag:
-        figure.suptitle(flag, color=RED)
-    return picture(file, title, alt + " A thin line a seed, a thick one for their mean.", figure)
 
 
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:

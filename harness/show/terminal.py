@@ -27,7 +27,7 @@ from harness.judge.leaderboard import (
     scored_rows,
 )
 from harness.judge.results import NOMINAL, CellResult, Request
-from harness.show.report import NO_RESULT
+from harness.show.facts import NO_RESULT
 
 HEADINGS = ("Method", "Policy", "Score", "Behind best", "Note")
 NAMES = {"pi_star": "pi*", "pi_R": "pi_R"}

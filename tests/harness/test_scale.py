@@ -15,8 +15,10 @@ from harness import scale
 from harness.judge.results import Cell, CellResult, Request, Shown
 from harness.run.engines import Outcome
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.keys import TEMPLATE, cell_keys, program
-from harness.show import figures, report
+from harness.run.keys import PAGE_PARTS, ROOT, cell_keys
+from harness.show import charts, curves, figures, page, report
+
+PARTS = {Path(name).name: (ROOT / name).read_text(encoding="utf-8") for name in PAGE_PARTS}
 
 
 @pytest.fixture(autouse=True)
@@ -99,53 +101,55 @@ def test_keys_grow_no_faster_than_cells_and_hardly_with_their_seeds() -> None:
 def test_tables_grow_no_faster_than_rows(
     shape: Callable[[int], scale.Shape], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(figures, "draw", lambda *asked: [])
-    monkeypatch.setattr(report, "draw_axes", lambda *asked: [])
-    template = program()[TEMPLATE].decode()
+    monkeypatch.setattr(report, "MOST_DRAWN", 0)
     made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
 
     def work(count: int) -> None:
-        report.report_files(*made[count], template, ())
+        report.report_files(*made[count], PARTS, ())
 
     assert growth(work, 1500) < 2.8
 
 
-def test_a_run_of_many_rows_is_drawn_in_few_pictures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    monkeypatch.setattr(figures, "draw", lambda *its: asked.append(its) or [])
+def test_a_run_of_many_rows_is_drawn_in_few_figures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn, asked = [], []
+    monkeypatch.setattr(figures, "draw_scores", lambda board: drawn.append(board.name))
     monkeypatch.setattr(report, "draw_axes", lambda *its: [])
+    for name in ("scores", "costs", "distances", "demonstrations"):
+        monkeypatch.setattr(charts, name, lambda *its: None)
+    monkeypatch.setattr(curves, "learning", lambda board, most: asked.append(most))
     monkeypatch.setattr(report, "MANY_ROWS", 2000)
     monkeypatch.setattr(report, "MOST_LINES", 1000)
     request, results = scale.made_up((2, 3, 40, 4))
-    files = report.report_files(request, results, program()[TEMPLATE].decode(), ())
+    files = report.report_files(request, results, PARTS, ())
     rows = list(csv.DictReader(io.StringIO(str(files["scores.csv"]))))
     assert len(rows) == sum(len(result.rows) for result in results) > 2000
     lines = list(csv.DictReader(io.StringIO(str(files["leaderboard.csv"]))))
     boards = list(dict.fromkeys((line["env"], line["demos"]) for line in lines))
     assert len(boards) == 80
-    assert len(asked) == report.MOST_DRAWN_OF_MANY
-    assert {its[-1] for its in asked} == {report.MOST_PANELS_OF_MANY}
-    shown = str(files["report.html"]).count('<h2 id="')
-    assert shown == 1000 // (len(lines) // 80)
+    assert len(drawn) == report.MOST_DRAWN_OF_MANY
+    assert asked == [report.MOST_PANELS_OF_MANY] * report.MOST_DRAWN_OF_MANY
+    shown = 1000 // (len(lines) // 80)
+    assert str(files["leaderboard.md"]).count("## task") == shown
+    assert str(files["report.html"]).count('data-name="endings ') == shown
     for file in ("report.html", "leaderboard.md"):
         text = str(files[file])
         assert f"the first {shown} of 80 boards are shown; leaderboard.csv has the lines of all" in text
-        assert f"pictures are of the first {report.MOST_DRAWN_OF_MANY} boards" in text
+        assert f"figures are of the first {report.MOST_DRAWN_OF_MANY} boards" in text
         assert "task0, 1 demonstration" in text
         assert "task1, 40 demonstrations" not in text
 
 
 def test_a_page_lists_the_first_of_many_warnings_and_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figures, "draw", lambda *its: [])
-    monkeypatch.setattr(report, "MOST_LISTED", 5)
+    monkeypatch.setattr(figures, "draw_scores", lambda board: None)
+    monkeypatch.setattr(page, "MOST_LISTED", 5)
     request, results = scale.made_up((2, 3, 1, 2))
     results = [dataclasses.replace(result, warnings=["odd"]) for result in results]
     recorded = [name for result in results for name in result.recordings]
-    page = str(report.report_files(request, results, program()[TEMPLATE].decode(), recorded)["report.html"])
-    assert page.count(": odd</li>") == 5
-    assert f"and {len(results) - 5} more; scores.csv has every row" in page
-    assert page.count("--bind 127.0.0.1") == 5
-    assert f"and {len(recorded) - 5} more in recordings/" in page
+    text = str(report.report_files(request, results, PARTS, recorded)["report.html"])
+    assert text.count(": odd</li>") == 5
+    assert f"and {len(results) - 5} more; scores.csv has every row" in text
+    assert text.count("irl-bench view . --env") == 5
+    assert f"and {len(recorded) - 5} more in recordings/" in text
 
 
 def test_of_many_seeds_the_first_are_drawn_and_all_count() -> None:

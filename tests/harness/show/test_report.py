@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from matplotlib.image import imread
 from scipy.stats import norm
 
 from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
@@ -26,7 +26,8 @@ from harness.judge.results import (
     Shown,
 )
 from harness.run.reporting import write_report
-from harness.show import figures
+from harness.show import curves, figures
+from harness.show.boards import Board
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
 
 
@@ -35,18 +36,15 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 class Page(HTMLParser):
-    """The images and links of a page, and its text."""
+    """The links of a page, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
-        self.images: list[dict[str, str | None]] = []
         self.links: list[str] = []
         self.text = ""
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag == "img":
-            self.images.append(dict(attrs))
         if tag == "a":
             self.links.append(dict(attrs)["href"] or "")
 
@@ -98,7 +96,7 @@ def test_equal_results_give_equal_files_in_whatever_order_they_come(report: Path
     (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
     write_report(tmp_path, REQUEST, with_warning(make_results())[::-1])
     files = sorted(path.relative_to(report) for path in report.rglob("*") if path.is_file())
-    figures = [f"figures/{env}_{kind}.png" for env in ENVS for kind in ("rl", "scores", "training")]
+    figures = [f"figures/{env}_scores.png" for env in ENVS]
     tables = ["leaderboard.csv", "leaderboard.md", "report.html", "scores.csv"]
     recordings = ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
     assert sorted(map(str, files)) == sorted(figures + tables + recordings)
@@ -113,10 +111,8 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
         known = row["env"] == "pendulum" and row["status"] == "ok"
         assert (row["normalized_score"] != "") == known
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
-    assert (
-        "| shaped | method | pi_R | 1 of 1 | n/a |  | n/a | n/a | n/a | n/a | n/a | 440.0 [439.9, 440.1] |"
-        in cartpole
-    )
+    assert "| shaped | pi_R | n/a |  | n/a | 1 of 1 | not scored (seed 0)" in cartpole
+    assert "| shaped | pi_R | 440.0 [439.9, 440.1] | 12.5 |" in cartpole
     assert "nan" not in (tmp_path / "leaderboard.md").read_text()
     text = Page((tmp_path / "report.html").read_text()).text
     assert "cartpole, seed 0: no scores" in text
@@ -125,7 +121,7 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
 
 def test_a_run_that_has_only_its_reference_yet_draws_nothing(tmp_path: Path) -> None:
     write_report(tmp_path, REQUEST, [r for r in make_results(seeds=1) if r.cell.method == "reference"])
-    assert not list(tmp_path.glob("figures/*_scores.png"))
+    assert not list(tmp_path.glob("figures/*"))
     assert "reference" in (tmp_path / "leaderboard.md").read_text()
 
 
@@ -213,18 +209,22 @@ def test_what_is_no_result_is_headed_so_everywhere(tmp_path: Path, why: str) -> 
     for env in ENVS:
         flagged = why == "smoke" or (why != "" and env == "pendulum")
         assert (f"## {env}: NOT A RESULT" in table) == flagged
-        assert f'<h2 id="{env}">{env}' in page
-    assert len(files) == 4 + 3 * len(ENVS)
+        title = re.search(rf'<figure id="board-{env}">.*?<h3>(.*?)</h3>', page, re.DOTALL)
+        assert title
+        assert ("NOT A RESULT" in title[1]) == flagged
+    assert len(files) == 4 + len(ENVS)
 
 
 def test_figures_of_no_result_say_so() -> None:
     results = make_results(("cartpole",), seeds=1)
     rows = scored_rows(results)
     plain, flagged = (
-        figures.draw("cartpole", leaderboard(rows), rows, results, 1, flag) for flag in ("", "NOT A RESULT")
+        figures.draw_scores(Board("cartpole", leaderboard(rows), rows, results, flag))
+        for flag in ("", "one seed")
     )
-    for one, other in zip(plain, flagged, strict=True):
-        assert one.png != other.png
+    assert plain
+    assert flagged
+    assert plain.png != flagged.png
 
 
 def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
@@ -280,20 +280,25 @@ def test_details_of_fits_are_told(tmp_path: Path) -> None:
     assert "eigenvalues of LLᵀ, mean" in (tmp_path / "report.html").read_text()
 
 
-def test_panels_are_few_where_envs_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = []
-    monkeypatch.setattr(figures, "_panels", lambda *asked: shown.append(asked[-1]))
-    for envs in (1, 10, 50, 5000):
-        results = [
-            CellResult(
-                Cell("cartpole", "bc", 0),
-                [make_row("cartpole", "bc", 0, "pi_R", return_mean=1.0)],
-                {"pi_R": [(0.0, 1.0)]},
-            )
-        ]
-        rows = scored_rows(results)
-        figures.draw("cartpole", leaderboard(rows), rows, results, envs)
-    assert shown == [60, 60, 20, 1]
+def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if "pi_R" in result.curves:
+            result.curves["pi_R_chosen"] = [result.curves["pi_R"][9]]
+    rows = scored_rows(results)
+    board = Board("cartpole", leaderboard(rows), rows, results, "")
+    chart = curves.learning(board)
+    assert chart is not None
+    assert len(chart.plots) == 7  # control_true and the other controls, shaped, maxmargin
+    shaped = next(plot for plot in chart.plots if ">shaped<" in plot)
+    chosen = [dict(r.curves["pi_R_true"])[9000.0] for r in results if r.cell.method == "shaped"]
+    for value in chosen:
+        assert f"steps 9,000: true return {value:.1f}" in shaped
+    few = curves.learning(board, 2)
+    assert few is not None
+    assert (len(few.plots), few.note) == (2, "The first 2 of 7 panels.")
+    assert few.data is not None
+    assert len({*few.data["method"]} - {"reference"}) == 2
 
 
 def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
@@ -316,21 +321,18 @@ def test_markdown_tables_are_rectangular(report: Path) -> None:
         *("Across environments", "cartpole", "pendulum"),
         "Computed with",
     ]
-    assert len(tables) == 4  # two for each env
+    assert len(tables) == 6  # three for each env
     for table in tables:
         lines = [line.replace(r"\|", "") for line in table.splitlines() if line.startswith("|")]
         assert len({line.count("|") for line in lines}) == 1
+        assert lines[0].count("|") <= 9  # eight columns
 
 
-def test_page_shows_figures_with_words_endings_warnings_and_recordings(report: Path) -> None:
+def test_page_shows_endings_warnings_and_recordings(report: Path) -> None:
     page = Page((report / "report.html").read_text())
-    assert len(page.images) == 6
-    for image in page.images:
-        pixels = imread(report / str(image["src"]))
-        assert pixels.shape[0] > 200
-        assert len(str(image["alt"])) > 40
-    assert page.links == ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
-    assert "rerun recordings/cartpole__shaped__seed0__pi_R.rrd --bind 127.0.0.1" in page.text
+    links = [link for link in page.links if not link.startswith("#")]
+    assert links == ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
+    assert "irl-bench view . --env cartpole --method shaped" in page.text
     assert "cartpole__reference__seed0: expert <misses> its bar" in page.text
     assert "time limit 210, pole fell 90" in page.text
     others = len(make_results()) - 1

@@ -1,0 +1,257 @@
+"""The page in a real Chromium: it says what scores.csv says, sorts, filters, and asks for nothing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from harness.judge.results import CONTROLS, UNSHOWN
+from harness.show.tables import FIRST
+
+FIRST_PAINT = 5000
+"""Milliseconds, of a machine that does other things too."""
+LINES = "#lines tbody tr"
+
+
+@pytest.fixture(scope="module")
+def looked(browser: Any, reported: Path) -> Iterator[tuple[Any, list[str]]]:
+    """The page, and what it asked for, said or did wrong."""
+    page, noted = browser.new_page(viewport={"width": 1300, "height": 900}), list[str]()
+    page.on("request", lambda request: noted.append(request.url))
+    page.on("console", lambda message: noted.append(message.text))
+    page.on("pageerror", lambda error: noted.append(str(error)))
+    page.goto((reported / "report.html").as_uri())
+    yield page, noted
+    page.close()
+
+
+@pytest.fixture
+def page(looked: tuple[Any, list[str]]) -> Iterator[Any]:
+    """With its filters as they were."""
+    yield looked[0]
+    for select in looked[0].query_selector_all("select"):
+        select.select_option("")
+
+
+def texts(page: Any, heading: str) -> list[str]:
+    """Of a column of the leaderboard, of the lines that are shown, from top to bottom."""
+    told: list[str] = page.evaluate(
+        """heading => {
+            const table = document.querySelector("#lines table");
+            const at = [...table.tHead.rows[0].cells].findIndex(cell => cell.textContent === heading);
+            const shown = [...table.tBodies[0].rows].filter(row => row.offsetParent);
+            return shown.map(row => row.cells[at].textContent);
+        }""",
+        heading,
+    )
+    return told
+
+
+def sort_by(page: Any, heading: str) -> str:
+    """By keyboard; returns what the heading then says of its order."""
+    button = page.locator("#lines thead button").get_by_text(heading, exact=True)
+    button.focus()
+    page.keyboard.press("Enter")
+    order: str = button.evaluate("button => button.closest('th').ariaSort")
+    return order
+
+
+def test_it_asks_for_nothing_and_says_nothing(looked: tuple[Any, list[str]], reported: Path) -> None:
+    page, noted = looked
+    page.mouse.wheel(0, 20_000)
+    assert noted == [(reported / "report.html").as_uri()]
+    policy = page.get_attribute("meta[http-equiv=Content-Security-Policy]", "content")
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+
+
+def test_what_is_added_to_it_does_not_run(browser: Any, reported: Path, tmp_path: Path) -> None:
+    text = (reported / "report.html").read_text()
+    (tmp_path / "page.html").write_text(text.replace("</body>", "<script>window.ran = 1</script></body>"))
+    page = browser.new_page()
+    page.goto((tmp_path / "page.html").as_uri())
+    assert page.evaluate("window.ran") is None
+    page.close()
+
+
+def test_it_is_painted_at_once(looked: tuple[Any, list[str]]) -> None:
+    painted = looked[0].evaluate(
+        """() => new Promise(done => new PerformanceObserver(seen => done(seen.getEntries()[0].startTime))
+            .observe({ type: "paint", buffered: true }))"""
+    )
+    assert 0 < painted < FIRST_PAINT
+
+
+def test_its_numbers_are_those_of_the_scores(page: Any, reported: Path) -> None:
+    scores: dict[tuple[str, ...], list[float]] = {}
+    for row in csv.DictReader(io.StringIO((reported / "scores.csv").read_text())):
+        key = (row["env"], row["dynamics"], row["demos"], row["method"], row["policy"])
+        scores.setdefault(key, []).append(float(row["normalized_score"] or "nan"))
+    headings = ("Task", "Dynamics", "Demonstrations", "Method", "Policy", "Score [95 %]")
+    told = list(zip(*(texts(page, heading) for heading in headings), strict=True))
+    exact = page.eval_on_selector_all(LINES, "rows => rows.map(row => row.cells[4].dataset.v ?? 'NaN')")
+    assert len(told) == len(exact) > 50
+    for (env, dynamics, shown, method, policy, text), value in zip(told, exact, strict=True):
+        demos = "0" if method in UNSHOWN else shown.split()[0]
+        known = [score for score in scores[env, dynamics, demos, method, policy] if math.isfinite(score)]
+        mean = sum(known) / len(known) if known else math.nan
+        assert float(value) == pytest.approx(mean, rel=1e-9, abs=1e-9, nan_ok=True)
+        assert text.partition(" ")[0] == (f"{mean:z.2f}" if known else "n/a")
+
+
+def test_any_column_sorts_both_ways_and_what_is_unknown_stays_last(page: Any) -> None:
+    for heading in FIRST:
+        if heading == "Score [95 %]":
+            continue
+        for _ in range(2):
+            assert sort_by(page, heading) in ("ascending", "descending")
+    for order, sign in (("descending", -1), ("ascending", 1)):
+        assert sort_by(page, "Score [95 %]") == order
+        told = [text.partition(" ")[0] for text in texts(page, "Score [95 %]")]
+        numbers = [sign * float(text) for text in told if text != "n/a"]
+        assert numbers == sorted(numbers)
+        assert set(told[len(numbers) :]) == {"n/a"}
+    assert sort_by(page, "Method") == "ascending"
+    assert texts(page, "Method") == sorted(texts(page, "Method"))
+    assert page.locator("#lines th[aria-sort]").count() == 1
+
+
+def test_filters_leave_what_they_say(page: Any) -> None:
+    every = len(texts(page, "Method"))
+    chosen = {
+        "Task": "cartpole",
+        "Method": "shaped",
+        "Demonstrations": "20 demonstrations",
+        "Dynamics": "heavy",
+    }
+    for heading, choice in chosen.items():
+        page.select_option(f"select[data-column='{heading}']", choice)
+        assert set(texts(page, heading)) == {choice}
+    assert sorted(texts(page, "Policy")) == ["pi_R", "pi_star"]
+    assert page.text_content("#lines [role=status]") == f"2 of {every} lines"
+
+
+def test_columns_that_matter_are_there_at_once_and_the_others_behind_a_switch(page: Any) -> None:
+    def headings() -> list[str]:
+        return [h.inner_text() for h in page.query_selector_all("#lines thead button") if h.is_visible()]
+
+    names = lambda: [re.sub(r" [▲▼]$", "", name) for name in headings()]  # noqa: E731
+    assert names() == list(FIRST)
+    page.click("#more")
+    assert page.get_attribute("#more", "aria-pressed") == "true"
+    assert len(names()) > 20
+    page.click("#more")
+    assert names() == list(FIRST)
+
+
+@pytest.mark.parametrize("kind", ["csv", "tex"])
+def test_the_leaderboard_is_saved_as_it_is_filtered(page: Any, kind: str, tmp_path: Path) -> None:
+    page.select_option("select[data-column='Method']", "shaped")
+    lines = len(texts(page, "Method"))
+    with page.expect_download() as saved:
+        page.click(f"#lines [data-save={kind}]")
+    assert saved.value.suggested_filename == f"leaderboard.{kind}"
+    saved.value.save_as(tmp_path / "saved")
+    text = (tmp_path / "saved").read_text()
+    if kind == "tex":
+        assert text.count(r"shaped & pi\_") == lines
+        assert r"Score [95 \%]" in text
+        assert text.rstrip().endswith(r"\end{tabular}")
+        return
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert len(rows) == lines
+    assert {row["Method"] for row in rows} == {"shaped"}
+    assert [float(r["Score low"]) < float(r["Score"]) < float(r["Score high"]) for r in rows] == [
+        True
+    ] * lines
+    assert {row["Env steps"] for row in rows} == {"15000"}
+
+
+def test_curves_are_saved_with_a_line_for_each_point(page: Any, tmp_path: Path) -> None:
+    with page.expect_download() as saved:
+        page.locator("#learning [data-file]").first.click()
+    saved.value.save_as(tmp_path / "saved")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "saved").read_text())))
+    assert {row["curve"] for row in rows} == {"expert", "pi_R", "pi_R_true"}
+    mine = [r for r in rows if (r["method"], r["curve"]) == ("shaped", "pi_R_true")]
+    assert len(mine) == 16
+    assert all(float(r["low"]) <= float(r["mean"]) <= float(r["high"]) for r in mine)
+
+
+def test_an_interval_is_told_to_the_pointer_and_to_the_keyboard(page: Any) -> None:
+    tile = page.locator(".heat td[data-tip]").first
+    tile.hover()
+    hovered = page.text_content("#tip")
+    assert re.search(r": \d\.\d\d \[\d\.\d\d, \d\.\d\d\], 3 of 3 seeds", hovered)
+    page.mouse.move(0, 0)
+    tile.focus()
+    assert page.text_content("#tip") == hovered
+    page.keyboard.press("ArrowDown")
+    assert page.text_content("#tip") != hovered
+    assert page.evaluate("document.activeElement.getAttribute('aria-describedby')") == "tip"
+    page.keyboard.press("Escape")
+    assert not page.is_visible("#tip")
+    assert page.locator(".heat td[tabindex='0']").count() == 1
+
+
+def test_every_heading_is_explained_under_its_table_and_at_the_pointer(page: Any) -> None:
+    told = page.evaluate(
+        """() => [...document.querySelectorAll(".table")].map(table => {
+            const texts = kind => [...table.querySelectorAll(kind)].map(one => one.textContent);
+            return [texts("thead button"), texts("dt"), texts("dd")];
+        })"""
+    )
+    assert len(told) > 20
+    for headings, names, meanings in told:
+        assert names == headings
+        assert min(map(len, meanings)) > 10
+    button = page.locator("#lines thead button").get_by_text("Score [95 %]", exact=True)
+    button.hover()
+    assert "0 random, 1 the expert" in page.text_content("#tip")
+
+
+def test_each_figure_has_words_and_its_data(page: Any) -> None:
+    told = page.evaluate(
+        """() => [...document.querySelectorAll("figure")].map(figure => [
+            Boolean(figure.querySelector("details.data table, [data-file]")),
+            [...figure.querySelectorAll(".plots > svg[role=img]")].map(plot => plot.ariaLabel.length),
+            figure.querySelectorAll(".plots > *").length,
+        ])"""
+    )
+    assert len(told) > 15
+    for has_data, words, plots in told:
+        assert has_data
+        assert len(words) == plots > 0
+        assert min(words) > 30
+    sections = page.eval_on_selector_all("section", "all => all.map(one => one.id)")
+    every = ("summary", "leaderboard", "seeds", "transfer", "cost", "runs", "demonstrations", "distances")
+    assert {*every, "learning", "training", "more-tables", "recordings", "computed"} <= {*sections}
+    ids = page.eval_on_selector_all("[id]", "all => all.map(one => one.id)")
+    assert len(ids) == len({*ids})
+    anchors = page.eval_on_selector_all("a[href^='#']", "all => all.map(one => one.hash.slice(1))")
+    assert {*anchors} <= {*ids}
+
+
+def test_the_best_is_marked_and_what_is_not_told_apart_from_it(page: Any) -> None:
+    marks = page.eval_on_selector_all(
+        ".heat td b", "all => all.map(b => [b.textContent, b.parentElement.dataset.tip])"
+    )
+    assert {mark for mark, _ in marks} <= {"★", "≈"}
+    assert all(("the best" in tip) for _, tip in marks)
+    best = {tip.partition(",")[0] for mark, tip in marks if mark == "★"}
+    assert best == {"bc", "shaped"}
+    assert not best & {*CONTROLS}
+
+
+def test_a_json_block_cannot_end_early(reported: Path) -> None:
+    text = (reported / "report.html").read_text()
+    (block,) = re.findall(r'<script type="application/json" id="files">(.*?)</script>', text)
+    assert any(name.startswith("learning cartpole") for name in json.loads(block))

@@ -1,0 +1,128 @@
+"""The report's page is for everyone: axe-core, contrast, widths, print, and what stands beside what."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from harness.run.reporting import write_report
+from tests.harness.made_results import REQUEST, make_results, make_row
+
+SCREENSHOTS = Path(__file__).parents[2] / "output" / "report"
+"""What the page looks like, for people."""
+LINES = "#lines tbody tr"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_no_fault(browser: Any, reported: Path, scheme: str) -> None:
+    import axe_playwright_python
+
+    (script,) = Path(axe_playwright_python.__file__).parent.rglob("axe.min.js")
+    page = browser.new_page(color_scheme=scheme, viewport={"width": 900, "height": 900})
+    page.goto((reported / "report.html").as_uri())
+    page.evaluate(f"{script.read_text(encoding='utf-8')};0")
+    found = page.evaluate("axe.run({ resultTypes: ['violations'] })")["violations"]
+    page.close()
+    assert [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in found] == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_numbers_stand_out_from_their_tiles(browser: Any, reported: Path, scheme: str) -> None:
+    page = browser.new_page(color_scheme=scheme)
+    page.goto((reported / "report.html").as_uri())
+    colours = page.evaluate(
+        """() => {
+            const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
+            const seen = colour => {
+                context.fillStyle = colour;
+                context.fillRect(0, 0, 1, 1);
+                return [...context.getImageData(0, 0, 1, 1).data].slice(0, 3);
+            };
+            const tile = document.querySelector(".heat td[data-tip]");
+            return [...Array(11).keys()].map(shade => {
+                tile.className = `h${shade}`;
+                const style = getComputedStyle(tile);
+                return [seen(style.color), seen(style.backgroundColor)];
+            });
+        }"""
+    )
+    page.close()
+
+    def luminance(colour: list[int]) -> float:
+        linear = [
+            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)
+        ]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    grounds = [luminance(ground) for _, ground in colours]
+    assert grounds == sorted(grounds, reverse=scheme == "light")
+    for text, ground in colours:
+        dark, light = sorted((luminance(text), luminance(ground)))
+        assert (light + 0.05) / (dark + 0.05) > 4.5
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "media"),
+    [
+        ("390", 390, {}),
+        ("768", 768, {}),
+        ("1300", 1300, {}),
+        ("dark", 1300, {"color_scheme": "dark"}),
+        ("print", 794, {"media": "print"}),
+    ],
+)
+def test_it_fits_every_width(
+    browser: Any, reported: Path, name: str, width: int, media: dict[str, Any]
+) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto((reported / "report.html").as_uri())
+    page.emulate_media(**media)
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator(".heat").bounding_box()["y"] < 500, "on the first screen"
+    small = page.eval_on_selector_all(
+        ".plots svg", "all => all.map(one => one.getBoundingClientRect().width).filter(width => width < 200)"
+    )
+    assert small == []
+    page.close()
+
+
+def test_without_scripts_it_is_whole_but_for_buttons(browser: Any, reported: Path) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto((reported / "report.html").as_uri())
+    assert page.locator(LINES).first.is_visible()
+    assert not page.locator(".filters").is_visible()
+    context.close()
+
+
+def test_what_to_beware_of_stands_beside_what_it_concerns(browser: Any, tmp_path: Path) -> None:
+    results = make_results(seeds=1)
+    for result in results:
+        if result.cell.method == "control_survival" and result.cell.env == "pendulum":
+            result.rows[:] = [make_row("pendulum", "control_survival", 0, "pi_R", return_mean=500.0)]
+    results = [
+        replace(r, below_bar=(r.cell.env, r.cell.method) == ("cartpole", "reference")) for r in results
+    ]
+    write_report(tmp_path, REQUEST, results)
+    page = browser.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    told = {
+        column.query_selector("a").text_content(): [
+            b.text_content() for b in column.query_selector_all("button")
+        ]
+        for column in page.query_selector_all(".heat thead tr:last-child th:has(a)")[2:]
+    }
+    assert told == {
+        "cartpole": ["not a result", "one seed", "controls tie"],
+        "pendulum": ["one seed", "controls tie"],
+    }
+    warning = page.locator(".heat .warn").get_by_text("not a result").first
+    warning.focus()
+    assert "the expert of seed 0 misses its bar" in page.text_content("#tip")
+    assert page.locator(LINES).get_by_text("NOT A RESULT: the expert of seed 0").count() > 5
+    page.close()
