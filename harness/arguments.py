@@ -241,9 +241,10 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--record",
-        default="first",
+        default="both",
         choices=RECORDS,
-        help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
+        help="which evaluation episodes of each policy of seed 0: the median, the worst, both or all; 'none' "
+        "keeps no artifacts either",
     )
     add("--retry-failed", action="store_true", help="compute again what failed before")
 

@@ -24,6 +24,8 @@ FOLDERS = {
     "figures": "png",
 }
 """Of a run's directory, and how the names of files end that a run writes there."""
+EARLIER_RECORD = "first"
+"""What runs of earlier versions were told to record; they may go on with whatever is recorded now."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -74,13 +76,13 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
     """The request `old`, stored in `path`, and this one. Raises BadInput where their conditions differ."""
     for name in KEYS:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
-        if there != asked:
+        if there != asked and (name, there) != ("record", EARLIER_RECORD):
             raise BadInput(f"{path} holds a run with {name} {there}, not {asked}; give another --out")
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=tuple(sorted({*old.seeds, *request.seeds})),
-        conditions=old.conditions,
+        conditions=dataclasses.replace(old.conditions, record=request.conditions.record),
         shown=tuple(sorted({*old.shown, *request.shown})),
         variants=tuple(sorted({*old.variants, *request.variants})),
     )
