@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from envs import EnvSpec
-from harness.judge.advantage import LEAST_WEIGHT, policy_advantage
+from harness.judge.advantage import policy_advantage
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import LARGEST, recording_of
 from harness.learn.exact import expected_rewards
@@ -22,8 +22,10 @@ from harness.show.scenes import scene
 from methods.base import Array, Policy, Reward
 from methods.tabular import greedy, value_iteration
 
-MOMENTS = 10
+MOMENTS = 6
 """Stretches of an episode whose advantage is told, where the model is not known."""
+LEAST_WEIGHT = 0.05
+"""What the expert would go on to reach counts until the discount has fallen to this."""
 
 
 def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> dict[str, bytes]:

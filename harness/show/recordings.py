@@ -2,21 +2,22 @@
 
 Open them with `irl-bench view DIR`. One timeline, `step`, from 0 to T; scenes as of `harness.show.scenes`.
 
-    observation            steps 0..T; the names of all series are the task's
-    action/N               steps 0..T-1: entry N of what the policy did, of what the expert would have done in
-                           the same state, and of f(s) where R* has one
-    reward/true            steps 0..T-1, what that action earned
-    reward/learned         steps 0..T-1, R*(s, a) less what absorption pays; absent without an R*
-    return/true, /learned  steps 0..T, undiscounted, so far
-    precision              steps 0..T-1, the eigenvalues of L Lᵀ + I where R* has those
+    signal                 components, each a line or more of a plot, named as the task names them:
+      true, learned        steps 0..T-1, what an action earned, and R*(s, a) less what absorption pays
+      true_return, learned_return   steps 0..T, the undiscounted sums so far
+      action_N             steps 0..T-1: entry N of what the policy did, of what the expert would have done in
+                           the same state, and of f(s) where R* has one; where actions have more than `FEW`
+                           entries, all of them of the policy, of the expert and of f
+      precision            steps 0..T-1, the eigenvalues of L Lᵀ + I where R* has those, of more than `FEW`
+                           the smallest and the largest
+      observation          steps 0..T
     advantage              at some steps, what was done since the one before over what the expert would have
                            made of it, under both rewards, each in units of its largest
     map/true, map/learned  both rewards over two axes of the state, with where the episode went
     ending                 step T, why the episode ended
     episode                what this is, as a table
 
-Rewards and returns are in 64 bits. So are observations and actions of episodes up to `scenes.LONG` steps;
-longer ones' are in 32 bits.
+Numbers are in 64 bits. Of episodes longer than `scenes.LONG` steps all but the true reward are in 32 bits.
 """
 
 from __future__ import annotations
@@ -44,8 +45,6 @@ from harness.show.scenes import LONG, Scene
 _MARGIN = 0.08  # of the plotted range
 SLOWEST = 4.0
 """Steps a second that a recording plays at least; else as many as it takes."""
-_HALF = "signal:values"
-"""The component of series in 32 bits, for which rerun's own, of 64, has no room."""
 
 rr.set_strict_mode(True)  # or mismatched columns would only be a warning
 
@@ -101,8 +100,13 @@ def record(spec: EnvSpec, cell: Cell, policy: str, which: str, episode: Episode)
             episode.scene.send_moving(stream, "policy")
         if episode.maps:
             episode.maps.send(stream)
-        for series in _series(spec, episode):
-            series.send(stream)
+        send_series(stream, "signal", [series for series, _ in _series(spec, episode).values()])
+        if episode.advantage:
+            names, values = _advantage(episode.advantage)
+            look = rr.SeriesLines(names=names, colors=np.array([GREY, BLUE][: len(names)], np.uint8))
+            stream.log("advantage", look, static=True)
+            steps = [rr.TimeColumn("step", sequence=episode.advantage.steps)]
+            stream.send_columns("advantage", steps, rr.Scalars.columns(scalars=values))
 
     return written(spec.name, f"{cell.name}__{policy}.{which}", _blueprint(spec, episode), send)
 
@@ -118,7 +122,7 @@ def written(
     # rerun writes to no path that is not UTF-8, and where it was told not to, by RERUN=off, writes nothing.
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "episode.rrd"
-        stream.save(file, blueprint)
+        stream.save(file, blueprint, write_footer=False)
         send(stream)
         stream.flush()
         stream.disconnect()
@@ -135,81 +139,83 @@ def playing(spec: EnvSpec) -> rrb.TimePanel:
 
 @dataclass(frozen=True)
 class Series:
-    """Lines of one plot, of which all begin at one step. values: (N, K), of K lines by name."""
+    """Lines of one plot. values: (N, K), of K lines by name, from step 0 on."""
 
-    entity: str
+    part: str
     names: Sequence[str]
     values: Array
     colours: Sequence[tuple[int, int, int]] = ()
     half: bool = False
     """Whether 32 bits will do."""
-    steps: NDArray[np.int64] | None = None
-    """(N,); default: from 0."""
 
-    def send(self, stream: rr.RecordingStream) -> None:
-        count, lines = self.values.shape
-        stream.log(self.entity, self._look(), static=True)
-        if self.half:
-            flat = pa.array(self.values.astype(np.float32).ravel())
-            columns = rr.DynamicArchetype.columns(archetype="signal", components={"values": flat})
-            columns = columns.partition(np.full(count, lines))
-        else:
-            columns = rr.Scalars.columns(scalars=self.values)
-        steps = np.arange(count) if self.steps is None else self.steps
-        stream.send_columns(self.entity, [rr.TimeColumn("step", sequence=steps)], columns)
-
-    def _look(self) -> rr.SeriesLines:
-        # Without this, plots show averages of neighbouring steps and hide single ones.
-        colours = np.array(self.colours, np.uint8) if self.colours else None
-        return rr.SeriesLines(names=list(self.names), colors=colours, aggregation_policy="off")
-
-    @property
-    def override(self) -> dict[str, Any]:
-        """What a plot must be told to show it."""
+    def plot(self, entity: str, name: str) -> rrb.TimeSeriesView:
+        """Of one line it shows zero, too: zoomed in on its noise, a constant reward looks eventful."""
+        low, high = min(0.0, float(self.values.min())), max(0.0, float(self.values.max()))
+        margin = _MARGIN * (high - low) or 1.0
         source = ComponentSourceKind.SourceComponent
-        mapping = VisualizerComponentMapping("Scalars:scalars", source, source_component=_HALF)
-        return {self.entity: rr.SeriesLines().visualizer(mappings=[mapping])} if self.half else {}
+        mapping = VisualizerComponentMapping(
+            "Scalars:scalars", source, source_component=f"signal:{self.part}"
+        )
+        colours = np.array(self.colours, np.uint8) if self.colours else None
+        # Without this, plots show averages of neighbouring steps and hide single ones.
+        look = rr.SeriesLines(names=list(self.names), colors=colours, aggregation_policy="off")
+        return rrb.TimeSeriesView(
+            origin=f"/{entity}",
+            name=name,
+            axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)) if len(self.names) == 1 else None,
+            overrides={entity: look.visualizer(mappings=[mapping])},
+        )
 
 
+def send_series(stream: rr.RecordingStream, entity: str, series: Sequence[Series]) -> None:
+    """All of an entity as one chunk, each a component of its own, so that what a step costs is paid once."""
+    rows = max(len(one.values) for one in series)
+    columns = []
+    for one in series:
+        count, lines = one.values.shape
+        flat = pa.array(one.values.astype(np.float32 if one.half else np.float64).ravel())
+        column = rr.DynamicArchetype.columns(archetype="signal", components={one.part: flat})
+        columns += column.partition([lines] * count + [0] * (rows - count))
+    stream.send_columns(entity, [rr.TimeColumn("step", sequence=np.arange(rows))], columns)
+
+
+FEW = 3
+"""Entries of an action up to which each has a plot of its own; else each who acts has one."""
 BLUE, ORANGE, GREY, GREEN = (66, 133, 244), (234, 134, 51), (90, 90, 90), (52, 168, 83)
 """The policy and R*; f; the true reward; the expert."""
+_ACTORS = {"policy": BLUE, "expert": GREEN, "f(s)": ORANGE}
 
 
-def _series(spec: EnvSpec, episode: Episode) -> list[Series]:
+def _series(spec: EnvSpec, episode: Episode) -> dict[str, tuple[Series, str]]:
+    """What is plotted, and under which heading, by the part of `signal`."""
     trajectory, half = episode.trajectory, len(episode.trajectory.act) > LONG
-    found = [Series("reward/true", ["true reward"], trajectory.rewards[:, None], [GREY])]
-    found.append(Series("return/true", ["true return so far"], so_far(trajectory.rewards), [GREY]))
+    found = [
+        (Series("true", ["true reward"], trajectory.rewards[:, None], [GREY]), "True reward of a step"),
+        (Series("true_return", ["so far"], so_far(trajectory.rewards), [GREY], half), "True return so far"),
+    ]
     if (learned := episode.learned) is not None:
-        found.append(Series("reward/learned", ["R* above absorption"], learned[:, None], [BLUE]))
-        found.append(Series("return/learned", ["R* so far"], so_far(learned), [BLUE]))
-    for i, quantity in enumerate(spec.act_names):
-        beside = {
-            "policy": (trajectory.act, BLUE),
-            "expert": (episode.expert, GREEN),
-            "f(s)": (episode.f, ORANGE),
-        }
-        there = {who: (values, colour) for who, (values, colour) in beside.items() if values is not None}
-        columns = np.stack([values[:, i] for values, _ in there.values()], axis=1)
-        names = [f"{quantity}, {who}" for who in there]
-        found.append(Series(f"action/{i}", names, columns, [colour for _, colour in there.values()], half))
-    if episode.precision is not None:
-        names = [f"eigenvalue {i + 1}" for i in range(episode.precision.shape[1])]
-        found.append(Series("precision", names, episode.precision, half=half))
-    if (advantage := episode.advantage) is not None:
-        both = {"true reward": (advantage.true, GREY), "R*": (advantage.learned, BLUE)}
-        there = {who: (values, colour) for who, (values, colour) in both.items() if values is not None}
-        columns = np.stack([values / (np.abs(values).max() or 1.0) for values, _ in there.values()], axis=1)
-        found.append(
-            Series(
-                "advantage",
-                [*there],
-                columns,
-                [colour for _, colour in there.values()],
-                steps=advantage.steps,
-            )
-        )
-    found.append(Series("observation", [*map(str, spec.obs_names)], trajectory.obs, half=half))
-    return found
+        name = "R* of a step, above absorption"
+        found.append((Series("learned", ["R*"], learned[:, None], [BLUE], half), name))
+        found.append((Series("learned_return", ["so far"], so_far(learned), [BLUE], half), "R* so far"))
+    acts = {"policy": trajectory.act, "expert": episode.expert, "f(s)": episode.f}
+    there = {who: values for who, values in acts.items() if values is not None}
+    names = [str(quantity) for quantity in spec.act_names]
+    if len(names) <= FEW:
+        colours = [_ACTORS[who] for who in there]
+        for i, name in enumerate(names):
+            columns = np.stack([values[:, i] for values in there.values()], axis=1)
+            found.append((Series(f"action_{i}", [*there], columns, colours, half), name))
+    else:
+        for i, (who, values) in enumerate(there.items()):
+            found.append((Series(f"action_{i}", names, values, half=half), f"Actions: {who}"))
+    if (precision := episode.precision) is not None:
+        names = [f"eigenvalue {i + 1}" for i in range(precision.shape[1])]
+        if len(names) > FEW:
+            names, precision = ["smallest", "largest"], precision[:, [0, -1]]
+        found.append((Series("precision", names, precision, half=half), "Eigenvalues of L Lᵀ + I"))
+    names = [str(quantity) for quantity in spec.obs_names]
+    found.append((Series("observation", names, trajectory.obs, half=half), "Observations"))
+    return {series.part: (series, heading) for series, heading in found}
 
 
 def so_far(rewards: Array) -> Array:
@@ -231,7 +237,6 @@ def _send_facts(stream: rr.RecordingStream, cell: Cell, policy: str, which: str,
         "ending": trajectory.ending,
         **episode.facts,
     }
-    stream.send_property("episode", rr.AnyValues(**facts))
     lines = [f"| {name} | {value} |" for name, value in facts.items()]
     table = "\n".join(["| | |", "|---|---|", *lines])
     stream.log("episode", rr.TextDocument(table, media_type="text/markdown"), static=True)
@@ -248,47 +253,40 @@ def send_ending(stream: rr.RecordingStream, entity: str, trajectory: Trajectory,
     stream.send_columns(entity, [rr.TimeColumn("step", sequence=[length])], columns)
 
 
+def _advantage(told: Advantage) -> tuple[list[str], Array]:
+    both = {"true reward": told.true, "R*": told.learned}
+    there = {name: values for name, values in both.items() if values is not None}
+    scaled = [values / (np.abs(values).max() or 1.0) for values in there.values()]
+    return [*there], np.stack(scaled, axis=1)
+
+
 def _blueprint(spec: EnvSpec, episode: Episode) -> rrb.Blueprint:
     """What was seen over the facts on the left, the plots on the right."""
     facts = rrb.Horizontal(
         rrb.TextDocumentView(origin="episode", name="Episode"),
         rrb.TextLogView(origin="ending", name="How it ended"),
     )
-    parts: list[Any] = [episode.scene.view(spec.name)] if episode.scene else []
-    if episode.maps:
-        parts.append(rrb.Horizontal(*episode.maps.views()))
-    left = rrb.Vertical(*parts, facts, row_shares=[*[4] * len(parts), 3])
-    series = {one.entity: one for one in _series(spec, episode)}
-    plots = [
-        [("reward/true", "True reward of a step"), ("return/true", "True return so far")],
-        [("reward/learned", "R* of a step, above absorption"), ("return/learned", "R* so far")],
-        [("precision", "Eigenvalues of L Lᵀ + I"), ("advantage", "Advantage since the step before")],
+    left: list[Any] = [episode.scene.view(spec.name)] if episode.scene else []
+    left += [rrb.Horizontal(*episode.maps.views())] if episode.maps else []
+    series = _series(spec, episode)
+    plots = {part: one.plot("signal", heading) for part, (one, heading) in series.items()}
+    if episode.advantage:
+        plots["advantage"] = rrb.TimeSeriesView(origin="/advantage", name="Advantage over the expert, scaled")
+    rows = [["true", "true_return"], ["learned", "learned_return"], ["precision", "advantage"]]
+    right: list[Any] = [
+        rrb.Horizontal(*there) for row in rows if (there := [plots[part] for part in row if part in plots])
     ]
-    rows: list[Any] = []
-    for row in plots:
-        there = [plot([series[entity]], name) for entity, name in row if entity in series]
-        rows += [rrb.Horizontal(*there)] if there else []
-    actions = [one for entity, one in series.items() if entity.startswith("action/")]
-    rows.append(rrb.Grid(*(plot([one], one.names[0].rpartition(", ")[0]) for one in actions)))
-    rows.append(plot([series["observation"]], "Observations"))
+    actions = [view for part, view in plots.items() if part.startswith("action_")]
+    right.append(rrb.Grid(*actions, grid_columns=min(3, len(actions))))
+    right.append(plots["observation"])
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*rows), column_shares=[5, 4]),
+        rrb.Horizontal(
+            rrb.Vertical(*left, facts, row_shares=[*[4] * len(left), 3]),
+            rrb.Vertical(*right),
+            column_shares=[5, 4],
+        ),
         playing(spec),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
-    )
-
-
-def plot(series: Sequence[Series], name: str) -> rrb.TimeSeriesView:
-    """A plot that shows all values and zero: zoomed in on its noise, a constant reward looks eventful."""
-    low = min(0.0, *(float(one.values.min()) for one in series))
-    high = max(0.0, *(float(one.values.max()) for one in series))
-    margin = _MARGIN * (high - low) or 1.0
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[f"/{one.entity}" for one in series],
-        name=name,
-        axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)),
-        overrides={entity: look for one in series for entity, look in one.override.items()},
     )

@@ -7,7 +7,7 @@ scene/WHO              the lines that move (`Flat`); metres, y negated, since 2D
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from gymnasium.envs.mujoco import MujocoEnv
+from numpy.typing import NDArray
 
 from envs import EnvSpec
 from envs.spec import Array, Shape
@@ -29,7 +30,7 @@ Colour = tuple[int, int, int]
 _MARGIN = 0.08  # of the scene's larger side
 _LINE_RADIUS = -1.5  # negative: in pixels, whatever the zoom
 _ALONG, _ACROSS, _THICK = 5.0, 1.5, 0.02  # m, of a floor: beyond the path, to each side, and its half height
-_STRIPE = 1.0  # m, between the floor's stripes
+_STRIPE, _STRIPES = 1.0, 150  # m, between the floor's stripes at least; how many at most
 _FOLLOWED = 2.0  # m: a scene that moves farther is followed
 _SHOWN_GROUPS = 3  # MuJoCo's viewer hides geometries of groups from this on
 _GHOST = 0.35  # how opaque one of several in a scene is
@@ -38,56 +39,61 @@ _WHITE = [255, 255, 255]
 
 @dataclass(frozen=True)
 class Solid:
-    """An episode of T steps in MuJoCo. poses: (T+1, B, 7), of each body its place [m] and its quaternion, w
-    first, as the simulator has them."""
+    """An episode of T steps in MuJoCo. places: (T+1, G, 3), where the centre of each geometry is [m], and
+    turns: (T+1, G, 4), its quaternion, w first."""
 
     model: mujoco.MjModel
-    poses: Array
+    places: Array
+    turns: Array
 
     @property
     def length(self) -> int:
-        return len(self.poses) - 1
+        return len(self.places) - 1
 
     @property
-    def shown(self) -> Array:
+    def shown(self) -> NDArray[np.int64]:
         """The steps whose poses are written: each, or every second and the last of a long episode."""
         every = 2 if self.length > LONG else 1
         return np.union1d(np.arange(0, self.length + 1, every), self.length)
 
-    @property
-    def moving(self) -> list[int]:
-        """Bodies, but for the world's."""
-        return list(range(1, self.model.nbody))
+    @cached_property
+    def moving(self) -> dict[str, list[int]]:
+        """Geometries that are seen and belong to a body that can move, by kind."""
+        return self._by_kind(lambda geom: self.model.body_weldid[geom.bodyid[0]] != 0)
 
-    def body(self, index: int) -> str:
-        """Its name."""
-        return self.model.body(index).name or f"body_{index}"
+    @cached_property
+    def fixed(self) -> dict[str, list[int]]:
+        """Those that are seen and cannot."""
+        return self._by_kind(lambda geom: self.model.body_weldid[geom.bodyid[0]] == 0)
 
     @property
-    def follows(self) -> str | None:
-        """The body that a view follows, where the scene is wide."""
-        path = self.poses[:, 1, :2] if self.moving else np.zeros((1, 2))
-        return self.body(1) if np.ptp(path, axis=0).max() > _FOLLOWED else None
+    def follows(self) -> bool:
+        """Whether the scene is wide, and a view follows what moves."""
+        path = self.places[:, self._movable].mean(axis=1)
+        return bool(np.ptp(path, axis=0).max() > _FOLLOWED)
 
     def send_fixed(self, stream: rr.RecordingStream) -> None:
-        """What belongs to the world, floors as far as the episode leads."""
+        """What never moves, floors as far as the episode leads."""
         stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for geom in self._geoms(0):
-            if geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE:
-                self._send_floor(stream, float(geom.pos[2]))
+        for kind, geoms in self.fixed.items():
+            if kind == "plane":
+                self._send_floor(stream, float(self.places[0, geoms[0], 2]))
             else:
-                stream.log(f"{FIXED}/{geom.name or geom.id}", *_solid(self.model, geom, None), static=True)
+                for name, look, columns in self._shapes(kind, geoms, np.array([0]), None):
+                    stream.log(f"{FIXED}/{name}", look, static=True)
+                    placed = {key: values[0] for key, values in columns.items()}
+                    stream.log(f"{FIXED}/{name}", _KINDS[kind].from_fields(**placed), static=True)
 
     def send_moving(self, stream: rr.RecordingStream, who: str, colour: Colour | None = None) -> None:
-        """Bodies below scene/WHO. colour: of a ghost among others."""
+        """What moves, below scene/WHO: shapes once, and where they are. colour: of a ghost among others."""
         times = [rr.TimeColumn("step", sequence=self.shown)]
-        for index in self.moving:
-            entity = f"scene/{who}/{self.body(index)}"
-            for geom in self._geoms(index):
-                stream.log(f"{entity}/{geom.name or geom.id}", *_solid(self.model, geom, colour), static=True)
-            poses = self.poses[self.shown, index].astype(np.float32)
-            placed = rr.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, [4, 5, 6, 3]])
-            stream.send_columns(entity, times, placed)
+        for kind, geoms in self.moving.items():
+            for name, look, columns in self._shapes(kind, geoms, self.shown, colour):
+                stream.log(f"scene/{who}/{name}", look, static=True)
+                count = next(iter(columns.values())).shape[1]
+                flat = {key: values.reshape(-1, values.shape[2]) for key, values in columns.items()}
+                column = _KINDS[kind].columns(**flat).partition([count] * len(self.shown))
+                stream.send_columns(f"scene/{who}/{name}", times, column)
 
     def view(self, name: str, who: Sequence[str] = ("policy",)) -> rrb.Spatial3DView:
         """Of what is fixed and these. It follows the first where the scene is wide."""
@@ -95,12 +101,13 @@ class Solid:
         middle, size = (low + high) / 2, float(np.linalg.norm(high - low))
         flat = high[2] - low[2] < 0.2 * size  # is seen from above
         away = np.array([0.0, -0.35, 1.0]) if flat else np.array([0.25, -1.0, 0.25])
+        followed = f"/scene/{who[0]}/{next(iter(self.moving))}" if self.follows else None
         eye = rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=middle + 0.95 * size * away / np.linalg.norm(away),
             look_target=middle,
             eye_up=(0.0, 0.0, 1.0),
-            tracking_entity=f"/scene/{who[0]}/{self.follows}" if self.follows else None,
+            tracking_entity=followed,
         )
         return rrb.Spatial3DView(
             origin="scene",
@@ -111,26 +118,65 @@ class Solid:
             line_grid=False,
         )
 
-    def _geoms(self, body: int) -> list[Any]:
-        geoms = [self.model.geom(i) for i in range(self.model.ngeom) if self.model.geom_bodyid[i] == body]
-        return [geom for geom in geoms if geom.group[0] < _SHOWN_GROUPS and geom.rgba[3] > 0]
+    def _by_kind(self, wanted: Callable[[Any], bool]) -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        for i in range(self.model.ngeom):
+            geom = self.model.geom(i)
+            kind = mujoco.mjtGeom(int(geom.type[0])).name.removeprefix("mjGEOM_").lower()
+            if geom.group[0] < _SHOWN_GROUPS and geom.rgba[3] > 0 and wanted(geom) and kind in _DRAWN:
+                found.setdefault(kind, []).append(i)
+        return found
+
+    @property
+    def _movable(self) -> list[int]:
+        return [geom for geoms in self.moving.values() for geom in geoms]
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
         """The corners [m] of what is in view at the start, or at any time where nothing is followed."""
-        model, poses = self.model, self.poses[:1] if self.follows else self.poses
+        model, places = self.model, self.places[:1] if self.follows else self.places
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for i in range(model.ngeom):
-            if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
-                continue
-            body = poses[:, model.geom_bodyid[i]]
-            places = np.array([pose[:3] + _turned(model.geom_pos[i], pose[3:]) for pose in body])
-            reach = model.geom_size[i, 1] if model.geom_bodyid[i] == 0 else model.geom_rbound[i]
-            low, high = np.minimum(low, places.min(0) - reach), np.maximum(high, places.max(0) + reach)
+        for kind, geoms in [*self.moving.items(), *self.fixed.items()]:
+            for i in geoms if kind != "plane" else ():
+                reach = model.geom_rbound[i]
+                low = np.minimum(low, places[:, i].min(axis=0) - reach)
+                high = np.maximum(high, places[:, i].max(axis=0) + reach)
         return low, high
 
+    def _shapes(
+        self, kind: str, geoms: list[int], steps: NDArray[np.int64], colour: Colour | None
+    ) -> list[tuple[str, Any, dict[str, Any]]]:
+        """Entities' names, how their shapes look, and where they are at these steps: of geometries of one
+        kind all as one entity, of meshes each."""
+        model = self.model
+        turns = self.turns[steps][:, geoms][:, :, [1, 2, 3, 0]].astype(np.float32)
+        places, sizes = self.places[steps][:, geoms], model.geom_size[geoms]
+        colours = np.round(255 * model.geom_rgba[geoms]).astype(np.uint8)
+        if colour:
+            colours[:] = [*colour, round(255 * _GHOST)]
+        if kind == "mesh":
+            parts = zip(geoms, colours, strict=True)
+            return [
+                (
+                    f"mesh/{i}",
+                    _mesh(model, int(geom), tint),
+                    {"translations": places[:, [i]], "quaternions": turns[:, [i]]},
+                )
+                for i, (geom, tint) in enumerate(parts)
+            ]
+        where, shape = "centers", dict[str, Any](half_sizes=sizes)
+        if kind == "sphere":
+            shape = {"half_sizes": np.repeat(sizes[:, :1], 3, axis=1)}
+        if kind in ("capsule", "cylinder"):
+            shape = {"lengths": 2 * sizes[:, 1], "radii": sizes[:, 0]}
+        if kind == "capsule":  # rerun's begins at its lower end
+            where = "translations"
+            places = places - _up(self.turns[steps][:, geoms]) * sizes[:, 1:2]
+        look = _KINDS[kind].from_fields(**shape, colors=colours, fill_mode="solid")
+        return [(kind, look, {where: places.astype(np.float32), "quaternions": turns})]
+
     def _send_floor(self, stream: rr.RecordingStream, height: float) -> None:
-        places = self.poses[:, 1:, :2].reshape(-1, 2)
+        places = self.places[:, self._movable, :2].reshape(-1, 2)
         (left, near), (right, far) = places.min(0), places.max(0)
         left, right = np.floor(left - _ALONG), np.ceil(right + _ALONG)
         near, far = near - _ACROSS, far + _ACROSS
@@ -142,7 +188,8 @@ class Solid:
         )
         stream.log(f"{FIXED}/floor", floor, static=True)
         above = height + _THICK / 10
-        stripes = [[[x, near, above], [x, far, above]] for x in np.arange(left, right + _STRIPE, _STRIPE)]
+        apart = max(_STRIPE, np.ceil((right - left) / _STRIPES))
+        stripes = [[[x, near, above], [x, far, above]] for x in np.arange(left, right + apart, apart)]
         lines = rr.LineStrips3D(np.array(stripes, np.float32), radii=0.01, colors=[170, 175, 182])
         stream.log(f"{FIXED}/stripes", lines, static=True)
 
@@ -150,7 +197,7 @@ class Solid:
 @dataclass(frozen=True)
 class Flat:
     """An episode of T steps as drawings. frames: T+1, after the reset and after each step, with the same
-    names throughout. bounds: what a view shows, left, bottom, right and top [m]; default: all that is drawn."""
+    names throughout. bounds: what a view shows, left, bottom, right and top [m]; by default all."""
 
     frames: Sequence[Mapping[str, Shape]]
     bounds: tuple[float, float, float, float] | None = None
@@ -223,6 +270,12 @@ class Flat:
 
 
 Scene = Solid | Flat
+_KINDS: dict[str, Any] = {
+    **{"capsule": rr.Capsules3D, "cylinder": rr.Cylinders3D, "box": rr.Boxes3D},
+    **{"sphere": rr.Ellipsoids3D, "ellipsoid": rr.Ellipsoids3D, "mesh": rr.InstancePoses3D},
+}
+"""MuJoCo's kinds of geometries, and what rerun places them by."""
+_DRAWN = {*_KINDS, "plane"}
 
 
 def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
@@ -233,12 +286,15 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         frames = drawings(spec, seed, act)
         return Flat(frames, VIEWS.get(spec.name.partition(".")[0])) if frames[0] else None
     env.reset(seed=seed)
-    poses = np.empty((len(act) + 1, inner.model.nbody, 7))
+    model, data = inner.model, inner.data
+    places, turns = np.empty((len(act) + 1, model.ngeom, 3)), np.empty((len(act) + 1, model.ngeom, 4))
     for step in range(len(act) + 1):
         if step:
             env.step(spec.native(act[step - 1]))
-        poses[step] = np.hstack([inner.data.xpos, inner.data.xquat])
-    return Solid(inner.model, poses)
+        places[step] = data.geom_xpos
+        for i in range(model.ngeom):
+            mujoco.mju_mat2Quat(turns[step, i], data.geom_xmat[i])
+    return Solid(model, places, turns)
 
 
 VIEWS = {"highway": (-35.0, -20.0, 75.0, 12.0)}
@@ -249,38 +305,14 @@ def _upright(points: Array) -> Any:
     return (points * [1.0, -1.0]).astype(np.float32)
 
 
-def _turned(vector: Array, quaternion: Array) -> Array:
-    """The vector (3,) turned by a quaternion, w first."""
-    turned = np.empty(3)
-    mujoco.mju_rotVecQuat(turned, np.asarray(vector, np.float64), np.asarray(quaternion, np.float64))
-    return turned
+def _up(turns: Array) -> Array:
+    """(..., 3): the third axis of what quaternions (..., 4), w first, turn."""
+    w, x, y, z = np.moveaxis(turns, -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def _solid(model: mujoco.MjModel, geom: Any, colour: Colour | None) -> list[Any]:
-    """A geometry as rerun has it, in its body's frame."""
-    place, turn = np.array(geom.pos), np.array(geom.quat)
-    colours = np.round(255 * np.array(geom.rgba)).astype(np.uint8)
-    if colour:
-        colours = np.array([*colour, round(255 * _GHOST)], np.uint8)
-    quaternion, size = turn[[1, 2, 3, 0]], np.array(geom.size)
-    look: dict[str, Any] = {"quaternions": [quaternion], "colors": [colours], "fill_mode": "solid"}
-    kind = mujoco.mjtGeom
-    match geom.type[0]:
-        case kind.mjGEOM_CAPSULE:  # rerun's begins at its lower end
-            start = place - _turned(np.array([0.0, 0.0, size[1]]), turn)
-            return [rr.Capsules3D(lengths=2 * size[1], radii=size[0], translations=[start], **look)]
-        case kind.mjGEOM_CYLINDER:
-            return [rr.Cylinders3D(lengths=2 * size[1], radii=size[0], centers=[place], **look)]
-        case kind.mjGEOM_SPHERE:
-            return [rr.Ellipsoids3D(radii=[size[0]], centers=[place], **look)]
-        case kind.mjGEOM_ELLIPSOID:
-            return [rr.Ellipsoids3D(half_sizes=[size], centers=[place], **look)]
-        case kind.mjGEOM_BOX:
-            return [rr.Boxes3D(half_sizes=[size], centers=[place], **look)]
-        case kind.mjGEOM_MESH:
-            mesh = model.mesh(int(geom.dataid[0]))
-            vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
-            faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
-            moved = np.array([place + _turned(vertex, turn) for vertex in vertices], np.float32)
-            return [rr.Mesh3D(vertex_positions=moved, triangle_indices=faces, albedo_factor=colours)]
-    return []
+def _mesh(model: mujoco.MjModel, geom: int, colour: Any) -> rr.Mesh3D:
+    mesh = model.mesh(int(model.geom_dataid[geom]))
+    vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+    faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
+    return rr.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
