@@ -211,6 +211,22 @@ def export(args: argparse.Namespace) -> int:
     return 0
 
 
+def view(args: argparse.Namespace) -> int:
+    """Shows a run's recordings, or writes a folder that plays them."""
+    from harness.show import view as viewing
+
+    with open_to_verify(args.directory) as run:
+        envs = run.request.envs
+    found = viewing.recordings(args.directory, envs, args.env, args.method, args.compare)
+    if args.export:
+        folder = viewing.export(found, args.export)
+        say(
+            f"{folder}: {len(found)} recordings; to play them: python -m http.server -d {folder} -b 127.0.0.1"
+        )
+        return 0
+    return viewing.serve(found) if args.web else viewing.show(found)
+
+
 def _read(path: Path) -> Comparable:
     """A run to be compared. Raises BadInput where there is none with a finished cell."""
     with open_to_verify(path) as run:
@@ -384,6 +400,7 @@ def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, C
 def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> bool:
     """Writes and shows what these results come to. anew: even where it is as it was written. Returns whether
     all is there that the run stored."""
+    from harness.run.compared import write_compared
     from harness.run.reporting import write_report
 
     incomplete = run.why_incomplete(results) if anew else ""
@@ -391,7 +408,8 @@ def _write_report(run: RunDirectory, results: list[CellResult], anew: bool) -> b
     damaged = run.damaged_files(results) | run.swapped(results)
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
-        run.seal(results, write_report(run.path, run.request, [*results, *beside]))
+        compared = write_compared(run.path, results, run.is_as_written)
+        run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
     say("\n" + _text(run.path / "leaderboard.md"))
     shown = ["scores.csv", "report.html"]
     shown += ["recordings"] * any(result.recordings for result in results)

@@ -150,6 +150,7 @@ class Series:
 
     def plot(self, entity: str, name: str) -> rrb.TimeSeriesView:
         """Of one line it shows zero, too: zoomed in on its noise, a constant reward looks eventful."""
+        alone = len(self.names) == 1
         low, high = min(0.0, float(self.values.min())), max(0.0, float(self.values.max()))
         margin = _MARGIN * (high - low) or 1.0
         source = ComponentSourceKind.SourceComponent
@@ -162,7 +163,8 @@ class Series:
         return rrb.TimeSeriesView(
             origin=f"/{entity}",
             name=name,
-            axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)) if len(self.names) == 1 else None,
+            axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)) if alone else None,
+            plot_legend=rrb.PlotLegend(visible=False) if alone else None,
             overrides={entity: look.visualizer(mappings=[mapping])},
         )
 
@@ -170,7 +172,7 @@ class Series:
 def send_series(stream: rr.RecordingStream, entity: str, series: Sequence[Series]) -> None:
     """All of an entity as one chunk, each a component of its own, so that what a step costs is paid once."""
     rows = max(len(one.values) for one in series)
-    columns = []
+    columns: list[Any] = []
     for one in series:
         count, lines = one.values.shape
         flat = pa.array(one.values.astype(np.float32 if one.half else np.float64).ravel())
