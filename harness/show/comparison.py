@@ -9,6 +9,7 @@ they earn.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +46,8 @@ class Ghost:
 def identity_of(file: Path) -> str:
     """What `record` was told that the file is; '' where it is no recording."""
     try:
-        return str(RrdReader(file).recordings()[0].recording_id)
+        with warnings.catch_warnings(action="ignore"):  # that it holds no index
+            return str(RrdReader(file).recordings()[0].recording_id)
     except (OSError, ValueError, RuntimeError, IndexError):
         return ""
 

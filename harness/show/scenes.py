@@ -7,6 +7,7 @@ scene/WHO              the lines that move (`Flat`); metres, y negated, since 2D
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,12 +26,13 @@ from harness.learn.simulator import drawings
 
 FIXED = "scene/fixed"
 LONG = 500
-"""Steps above which an episode is written leaner: every second pose, observations and actions in 32 bits."""
+"""Steps above which an episode is written leaner: every second pose or fewer, numbers in 32 bits."""
 Colour = tuple[int, int, int]
 _MARGIN = 0.08  # of the scene's larger side
 _LINE_RADIUS = -1.5  # negative: in pixels, whatever the zoom
 _ALONG, _ACROSS, _THICK = 5.0, 1.5, 0.02  # m, of a floor: beyond the path, to each side, and its half height
 _STRIPE, _STRIPES = 1.0, 150  # m, between the floor's stripes at least; how many at most
+_POSE, _POSES = 28, 80_000  # bytes of a geometry's pose; of all poses of a long episode
 _FOLLOWED = 2.0  # m: a scene that moves farther is followed
 _SHOWN_GROUPS = 3  # MuJoCo's viewer hides geometries of groups from this on
 _GHOST = 0.35  # how opaque one of several in a scene is
@@ -52,8 +54,9 @@ class Solid:
 
     @property
     def shown(self) -> NDArray[np.int64]:
-        """The steps whose poses are written: each, or every second and the last of a long episode."""
-        every = 2 if self.length > LONG else 1
+        """The steps whose poses are written: each, or of a long episode every so-many-th and the last."""
+        size = (self.length + 1) * len(self._movable) * _POSE
+        every = max(2, math.ceil(size / _POSES)) if self.length > LONG else 1
         return np.union1d(np.arange(0, self.length + 1, every), self.length)
 
     @cached_property
