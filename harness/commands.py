@@ -224,7 +224,7 @@ def view(args: argparse.Namespace) -> int:
             f"{folder}: {len(found)} recordings; to play them: python -m http.server -d {folder} -b 127.0.0.1"
         )
         return 0
-    return viewing.serve(found) if args.web else viewing.show(found)
+    return viewing.serve(found, say) if args.web else viewing.show(found)
 
 
 def _read(path: Path) -> Comparable:

@@ -29,7 +29,7 @@ LONG = 500
 """Steps above which an episode is written leaner: every second pose or fewer, numbers in 32 bits."""
 Colour = tuple[int, int, int]
 _MARGIN = 0.08  # of the scene's larger side
-_LINE_RADIUS = -1.5  # negative: in pixels, whatever the zoom
+_LINE_RADIUS = -2.0  # negative: in pixels, whatever the zoom
 _ALONG, _ACROSS, _THICK = 5.0, 1.5, 0.02  # m, of a floor: beyond the path, to each side, and its half height
 _STRIPE, _STRIPES = 1.0, 150  # m, between the floor's stripes at least; how many at most
 _POSE, _POSES = 28, 80_000  # bytes of a geometry's pose; of all poses of a long episode

@@ -15,13 +15,12 @@ import subprocess
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from harness.judge.results import COMPARE
 from harness.registry import BadInput
-from harness.run.progress import say
 
 HERE = "127.0.0.1"
 OPEN, CLOSE = "//!<INLINE-MARKER-OPEN>", "//!<INLINE-MARKER-CLOSE>"
@@ -109,8 +108,8 @@ def export(files: Sequence[Path], folder: Path) -> Path:
     return folder
 
 
-def serve(files: Sequence[Path]) -> int:
-    """The same page, from this machine to this machine, until Ctrl-C."""
+def serve(files: Sequence[Path], say: Callable[[str], None]) -> int:
+    """The same page, from this machine to this machine, until Ctrl-C. say: told its address."""
     parts = _parts()
     with tempfile.TemporaryDirectory() as folder:
         _write_page(files, Path(folder), parts)
