@@ -251,7 +251,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     ego = scene.vehicle
     shapes = {}
     along = [vehicle.position[0] - ego.position[0] for vehicle in scene.road.vehicles]
-    start, end = min(along) - MARGIN, max(along) + MARGIN
+    start, end = min(*along, -2 * MARGIN) - MARGIN, max(along) + 4 * MARGIN
     for i in range(LANES + 1):
         side = (0.5 - i) * LANE_WIDTH  # highway-env's y points to the right of the road, ours to the left
         if i in (0, LANES):

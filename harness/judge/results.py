@@ -60,8 +60,10 @@ PROGRAM_NAME = "irl-bench"
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 CONTROL_METHODS = {"control_shuffled": "shaped", "control_clone": "bc"}
 """Methods that controls are fitted by."""
-RECORDED = ("median", "worst", "all", "")
-"""Which episodes a recording is of; the last is an earlier version's first one."""
+MOST_EPISODES = 100
+"""Recorded of a policy."""
+RECORDED = ("median", "worst", "", *(f"episode_{number}" for number in range(MOST_EPISODES)))
+"""Which episode a recording is of; the third is an earlier version's first one."""
 COMPARE = "compare"
 """How the name ends of a recording of all methods on one episode."""
 LEARNED = "learned"
@@ -232,7 +234,9 @@ class CellResult:
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
-    recordings: Annotated[dict[FileName, Text], Meta(max_length=4)] = field(default_factory=dict)
+    recordings: Annotated[dict[FileName, Text], Meta(max_length=2 * len(RECORDED))] = field(
+        default_factory=dict
+    )
     """SHA-256 of each recording that was made, by its file's name."""
     artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
     """SHA-256 of the file of what was learned, by its name."""
@@ -314,6 +318,8 @@ def artifact_of(cell: Cell) -> str:
 
 def files_of(cell: Cell) -> set[str]:
     """The files that a cell may have besides its own, by the path in the run's directory."""
+    if cell.seed:
+        return {artifact_of(cell)}
     names = {recording_of(cell, policy, which) for policy in policies_of(cell) for which in RECORDED}
     return {*(f"recordings/{name}" for name in names), artifact_of(cell)}
 

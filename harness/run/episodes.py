@@ -39,8 +39,6 @@ def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> di
             )
             for which, number in chosen(task.conditions.record, scored.returns).items()
         }
-        if task.conditions.record == "all":
-            found = {"all": b"".join(found.values())}
         return {recording_of(task.cell, made.name, which): data for which, data in found.items()}
 
 

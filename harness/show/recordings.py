@@ -43,6 +43,7 @@ from harness.show.maps import Maps
 from harness.show.scenes import LONG, Scene
 
 _MARGIN = 0.08  # of the plotted range
+_NAMED = 6  # lines that a legend has room for; the names of more are shown at the pointer
 SLOWEST = 4.0
 """Steps a second that a recording plays at least; else as many as it takes."""
 
@@ -164,7 +165,7 @@ class Series:
             origin=f"/{entity}",
             name=name,
             axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)) if alone else None,
-            plot_legend=rrb.PlotLegend(visible=False) if alone else None,
+            plot_legend=None if 1 < len(self.names) <= _NAMED else rrb.PlotLegend(visible=False),
             overrides={entity: look.visualizer(mappings=[mapping])},
         )
 

@@ -81,9 +81,8 @@ def test_the_viewer_keeps_to_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     def started(command: list[str], env: dict[str, str], check: bool) -> object:
         settings = json.loads((Path(env["XDG_CONFIG_HOME"]) / "rerun/analytics.json").read_text())
         assert settings["analytics_enabled"] is False
-        assert (
-            "check_for_updates_on_startup:false" in (Path(env["XDG_DATA_HOME"]) / "rerun/app.ron").read_text()
-        )
+        options = (Path(env["XDG_DATA_HOME"]) / "rerun/app.ron").read_text()
+        assert "check_for_updates_on_startup:false" in options
         said.append((command, env))
         return type("Done", (), {"returncode": 3})
 
