@@ -66,6 +66,7 @@ RECORDED = ("median", "worst", "", *(f"episode_{number}" for number in range(MOS
 """Which episode a recording is of; the third is an earlier version's first one."""
 COMPARE = "compare"
 """How the name ends of a recording of all methods on one episode."""
+Recordings = Annotated[dict[FileName, Text], Meta(max_length=2 * len(RECORDED))]
 LEARNED = "learned"
 """The name of what a cell is handed over: what the cell before it learned."""
 REFERENCE = "reference"
@@ -234,9 +235,7 @@ class CellResult:
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
-    recordings: Annotated[dict[FileName, Text], Meta(max_length=2 * len(RECORDED))] = field(
-        default_factory=dict
-    )
+    recordings: Recordings = field(default_factory=dict)
     """SHA-256 of each recording that was made, by its file's name."""
     artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
     """SHA-256 of the file of what was learned, by its name."""

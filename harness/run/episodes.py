@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from envs import EnvSpec
 from harness.judge.advantage import policy_advantage
@@ -24,6 +25,8 @@ from methods.tabular import greedy, value_iteration
 
 MOMENTS = 6
 """Stretches of an episode whose advantage is told, where the model is not known."""
+LANES = 100
+"""Episodes that are played side by side, at most."""
 LEAST_WEIGHT = 0.05
 """What the expert would go on to reach counts until the discount has fallen to this."""
 
@@ -31,43 +34,42 @@ LEAST_WEIGHT = 0.05
 def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> dict[str, bytes]:
     """The recordings of a policy's episodes that conditions ask for, by the files' names."""
     with task.during("record"):
+        spec, reward, policy, expert = task.place, made.reward, made.policy, None
+        assert policy is not None
+        if spec is task.spec and task.conditions.experts != "none" and made.name != "expert":
+            expert = task.shared.expert.policy
         actions = watched.actions([int(length) for length in scored.lengths])
-        found = {
-            which: record(
-                *(task.place, task.cell, made.name, which),
-                _episode(task, made, scored, actions[number], number),
+        numbers = chosen(task.conditions.record, scored.returns)
+        seeds = [task.seeds[number] for number in numbers.values()]
+        played = play(spec, seeds, [actions[number] for number in numbers.values()])
+        worth: Sequence[Advantage | None] = [None] * len(played)
+        if expert is not None:
+            worth = advantages(spec, expert, played, seeds, reward)
+        found = {}
+        for (which, number), seed, trajectory, one in zip(numbers.items(), seeds, played, worth, strict=True):
+            obs = trajectory.obs[:-1]
+            shaped = _shaped(reward, obs)
+            episode = Episode(
+                trajectory,
+                scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
+                learned=None if reward is None else _paid(reward, trajectory),
+                expert=None if expert is None else spec.executed(expert(obs)),
+                f=shaped[0] if shaped else None,
+                precision=shaped[1] if shaped else None,
+                advantage=one,
+                maps=maps(spec, policy, reward, trajectory.obs),
+                facts=_among(scored, number),
             )
-            for which, number in chosen(task.conditions.record, scored.returns).items()
-        }
-        return {recording_of(task.cell, made.name, which): data for which, data in found.items()}
+            name = recording_of(task.cell, made.name, which)
+            found[name] = record(spec, task.cell, made.name, which, episode)
+        return found
 
 
-def _episode(task: Task, made: Made, scored: Evaluation, act: Array, number: int) -> Episode:
-    spec, seed, reward = task.place, task.seeds[number], made.reward
-    trajectory = play(spec, seed, act)
-    obs, policy, expert = trajectory.obs[:-1], made.policy, None
-    assert policy is not None
-    if task.place is task.spec and task.conditions.experts != "none" and made.name != "expert":
-        expert = task.shared.expert.policy
-    shaped = _shaped(reward, obs)
-    return Episode(
-        trajectory,
-        scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
-        learned=None if reward is None else _paid(reward, trajectory),
-        expert=None if expert is None else spec.executed(expert(obs)),
-        f=shaped[0] if shaped else None,
-        precision=shaped[1] if shaped else None,
-        advantage=None if expert is None else advantage(spec, expert, trajectory, seed, reward),
-        maps=maps(spec, policy, reward, trajectory.obs),
-        facts=_among(scored, number),
-    )
-
-
-def play(spec: EnvSpec, seed: int, act: Array) -> Trajectory:
-    """The episode of these actions (T, A), as the policy chose them."""
-    chosen = spec.executed(act)
-    (trajectory,) = Simulator(spec, 1).run(lambda obs: np.zeros((len(obs), spec.act_size)), [seed], [chosen])
-    return trajectory
+def play(spec: EnvSpec, seeds: Sequence[int], acts: Sequence[Array]) -> list[Trajectory]:
+    """The episodes of these actions (T, A), as a policy chose them."""
+    done = [spec.executed(act) for act in acts]
+    simulator = Simulator(spec, min(LANES, len(seeds)))
+    return simulator.run(lambda obs: np.zeros((len(obs), spec.act_size)), seeds, done)
 
 
 def _among(scored: Evaluation, number: int) -> dict[str, str | float]:
@@ -101,37 +103,47 @@ def _shaped(reward: Reward | None, obs: Array) -> tuple[Array, Array] | None:
     return reward.f(obs), 1 + np.square(values[:, ::-1])
 
 
-def advantage(
-    spec: EnvSpec, expert: Policy, trajectory: Trajectory, seed: int, reward: Reward | None
-) -> Advantage | None:
-    """What the episode's actions are worth over the expert's, by both rewards: of each action where the model
-    is known, or of each of `MOMENTS` stretches, by what the expert reaches from where they begin and end.
-    None where a cut episode is too short to tell."""
+def advantages(
+    spec: EnvSpec,
+    expert: Policy,
+    played: Sequence[Trajectory],
+    seeds: Sequence[int],
+    reward: Reward | None,
+) -> list[Advantage | None]:
+    """What each episode's actions are worth over the expert's, by both rewards: of each action where the
+    model is known, or of each of `MOMENTS` stretches, by what the expert reaches from where they begin and
+    end. None where a cut episode is too short to tell."""
     if spec.tabular:
-        return _known_advantage(spec, trajectory, reward)
-    length, most = len(trajectory.act), math.ceil(math.log(LEAST_WEIGHT) / math.log(spec.gamma))
-    moments = np.unique(np.linspace(0, length, MOMENTS + 1).astype(np.int64))
-    begun = [trajectory.act[:moment] for moment in moments[:-1]]
-    after = Simulator(spec, len(begun)).run(expert, [seed] * len(begun), begun, most)
+        return [_known_advantage(spec, trajectory, reward) for trajectory in played]
+    most = math.ceil(math.log(LEAST_WEIGHT) / math.log(spec.gamma))
+    moments = [np.unique(np.linspace(0, len(one.act), MOMENTS + 1).astype(np.int64)) for one in played]
+    begun = [one.act[:at] for one, its in zip(played, moments, strict=True) for at in its[:-1]]
+    each = [seed for seed, its in zip(seeds, moments, strict=True) for _ in its[:-1]]
+    after = iter(Simulator(spec, min(LANES, len(begun))).run(expert, each, begun, most))
+    found = list[Advantage | None]()
+    for one, its in zip(played, moments, strict=True):
+        on = [next(after) for _ in its[:-1]]
+        # How an episode that was cut at the horizon would have gone on is not known.
+        told = slice(None if one.terminated else -1)
+        true = _gained(one.rewards, [other.rewards for other in on], its, spec.gamma)[told]
+        learned = None
+        if reward is not None:
+            paid = [_paid(reward, other) for other in on]
+            learned = _gained(_paid(reward, one), paid, its, spec.gamma)[told]
+        found.append(Advantage(its[1:][told], true, learned) if len(true) else None)
+    return found
 
-    def gained(rewards: Array, of_expert: Sequence[Array]) -> Array:
-        values = [_discounted(paid[at:], spec.gamma) for paid, at in zip(of_expert, moments, strict=False)]
-        values += [0.0]  # nothing is to be had where an episode has ended
-        found = []
-        for i, (at, to) in enumerate(pairwise(moments)):
-            own = _discounted(rewards[at:to], spec.gamma)
-            found.append(own + spec.gamma ** (to - at) * values[i + 1] - values[i])
-        return np.array(found)
 
-    # How an episode that was cut at the horizon would have gone on is not known.
-    told = slice(None if trajectory.terminated else -1)
-    if not len(moments[1:][told]):
-        return None
-    true = gained(trajectory.rewards, [one.rewards for one in after])
-    learned = (
-        None if reward is None else gained(_paid(reward, trajectory), [_paid(reward, one) for one in after])
-    )
-    return Advantage(moments[1:][told], true[told], None if learned is None else learned[told])
+def _gained(rewards: Array, of_expert: Sequence[Array], moments: NDArray[np.int64], gamma: float) -> Array:
+    """(K,): of each stretch between K + 1 moments, by these rewards (T,), and by those of the episodes in
+    which the expert takes over at each."""
+    values = [_discounted(paid[at:], gamma) for paid, at in zip(of_expert, moments[:-1], strict=True)]
+    values.append(0.0)  # nothing is to be had where an episode has ended
+    found = []
+    for i, (at, to) in enumerate(pairwise(moments)):
+        own = _discounted(rewards[at:to], gamma)
+        found.append(own + gamma ** (to - at) * values[i + 1] - values[i])
+    return np.array(found)
 
 
 def _known_advantage(spec: EnvSpec, trajectory: Trajectory, reward: Reward | None) -> Advantage:

@@ -17,7 +17,7 @@ from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS, Record
 from harness.run.cells import prepare, run_cell
 from harness.run.compared import write_compared
-from harness.run.episodes import LEAST_WEIGHT, advantage, play
+from harness.run.episodes import LEAST_WEIGHT, advantages, play
 from harness.run.watched import Watched, chosen
 from methods.base import Array
 from methods.rewards import Constant
@@ -56,8 +56,7 @@ def test_what_a_policy_did_can_be_played_again_whatever_it_is_like(lanes: int) -
     watched = Watched(lambda obs: SPEC.random_actions(len(obs), rng))
     episodes = Simulator(SPEC, lanes).run(watched, range(8))
     actions = watched.actions([len(episode.act) for episode in episodes])
-    for seed, (episode, act) in enumerate(zip(episodes, actions, strict=True)):
-        again = play(SPEC, seed, act)
+    for episode, again in zip(episodes, play(SPEC, range(8), actions), strict=True):
         assert np.array_equal(again.obs, episode.obs)
         assert np.array_equal(again.rewards, episode.rewards)
         assert again.ending == episode.ending
@@ -110,12 +109,12 @@ def test_an_experts_actions_are_worth_nothing_over_its_own_and_a_push_the_other_
     seed = evaluation_seeds(0, 1)[0]
     (own,) = Simulator(SPEC, 1).run(expert, [seed])
     reward = Constant(2.0, 1.0)
-    found = advantage(SPEC, expert, own, seed, reward)
+    (found,) = advantages(SPEC, expert, [own], [seed], reward)
     assert found is not None
     assert np.abs(found.true).max() < 0.05 * 100  # what the discount leaves of 1 / (1 - gamma)
     (fallen,) = Simulator(SPEC, 1).run(lambda obs: -expert(obs), [seed])
     assert fallen.terminated
-    worse = advantage(SPEC, expert, fallen, seed, reward)
+    _, worse = advantages(SPEC, expert, [own, fallen], [seed, seed], reward)
     assert worse is not None
     assert worse.learned is not None
     assert worse.steps[-1] == len(fallen.act)
@@ -131,7 +130,7 @@ def test_an_experts_actions_are_worth_nothing_over_its_own_and_a_push_the_other_
 
 def test_a_cut_episode_that_is_too_short_has_no_advantage() -> None:
     cut = Trajectory(np.zeros((2, 4)), np.zeros((1, 1)), np.ones(1), False, "time limit")
-    assert advantage(SPEC, lambda obs: np.zeros((len(obs), 1)), cut, 0, None) is None
+    assert advantages(SPEC, lambda obs: np.zeros((len(obs), 1)), [cut], [0], None) == [None]
 
 
 def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> None:
