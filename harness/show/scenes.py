@@ -137,13 +137,16 @@ class Solid:
     @cached_property
     def _box(self) -> tuple[Array, Array]:
         """The corners [m] of what is in view at the start, or at any time where nothing is followed."""
-        model, places = self.model, self.places[:1] if self.follows else self.places
+        seen = slice(1 if self.follows else None)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for kind, geoms in [*self.moving.items(), *self.fixed.items()]:
             for i in geoms if kind != "plane" else ():
-                reach = model.geom_rbound[i]
-                low = np.minimum(low, places[:, i].min(axis=0) - reach)
-                high = np.maximum(high, places[:, i].max(axis=0) + reach)
+                places, reach = self.places[seen, i], np.full(3, self.model.geom_rbound[i])
+                if kind in ("capsule", "cylinder"):
+                    radius, half, _ = self.model.geom_size[i]
+                    reach = radius + half * np.abs(_up(self.turns[seen, i]))
+                low = np.minimum(low, (places - reach).min(axis=0))
+                high = np.maximum(high, (places + reach).max(axis=0))
         return low, high
 
     def _shapes(
