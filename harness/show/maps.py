@@ -37,12 +37,15 @@ class Maps:
         for name, values in self._named.items():
             stream.log(f"map/{name}", rr.Image(_coloured(values[::-1])), static=True)
         down = (self.path * [1, -1] + [0, height]).astype(np.float32)
-        stream.log("map/path", rr.LineStrips2D([down], radii=-1.0, colors=_PATH), static=True)
+        # An angle that passes the end of its range goes on at the other.
+        jumps = np.flatnonzero(np.abs(np.diff(down, axis=0)).max(axis=1) > width / 2) + 1
+        strips = [part for part in np.split(down, jumps) if len(part) > 1]
+        stream.log("map/path", rr.LineStrips2D(strips, radii=-1.0, colors=_PATH), static=True)
         look = rr.Points2D.from_fields(radii=-5.0, colors=_HERE)
         stream.log("map/here", look, static=True)
         steps = rr.TimeColumn("step", sequence=np.arange(len(down)))
         stream.send_columns("map/here", [steps], rr.Points2D.columns(positions=down))
-        places = [[width / 2, height * 1.04], [width / 2, -height * 0.04]]
+        places = [[width / 2, height * 1.12], [width / 2, -height * 0.12]]
         words = [f"across: {self.axes[0]}", f"upwards: {self.axes[1]}"]
         texts = rr.Points2D(places, labels=words, show_labels=True, radii=0.0, colors=_TEXT)
         stream.log("map/axes", texts, static=True)
@@ -51,7 +54,7 @@ class Maps:
         """One for each."""
         height, width = self.true.shape
         bounds = rrb.VisualBounds2D(
-            x_range=(-0.05 * width, 1.05 * width), y_range=(-0.1 * height, 1.1 * height)
+            x_range=(-0.05 * width, 1.05 * width), y_range=(-0.2 * height, 1.2 * height)
         )
         titles = {"true": "True reward", "learned": "R* above absorption"}
         return [
