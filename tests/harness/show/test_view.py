@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import http.server
+import importlib.util
 import io
 import json
 import threading
@@ -110,7 +111,8 @@ def test_an_export_is_refused_where_something_is(run: Path) -> None:
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     """An exported folder with one recording, and where it is served."""
-    pytest.importorskip("rerun_notebook")
+    if importlib.util.find_spec("rerun_notebook") is None:
+        pytest.skip("needs rerun-notebook")
     spec = SPECS["cartpole"]
     (played,) = Simulator(spec, 1).run(lambda obs: 0 * obs[:, :1], [0])
     file = tmp_path / "cartpole__bc__seed0__pi_star.worst.rrd"
