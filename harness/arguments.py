@@ -126,6 +126,19 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument(
         "--print", action="store_true", help="print the tables, too, within the terminal's width"
     )
+    add = commands.add_parser("view", help="play a run's recordings", allow_abbrev=False)
+    add.add_argument("directory", type=Path, metavar="DIR")
+    add.add_argument("--env", help="those of one task")
+    add.add_argument("--method", help="those of one method")
+    add.add_argument("--compare", action="store_true", help="all methods on one episode")
+    how = add.add_mutually_exclusive_group()
+    how.add_argument("--web", action="store_true", help="in the browser, served to this machine alone")
+    how.add_argument(
+        "--export",
+        type=_folder,
+        metavar="FOLDER",
+        help="new: a page that plays them, offline, in any browser",
+    )
     add = commands.add_parser("verify", help="check a run's files for damage", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser(
@@ -248,9 +261,10 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--record",
-        default="first",
+        default="both",
         choices=RECORDS,
-        help="which episode of each policy of seed 0; 'none' keeps no artifacts either",
+        help="which evaluation episodes of each policy of seed 0: the median, the worst, both or all; 'none' "
+        "keeps no artifacts either",
     )
     add(
         "--json-progress",

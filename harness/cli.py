@@ -69,6 +69,8 @@ def _dispatch(argv: list[str]) -> int:
         return commands.report(args.directory, args.print)
     if args.command == "demos":
         return commands.demos(args)
+    if args.command == "view":
+        return commands.view(args)
     if args.command == "export":
         return commands.export(args)
     if args.command == "compare":

@@ -228,6 +228,22 @@ def export(args: argparse.Namespace) -> int:
     return 0
 
 
+def view(args: argparse.Namespace) -> int:
+    """Shows a run's recordings, or writes a folder that plays them."""
+    from harness.show import view as viewing
+
+    with open_to_verify(args.directory) as run:
+        envs = run.request.envs
+    found = viewing.recordings(args.directory, envs, args.env, args.method, args.compare)
+    if args.export:
+        folder = viewing.export(found, args.export)
+        say(
+            f"{folder}: {len(found)} recordings; to play them: python -m http.server -d {folder} -b 127.0.0.1"
+        )
+        return 0
+    return viewing.serve(found, say) if args.web else viewing.show(found)
+
+
 def _read(path: Path) -> Comparable:
     """A run to be compared. Raises BadInput where there is none with a finished cell."""
     with open_to_verify(path) as run:

@@ -19,6 +19,10 @@ EXAMPLES = {
         "irl-bench report results/latest",
         "irl-bench report results/reproduce/absorbing",
     ),
+    "irl-bench view": (
+        "irl-bench view results/latest --env highway --compare",
+        "irl-bench view results/latest --method shaped --export played",
+    ),
     "irl-bench verify": (
         "irl-bench verify results/latest",
         "irl-bench verify results/reference/board/highway",

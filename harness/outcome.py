@@ -38,6 +38,7 @@ def report(
 ) -> bool:
     """Writes what these results come to, and says it in five lines. anew: even where it is as it was written.
     tables: printed besides. programs: of `for_programs`. Returns whether all is there that the run stored."""
+    from harness.run.compared import write_compared
     from harness.run.events import Reported, write
     from harness.run.reporting import write_report
     from harness.show import terminal
@@ -47,7 +48,8 @@ def report(
     damaged = run.damaged_files(results) | run.swapped(results)
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
-        run.seal(results, write_report(run.path, run.request, [*results, *beside]))
+        compared = write_compared(run.path, results, run.is_as_written)
+        run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
     shown = [*results, *beside]
     for line in terminal.tables(run.request, shown) if tables else []:
         say(line)

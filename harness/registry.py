@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained", "none"]
-Record = Literal["first", "none"]
+Record = Literal["none", "median", "worst", "both", "all", "first"]
 Demonstrator = Literal["expert", "medium", "noisy"]
 EngineName = Literal["isolated", "inline", "ray"]
 
@@ -23,7 +23,7 @@ BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
-RECORDS: tuple[Record, ...] = ("first", "none")
+RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """What becomes of an episode's end (`harness.learn.rl`); the last two are parts of the first."""

@@ -244,22 +244,33 @@ def phi(obs: Array, act: Array) -> Array:
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The road from above, the ego at x = 0 driving to the right: lines, then vehicles as rectangles."""
+    """The road from above, the ego at x = 0 driving to the right: edges, dashes between lanes, and vehicles
+    as rectangles, each with an arrow as long as its way until the next action."""
     scene = env.unwrapped
     assert isinstance(scene, Highway)
     ego = scene.vehicle
     shapes = {}
     along = [vehicle.position[0] - ego.position[0] for vehicle in scene.road.vehicles]
-    start, end = min(along) - MARGIN, max(along) + MARGIN
+    start, end = min(*along, -2 * MARGIN) - MARGIN, max(along) + 4 * MARGIN
     for i in range(LANES + 1):
         side = (0.5 - i) * LANE_WIDTH  # highway-env's y points to the right of the road, ours to the left
-        grey = (140, 140, 140) if i in (0, LANES) else (200, 200, 200)
-        shapes[f"lane_{i}"] = Shape(np.array([[start, side], [end, side]]), grey)
+        if i in (0, LANES):
+            shapes[f"lane_{i}"] = Shape(np.array([[start, side], [end, side]]), (140, 140, 140))
+            continue
+        for dash in range(24):  # which move as the ego passes them
+            x = 8.0 * (dash - 8) - ego.position[0] % 8.0
+            shapes[f"dash_{i}_{dash:02d}"] = Shape(np.array([[x, side], [x + 3.0, side]]), (190, 190, 190))
     others = [vehicle for vehicle in scene.road.vehicles if vehicle is not ego]
     names = [f"vehicle_{i:02d}" for i in range(1, len(others) + 1)]
     for name, vehicle in [*zip(names, others, strict=True), ("ego", ego)]:
         outline = (vehicle.polygon() - [ego.position[0], 0.0]) * [1.0, -1.0]
-        shapes[name] = Shape(outline, (234, 134, 51) if vehicle is ego else (66, 133, 244))
+        colour = (234, 134, 51) if vehicle is ego else (66, 133, 244)
+        shapes[name] = Shape(outline, colour)
+        ahead = np.array([math.cos(vehicle.heading), -math.sin(vehicle.heading)])
+        nose = (vehicle.position - [ego.position[0], 0.0]) * [1.0, -1.0] + vehicle.LENGTH / 2 * ahead
+        tip, across = nose + vehicle.speed * TIME_STEP * ahead, 0.5 * np.array([-ahead[1], ahead[0]])
+        head = [tip - ahead + across, tip, tip - ahead - across]
+        shapes[f"{name}_speed"] = Shape(np.array([nose, tip, *head]), colour)
     return shapes
 
 

@@ -8,7 +8,7 @@ DIR/leaderboard.csv, .md   aggregated over seeds
 DIR/report.html, figures/  the report
 DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
                            size and digest of the list of checksums that was written then
-DIR/recordings/*.rrd       rerun recordings
+DIR/recordings/*.rrd       rerun recordings, ENV__compare.rrd being rebuilt
 DIR/artifacts/*.safetensors  what each cell learned (`harness.run.artifacts`)
 DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
                            a file is listed twice, the last line counts
@@ -60,6 +60,13 @@ PROGRAM_NAME = "irl-bench"
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 CONTROL_METHODS = {"control_shuffled": "shaped", "control_clone": "bc"}
 """Methods that controls are fitted by."""
+MOST_EPISODES = 100
+"""Recorded of a policy."""
+RECORDED = ("median", "worst", "", *(f"episode_{number}" for number in range(MOST_EPISODES)))
+"""Which episode a recording is of; the third is an earlier version's first one."""
+COMPARE = "compare"
+"""How the name ends of a recording of all methods on one episode."""
+Recordings = Annotated[dict[FileName, Text], Meta(max_length=2 * len(RECORDED))]
 LEARNED = "learned"
 """The name of what a cell is handed over: what the cell before it learned."""
 REFERENCE = "reference"
@@ -83,8 +90,9 @@ class Conditions:
     experts: Experts = "shipped"
     """Whose demonstrations: the shipped experts', or those of one trained for each seed; none: there is no
     expert, and a score of 1 is what the demonstrations of a file return."""
-    record: Record = "first"
-    """Which evaluation episodes of seed 0's policies are recorded."""
+    record: Record = "both"
+    """Which evaluation episodes of seed 0's policies are recorded: the median and the worst, one of those,
+    all or none. Runs of earlier versions say 'first'."""
     retrain: bool = True
     """Whether there are pi_R, and so controls; or pi_star alone."""
     demonstrations: Text = ""
@@ -227,7 +235,7 @@ class CellResult:
     """For each policy, how many evaluation episodes ended for which reason."""
     warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
     """What the user must be told, such as an expert that misses its bar."""
-    recordings: Annotated[dict[FileName, Text], Meta(max_length=2)] = field(default_factory=dict)
+    recordings: Recordings = field(default_factory=dict)
     """SHA-256 of each recording that was made, by its file's name."""
     artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
     """SHA-256 of the file of what was learned, by its name."""
@@ -309,8 +317,20 @@ def artifact_of(cell: Cell) -> str:
 
 def files_of(cell: Cell) -> set[str]:
     """The files that a cell may have besides its own, by the path in the run's directory."""
-    recordings = {f"recordings/{cell.name}__{policy}.rrd" for policy in policies_of(cell)}
-    return {*recordings, artifact_of(cell)}
+    if cell.seed:
+        return {artifact_of(cell)}
+    names = {recording_of(cell, policy, which) for policy in policies_of(cell) for which in RECORDED}
+    return {*(f"recordings/{name}" for name in names), artifact_of(cell)}
+
+
+def recording_of(cell: Cell, policy: PolicyName, which: str) -> str:
+    """The name of a recording in the run's recordings/. which: of `RECORDED`."""
+    return f"{cell.name}__{policy}{which and '.'}{which}.rrd"
+
+
+def compared_in(env: str) -> str:
+    """The name of the recording of all methods on one episode."""
+    return f"{env}__{COMPARE}.rrd"
 
 
 def usable(value: float) -> bool:

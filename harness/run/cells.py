@@ -7,8 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from harness.judge.evaluation import Evaluation
-from harness.judge.results import LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, name_of
-from harness.learn.simulator import drawings
+from harness.judge.results import (
+    LEARNED,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    name_of,
+)
 from harness.run import given, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes
@@ -17,6 +25,7 @@ from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
 from harness.run.phases import returned
 from harness.run.stages import Made, Task, missed_bar, policies, row, score
+from harness.run.watched import Watched
 from methods.base import Policy, Reward
 
 
@@ -35,8 +44,11 @@ def run_cell(
     nobody = cell.method == REFERENCE and conditions.experts == "none"
     if nobody:
         made = [Made("expert", None), *made[1:]]
+    watched = watched_policies(task, made)
     scored = {
-        one.name: told.scored(one.name, score(task, one.policy, one.reward)) for one in made if one.policy
+        one.name: told.scored(one.name, score(task, watched.get(one.name, one.policy), one.reward))
+        for one in made
+        if one.policy
     }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     learned, lost = learned_file(task, made)
@@ -46,9 +58,10 @@ def run_cell(
     rows = [row(task, one, scored.get(one.name)) for one in made]
     if nobody:
         rows[0] = without_expert.in_its_place(rows[0], conditions)
-    recordings = {
-        f"{cell.name}__{one.name}.rrd": recorded(task, one, scored[one.name]) for one in shown(task, made)
-    }
+    recordings = dict[str, bytes]()
+    for one in made:
+        if one.name in watched:
+            recordings |= recorded(task, one, scored[one.name], watched[one.name])
     result = CellResult(
         cell,
         rows=[
@@ -108,18 +121,14 @@ def learned_file(task: Task, made: Sequence[Made]) -> tuple[bytes, list[str]]:
         return artifact(task.cell, task.conditions, learned)
 
 
-def shown(task: Task, made: Sequence[Made]) -> list[Made]:
-    """Those of which an episode is recorded."""
-    wanted = task.cell.seed == 0 and task.conditions.record == "first"
-    return [one for one in made if wanted and one.policy is not None]
+def watched_policies(task: Task, made: Sequence[Made]) -> dict[PolicyName, Watched]:
+    """Policies of which episodes are recorded, by name."""
+    records = task.cell.seed == 0 and task.conditions.record != "none"
+    return {one.name: Watched(one.policy) for one in made if records and one.policy is not None}
 
 
-def recorded(task: Task, made: Made, scored: Evaluation) -> bytes:
-    """The recording of its first evaluation episode."""
-    from harness.show import recordings  # 30 MB, which other seeds do without
+def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> dict[str, bytes]:
+    """The recordings of its evaluation episodes, by the files' names."""
+    from harness.run import episodes  # 30 MB of rerun, which other seeds do without
 
-    first, reward = scored.first, made.reward
-    with task.during("record"):
-        paid = None if reward is None else reward(first.obs[:-1], first.act, first.obs[1:]) - reward.absorbing
-        frames = drawings(task.place, task.seeds[0], first.act)
-        return recordings.record(task.place, task.cell, made.name, first, frames, paid)
+    return episodes.recorded(task, made, scored, watched)

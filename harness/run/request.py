@@ -29,6 +29,8 @@ STUDY = "study.json"
 """Marks the directory of a study, which holds runs (`harness.reproduce`)."""
 MOST_NAMED = 5
 """Runs that a line names."""
+EARLIER_RECORD = "first"
+"""What runs of earlier versions were told to record; they may go on with whatever is recorded now."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -82,7 +84,7 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
     """The request `old`, stored in `path`, and this one. Raises BadInput where their conditions differ."""
     for name in KEYS:
         there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
-        if there != asked:
+        if there != asked and (name, there) != ("record", EARLIER_RECORD):
             said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
             raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
     known = {*METHODS, *VARIANTS, *ENVS}
@@ -96,7 +98,7 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),
         seeds=tuple(sorted({*old.seeds, *request.seeds})),
-        conditions=old.conditions,
+        conditions=dataclasses.replace(old.conditions, record=request.conditions.record),
         shown=tuple(sorted({*old.shown, *request.shown})),
         variants=tuple(sorted({*old.variants, *request.variants})),
     )

@@ -171,6 +171,11 @@ class RunDirectory:
         except (OSError, ValueError):
             return False
 
+    def is_as_written(self, file: Path) -> bool:
+        """Whether a file of the run is there, and as it was noted."""
+        digest = self._listed().get(file.relative_to(self.path).as_posix())
+        return digest is not None and not why_damaged(file, digest)
+
     def keep_beside(self, results: Iterable[CellResult]) -> None:
         """Keeps cells of other runs to be shown beside its own, in the place of those that it had. Raises
         OSError where one cannot be written."""

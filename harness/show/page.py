@@ -157,7 +157,12 @@ def _recordings(found: Found) -> list[tuple[str, str, str]]:
             its = next((counts for policy, counts in result.endings.items() if policy in name), {})
             ended = ", ".join(f"{why} {count}" for why, count in its.items())
             lines.append((name, ended, f"irl-bench view . --env {cell.env} --method {cell.method}"))
-    return lines
+    compared = [
+        (name, "all methods on one episode", f"irl-bench view . --env {env} --compare")
+        for env in found.request.envs
+        if (name := f"{env}__compare.rrd") in there
+    ]
+    return [*compared, *lines]
 
 
 def _some(lines: Sequence[str], elsewhere: str) -> list[str]:

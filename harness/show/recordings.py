@@ -1,81 +1,130 @@
-"""Rerun recordings of single episodes: the scene as it moves, and every number of every step beside it.
+"""Rerun recordings of single episodes: what was seen, and every number of every step beside it.
 
-Open one with `rerun FILE --bind 127.0.0.1`. This is the one file that imports the rerun SDK.
+Open them with `irl-bench view DIR`. One timeline, `step`, from 0 to T; scenes as of `harness.show.scenes`.
 
-    scene/<shape>          line strips, steps 0..T; metres, y negated, since 2D views point y downwards
-    observation/<i>        steps 0..T
-    action/<i>             steps 0..T-1, the action taken there
-    reward/true            steps 0..T-1, what that action earned
-    reward/learned         steps 0..T-1, R*(s, a) minus what absorption pays; absent without an R*
-    return/true            steps 0..T, the undiscounted true return so far
+    signal                 components, each a line or more of a plot, named as the task names them:
+      true, learned        steps 0..T-1, what an action earned, and R*(s, a) less what absorption pays
+      true_return, learned_return   steps 0..T, the undiscounted sums so far
+      action_N             steps 0..T-1: entry N of what the policy did, of what the expert would have done in
+                           the same state, and of f(s) where R* has one; where actions have more than `FEW`
+                           entries, all of them of the policy, of the expert and of f
+      precision            steps 0..T-1, the eigenvalues of L Lᵀ + I where R* has those, of more than `FEW`
+                           the smallest and the largest
+      observation          steps 0..T
+    advantage              at some steps, what was done since the one before over what the expert would have
+                           made of it, under both rewards, each in units of its largest
+    map/true, map/learned  both rewards over two axes of the state, with where the episode went
     ending                 step T, why the episode ended
     episode                what this is, as a table
+
+Numbers are in 64 bits. Of episodes longer than `scenes.LONG` steps all but the true reward are in 32 bits.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from envs import EnvSpec
-from envs.spec import Array, Shape
+from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Trajectory
+from harness.show.maps import Maps
+from harness.show.scenes import LONG, Scene
 
-_MARGIN = 0.08  # of the scene's larger side
-_LINE_RADIUS = -1.5  # negative: in pixels, whatever the zoom
+_MARGIN = 0.08  # of the plotted range
+_NAMED = 6  # lines that a legend has room for; the names of more are shown at the pointer
+SLOWEST = 4.0
+"""Steps a second that a recording plays at least; else as many as it takes."""
 
 rr.set_strict_mode(True)  # or mismatched columns would only be a warning
 
 
-def record(
-    spec: EnvSpec,
-    cell: Cell,
-    policy: str,
-    trajectory: Trajectory,
-    frames: Sequence[dict[str, Shape]],
-    learned_reward: Array | None,
-) -> bytes:
-    """One episode of T steps as an .rrd file; equal input gives equal content.
+@dataclass(frozen=True)
+class Advantage:
+    """At K steps, in ascending order: what was done since the one before, or since the start, is worth over
+    what the expert would have made of it, by the true reward and by R* (None: there is none), (K,) each."""
 
-    frames: T+1 drawings, after the reset and after each step, with the same names throughout.
-    learned_reward: (T,), R*(s, a) minus its absorbing value; None where there is no R*.
-    Raises ValueError where lengths or names disagree, OSError where rerun writes nothing.
+    steps: NDArray[np.int64]
+    true: Array
+    learned: Array | None
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of T steps, with what is known of it. None is what there is not."""
+
+    trajectory: Trajectory
+    scene: Scene | None = None
+    learned: Array | None = None
+    """(T,): R*(s, a) less what absorption pays."""
+    expert: Array | None = None
+    """(T, A): what the expert does in the same states."""
+    f: Array | None = None
+    """(T, A): f(s) of a shaped reward."""
+    precision: Array | None = None
+    """(T, A): the eigenvalues of its L Lᵀ + I, ascending."""
+    advantage: Advantage | None = None
+    maps: Maps | None = None
+    facts: Mapping[str, str | float] = field(default_factory=dict)
+    """Of this episode among others, by name."""
+
+
+def record(spec: EnvSpec, cell: Cell, policy: str, which: str, episode: Episode) -> bytes:
+    """One episode as an .rrd file; equal input gives equal content. which: of the policy's, in one word.
+
+    Raises ValueError where lengths disagree, OSError where rerun writes nothing.
     """
-    length, dt = len(trajectory.act), spec.time_step
-    if len(frames) != length + 1 or any(frame.keys() != frames[0].keys() for frame in frames):
-        raise ValueError(f"{length} steps need {length + 1} drawings with the same names")
-    if learned_reward is not None and learned_reward.shape != (length,):
-        raise ValueError(f"{length} steps need as many learned rewards, not {learned_reward.shape}")
+    length, told = len(episode.trajectory.act), episode
+    for values in (told.learned, told.expert, told.f, told.precision):
+        if values is not None and len(values) != length:
+            raise ValueError(f"{length} steps need as many values, not {len(values)}")
+    if told.scene and told.scene.length != length:
+        raise ValueError(f"{length} steps need a scene as long, not of {told.scene.length}")
+    name = f"{cell.method} {policy}, {which}"
 
+    def send(stream: rr.RecordingStream) -> None:
+        stream.send_recording_name(name)
+        _send_facts(stream, cell, policy, which, episode)
+        if episode.scene:
+            episode.scene.send_fixed(stream)
+            episode.scene.send_moving(stream, "policy")
+        if episode.maps:
+            episode.maps.send(stream)
+        send_series(stream, "signal", [series for series, _ in _series(spec, episode).values()])
+        if episode.advantage:
+            names, values = _advantage(episode.advantage)
+            look = rr.SeriesLines(names=names, colors=np.array([GREY, BLUE][: len(names)], np.uint8))
+            stream.log("advantage", look, static=True)
+            steps = [rr.TimeColumn("step", sequence=episode.advantage.steps)]
+            stream.send_columns("advantage", steps, rr.Scalars.columns(scalars=values))
+
+    return written(spec.name, f"{cell.name}__{policy}.{which}", _blueprint(spec, episode), send)
+
+
+def written(
+    task: str, identity: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]
+) -> bytes:
+    """The .rrd file of what is sent. Raises OSError where rerun writes nothing."""
     # No properties of rerun's own: they hold the time of day, and equal episodes would differ.
-    stream = rr.RecordingStream(
-        f"irl-bench-{spec.name}", recording_id=f"{cell.name}__{policy}", send_properties=False
-    )
+    stream = rr.RecordingStream(f"irl-bench-{task}", recording_id=identity, send_properties=False)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     # rerun writes to no path that is not UTF-8, and where it was told not to, by RERUN=off, writes nothing.
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "episode.rrd"
-        stream.save(file, _blueprint(spec, trajectory, frames, learned_reward))
-        _send_facts(stream, cell, policy, trajectory, dt)
-        for name in frames[0]:
-            _send_shape(stream, f"scene/{name}", [frame[name] for frame in frames], dt)
-        for i, values in enumerate(trajectory.obs.T):
-            _send_scalars(stream, f"observation/{i}", str(spec.obs_names[i]), values, dt)
-        for i, values in enumerate(trajectory.act.T):
-            _send_scalars(stream, f"action/{i}", str(spec.act_names[i]), values, dt)
-        _send_scalars(stream, "reward/true", "true reward", trajectory.rewards, dt)
-        if learned_reward is not None:
-            _send_scalars(stream, "reward/learned", "R* - absorbing", learned_reward, dt)
-        total = np.concatenate([[0.0], np.cumsum(trajectory.rewards)])
-        _send_scalars(stream, "return/true", "return so far", total, dt)
+        stream.save(file, blueprint, write_footer=False)
+        send(stream)
         stream.flush()
         stream.disconnect()
         if not file.exists() or not (recording := file.read_bytes()):
@@ -83,89 +132,164 @@ def record(
         return recording
 
 
-def _times(first: int, count: int, dt: float) -> list[rr.TimeColumn]:
-    steps = np.arange(first, first + count)
-    return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("sim_time", duration=steps * dt)]
+def playing(spec: EnvSpec) -> rrb.TimePanel:
+    """The one timeline, at the task's own speed, from when it is opened."""
+    fps = max(SLOWEST, 1 / spec.time_step)
+    return rrb.TimePanel(timeline="step", state="collapsed", fps=fps, play_state="playing", loop_mode="all")
 
 
-def _send_scalars(stream: rr.RecordingStream, entity: str, name: str, values: Array, dt: float) -> None:
-    # Without this, plots show averages of neighbouring steps and hide single ones.
-    stream.log(entity, rr.SeriesLines(names=name, aggregation_policy="off"), static=True)
-    stream.send_columns(entity, _times(0, len(values), dt), rr.Scalars.columns(scalars=values))
+@dataclass(frozen=True)
+class Series:
+    """Lines of one plot. values: (N, K), of K lines by name, from step 0 on."""
+
+    part: str
+    names: Sequence[str]
+    values: Array
+    colours: Sequence[tuple[int, int, int]] = ()
+    half: bool = False
+    """Whether 32 bits will do."""
+
+    def plot(self, entity: str, name: str) -> rrb.TimeSeriesView:
+        """Of one line it shows zero, too: zoomed in on its noise, a constant reward looks eventful."""
+        alone = len(self.names) == 1
+        low, high = min(0.0, float(self.values.min())), max(0.0, float(self.values.max()))
+        margin = _MARGIN * (high - low) or 1.0
+        source = ComponentSourceKind.SourceComponent
+        mapping = VisualizerComponentMapping(
+            "Scalars:scalars", source, source_component=f"signal:{self.part}"
+        )
+        colours = np.array(self.colours, np.uint8) if self.colours else None
+        # Without this, plots show averages of neighbouring steps and hide single ones.
+        look = rr.SeriesLines(names=list(self.names), colors=colours, aggregation_policy="off")
+        return rrb.TimeSeriesView(
+            origin=f"/{entity}",
+            name=name,
+            axis_y=rrb.ScalarAxis(range=(low - margin, high + margin)) if alone else None,
+            plot_legend=None if 1 < len(self.names) <= _NAMED else rrb.PlotLegend(visible=False),
+            overrides={entity: look.visualizer(mappings=[mapping])},
+        )
 
 
-def _send_shape(stream: rr.RecordingStream, entity: str, shapes: Sequence[Shape], dt: float) -> None:
-    stream.log(entity, rr.LineStrips2D.from_fields(radii=_LINE_RADIUS), static=True)
-    columns = rr.LineStrips2D.columns(
-        strips=[(shape.points * [1.0, -1.0]).astype(np.float32) for shape in shapes],
-        colors=np.array([shape.colour for shape in shapes], np.uint8),
-    )
-    stream.send_columns(entity, _times(0, len(shapes), dt), columns)
+def send_series(stream: rr.RecordingStream, entity: str, series: Sequence[Series]) -> None:
+    """All of an entity as one chunk, each a component of its own, so that what a step costs is paid once."""
+    rows = max(len(one.values) for one in series)
+    columns: list[Any] = []
+    for one in series:
+        count, lines = one.values.shape
+        flat = pa.array(one.values.astype(np.float32 if one.half else np.float64).ravel())
+        column = rr.DynamicArchetype.columns(archetype="signal", components={one.part: flat})
+        columns += column.partition([lines] * count + [0] * (rows - count))
+    stream.send_columns(entity, [rr.TimeColumn("step", sequence=np.arange(rows))], columns)
 
 
-def _send_facts(
-    stream: rr.RecordingStream, cell: Cell, policy: str, trajectory: Trajectory, dt: float
-) -> None:
+FEW = 3
+"""Entries of an action up to which each has a plot of its own; else each who acts has one."""
+BLUE, ORANGE, GREY, GREEN = (66, 133, 244), (234, 134, 51), (90, 90, 90), (52, 168, 83)
+"""The policy and R*; f; the true reward; the expert."""
+_ACTORS = {"policy": BLUE, "expert": GREEN, "f(s)": ORANGE}
+
+
+def _series(spec: EnvSpec, episode: Episode) -> dict[str, tuple[Series, str]]:
+    """What is plotted, and under which heading, by the part of `signal`."""
+    trajectory, half = episode.trajectory, len(episode.trajectory.act) > LONG
+    found = [
+        (Series("true", ["true reward"], trajectory.rewards[:, None], [GREY]), "True reward of a step"),
+        (Series("true_return", ["so far"], so_far(trajectory.rewards), [GREY], half), "True return so far"),
+    ]
+    if (learned := episode.learned) is not None:
+        name = "R* of a step, above absorption"
+        found.append((Series("learned", ["R*"], learned[:, None], [BLUE], half), name))
+        found.append((Series("learned_return", ["so far"], so_far(learned), [BLUE], half), "R* so far"))
+    acts = {"policy": trajectory.act, "expert": episode.expert, "f(s)": episode.f}
+    there = {who: values for who, values in acts.items() if values is not None}
+    names = [str(quantity) for quantity in spec.act_names]
+    if len(names) <= FEW:
+        colours = [_ACTORS[who] for who in there]
+        for i, name in enumerate(names):
+            columns = np.stack([values[:, i] for values in there.values()], axis=1)
+            found.append((Series(f"action_{i}", [*there], columns, colours, half), name))
+    else:
+        for i, (who, values) in enumerate(there.items()):
+            found.append((Series(f"action_{i}", names, values, half=half), f"Actions: {who}"))
+    if (precision := episode.precision) is not None:
+        names = [f"eigenvalue {i + 1}" for i in range(precision.shape[1])]
+        if len(names) > FEW:
+            names, precision = ["smallest", "largest"], precision[:, [0, -1]]
+        found.append((Series("precision", names, precision, half=half), "Eigenvalues of L Lᵀ + I"))
+    names = [str(quantity) for quantity in spec.obs_names]
+    found.append((Series("observation", names, trajectory.obs, half=half), "Observations"))
+    return {series.part: (series, heading) for series, heading in found}
+
+
+def so_far(rewards: Array) -> Array:
+    """(T+1, 1): their sum before each step and after the last."""
+    return np.concatenate([[0.0], np.cumsum(rewards)])[:, None]
+
+
+def _send_facts(stream: rr.RecordingStream, cell: Cell, policy: str, which: str, episode: Episode) -> None:
+    trajectory = episode.trajectory
     length = len(trajectory.act)
     facts: dict[str, Any] = {
-        "env": cell.env,
+        "env": cell.task,
         "method": cell.method,
         "seed": cell.seed,
         "policy": policy,
+        "episode": which,
         "return": round(float(trajectory.rewards.sum()), 6),
         "length": length,
         "ending": trajectory.ending,
+        **episode.facts,
     }
-    stream.send_recording_name(f"{cell.method} {policy}, seed {cell.seed}")
-    stream.send_property("episode", rr.AnyValues(**facts))
     lines = [f"| {name} | {value} |" for name, value in facts.items()]
     table = "\n".join(["| | |", "|---|---|", *lines])
     stream.log("episode", rr.TextDocument(table, media_type="text/markdown"), static=True)
-    level = "WARN" if trajectory.terminated else "INFO"
-    text = f"step {length}: {trajectory.ending}"
-    stream.send_columns("ending", _times(length, 1, dt), rr.TextLog.columns(text=[text], level=[level]))
+    send_ending(stream, "ending", trajectory)
 
 
-def _blueprint(
-    spec: EnvSpec, trajectory: Trajectory, frames: Sequence[dict[str, Shape]], learned_reward: Array | None
-) -> rrb.Blueprint:
-    """The scene, where there is one, over the facts on the left, the plots on the right."""
+def send_ending(stream: rr.RecordingStream, entity: str, trajectory: Trajectory, who: str = "") -> None:
+    """Why the episode ended, at the step when it did."""
+    length = len(trajectory.act)
+    columns = rr.TextLog.columns(
+        text=[f"{who}step {length}: {trajectory.ending}"],
+        level=["WARN" if trajectory.terminated else "INFO"],
+    )
+    stream.send_columns(entity, [rr.TimeColumn("step", sequence=[length])], columns)
+
+
+def _advantage(told: Advantage) -> tuple[list[str], Array]:
+    both = {"true reward": told.true, "R*": told.learned}
+    there = {name: values for name, values in both.items() if values is not None}
+    scaled = [values / (np.abs(values).max() or 1.0) for values in there.values()]
+    return [*there], np.stack(scaled, axis=1)
+
+
+def _blueprint(spec: EnvSpec, episode: Episode) -> rrb.Blueprint:
+    """What was seen over the facts on the left, the plots on the right."""
     facts = rrb.Horizontal(
         rrb.TextDocumentView(origin="episode", name="Episode"),
         rrb.TextLogView(origin="ending", name="How it ended"),
     )
-    told = rrb.Vertical(_scene(spec, frames), facts, row_shares=[5, 3]) if frames[0] else facts
-    plots = [_plot("reward/true", "True reward of a step", trajectory.rewards)]
-    if learned_reward is not None:
-        plots.append(_plot("reward/learned", "R* of a step, above absorption", learned_reward))
-    plots.append(_plot("return/true", "True return so far", np.cumsum(trajectory.rewards)))
-    plots.append(_plot("action", "Actions", np.array([-1.0, 1.0])))
-    plots.append(_plot("observation", "Observations", trajectory.obs))
+    left: list[Any] = [episode.scene.view(spec.name)] if episode.scene else []
+    left += [rrb.Horizontal(*episode.maps.views())] if episode.maps else []
+    series = _series(spec, episode)
+    plots = {part: one.plot("signal", heading) for part, (one, heading) in series.items()}
+    if episode.advantage:
+        plots["advantage"] = rrb.TimeSeriesView(origin="/advantage", name="Advantage over the expert, scaled")
+    rows = [["true", "true_return"], ["learned", "learned_return"], ["precision", "advantage"]]
+    right: list[Any] = [
+        rrb.Horizontal(*there) for row in rows if (there := [plots[part] for part in row if part in plots])
+    ]
+    actions = [view for part, view in plots.items() if part.startswith("action_")]
+    right.append(rrb.Grid(*actions, grid_columns=min(3, len(actions))))
+    right.append(plots["observation"])
     return rrb.Blueprint(
-        rrb.Horizontal(told, rrb.Vertical(*plots), column_shares=[3, 2]),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
+        rrb.Horizontal(
+            rrb.Vertical(*left, facts, row_shares=[*[4] * len(left), 3]),
+            rrb.Vertical(*right),
+            column_shares=[5, 4],
+        ),
+        playing(spec),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
     )
-
-
-def _scene(spec: EnvSpec, frames: Sequence[dict[str, Shape]]) -> rrb.Spatial2DView:
-    """All that is drawn, with a margin."""
-    points = np.concatenate([shape.points for frame in frames for shape in frame.values()]) * [1.0, -1.0]
-    margin = _MARGIN * float(np.ptp(points, axis=0).max())
-    (left, top), (right, bottom) = points.min(axis=0) - margin, points.max(axis=0) + margin
-    return rrb.Spatial2DView(
-        origin="scene",
-        name=spec.name,
-        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
-        background=[255, 255, 255],
-    )
-
-
-def _plot(origin: str, name: str, values: Array) -> rrb.TimeSeriesView:
-    """A plot that shows all values and zero: zoomed in on its noise, a constant reward looks eventful."""
-    low, high = min(0.0, float(values.min())), max(0.0, float(values.max()))
-    margin = _MARGIN * (high - low) or 1.0
-    axis = rrb.ScalarAxis(range=(low - margin, high + margin))
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_y=axis)

@@ -302,7 +302,12 @@ def test_drawing() -> None:
         terminated = env.step(np.array([1, 1], np.float32))[2]
     after = SPEC.draw(env)
     assert list(before) == list(after)
-    assert len(after) == highway.LANES + 1 + 1 + int(CONFIG["vehicles_count"])  # type: ignore[call-overload]
+    others = [name for name in after if name.startswith("vehicle_") and not name.endswith("_speed")]
+    assert len(others) == int(CONFIG["vehicles_count"])  # type: ignore[call-overload]
+    assert {f"{name}_speed" for name in (*others, "ego")} <= {*after}
+    arrow = after["ego_speed"].points
+    speed = env.unwrapped.vehicle.speed  # type: ignore[attr-defined]
+    assert np.linalg.norm(arrow[1] - arrow[0]) == pytest.approx(speed * highway.TIME_STEP)
     for shapes in (before, after):
         sides = np.linalg.norm(np.diff(shapes["ego"].points, axis=0), axis=1)
         assert sorted(sides.tolist()) == pytest.approx([2, 2, 5, 5])

@@ -43,7 +43,7 @@ def test_everything_runs_and_scores_do_not_depend_on_what_runs_beside(tmp_path: 
     alone = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole", "--workers", "1")
     same = every[(every["env"] == "cartpole") & every["method"].isin(alone["method"])]
     pd.testing.assert_frame_equal(alone, same.reset_index(drop=True), check_exact=True)
-    recording = tmp_path / "alone/run/recordings/cartpole__maxmargin__seed0__pi_R.rrd"
+    recording = tmp_path / "alone/run/recordings/cartpole__maxmargin__seed0__pi_R.worst.rrd"
     recording.write_bytes(recording.read_bytes()[:-1])
     again = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", "cartpole")
     pd.testing.assert_frame_equal(again, alone, check_exact=True)

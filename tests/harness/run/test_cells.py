@@ -91,7 +91,7 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
     assert [x for x, _ in result.curves["loss"]] == list(range(1, 102))
-    assert recordings(tmp_path) == ["cartpole__bc__seed0__pi_star.rrd"]
+    assert recordings(tmp_path) == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
@@ -335,7 +335,8 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert "misses its bar" in warning
     assert "at least 501.00" in warning
     assert f"{expert.return_mean:.2f}" in warning
-    assert recordings(tmp_path) == [f"cartpole__reference__seed0__{p}.rrd" for p in ("expert", "random")]
+    both = [f"{policy}.{which}" for policy in ("expert", "random") for which in ("median", "worst")]
+    assert recordings(tmp_path) == [f"cartpole__reference__seed0__{one}.rrd" for one in both]
 
 
 @pytest.mark.parametrize(("early", "warnings"), [(2, 0), (3, 1)])
@@ -393,7 +394,7 @@ def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None
     assert {p.name.split("__")[0] for p in cache.iterdir() if "gridworld" in p.name} == {
         *("demonstrations0", "ranking0")
     }
-    assert "gridworld__maxmargin__seed0__pi_star.rrd" in recordings(tmp_path)
+    assert "gridworld__maxmargin__seed0__pi_star.median.rrd" in recordings(tmp_path)
 
 
 @pytest.mark.parametrize(

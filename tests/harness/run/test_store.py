@@ -269,7 +269,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
         "rl": "sbx",
         "deterministic": True,
         "experts": "shipped",
-        "record": "first",
+        "record": "both",
     }
 
 
@@ -278,6 +278,13 @@ def stored(**changes: object) -> str:
     asked = {"methods": ["bc"], "envs": ["cartpole"], "seeds": 1}
     data = {"format": FORMATS[0], **asked, **dataclasses.asdict(CONDITIONS), **changes}
     return json.dumps({"sha256": checksum(data), **data})
+
+
+def test_a_run_that_recorded_first_episodes_goes_on_with_others(tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(stored(record="first"))
+    with open_for_run(tmp_path, REQUEST) as run:
+        assert run.request.conditions == CONDITIONS
+    assert json.loads((tmp_path / "run.json").read_text())["record"] == CONDITIONS.record
 
 
 def snapshot(path: Path) -> dict[str, bytes]:
@@ -290,6 +297,7 @@ def snapshot(path: Path) -> dict[str, bytes]:
         (stored(budget="full"), "budget full, not smoke"),
         (stored(protocol="native"), "protocol native, not absorbing"),
         (stored(rl="sb3"), "rl sb3, not sbx"),
+        (stored(record="none"), "record none, not both"),
         (stored(format=99, envs=None), "format 99"),
         (stored(envs=None), "damaged"),
         (stored()[:-9], "damaged"),

@@ -253,7 +253,7 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
     text = (tmp_path / "leaderboard.md").read_text()
     assert "instructions of the machine" in text
     assert (
-        "--seeds 3 --budget quick --protocol absorbing --rl sbx --experts shipped --record first --fast"
+        "--seeds 3 --budget quick --protocol absorbing --rl sbx --experts shipped --record both --fast"
         in text
     )
     (row, *_) = read_csv(tmp_path / "scores.csv")

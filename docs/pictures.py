@@ -1,0 +1,124 @@
+"""Makes docs/pictures/*.png: an expert's episode of each task, and one of `shaped` on the highway, as a
+browser shows their recordings. `python docs/pictures.py [NAME...]` needs Chromium and the extra `dev`."""
+
+from __future__ import annotations
+
+import http.server
+import io
+import sys
+import tempfile
+import threading
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from envs import EnvSpec
+from harness.judge.results import ALL_SHOWN, Cell, Conditions
+from harness.learn.seeds import evaluation_seeds
+from harness.learn.simulator import Simulator
+from harness.registry import BUILT_IN, SPECS
+from harness.run.experts import Shared, demonstrations_for, expert_for
+from harness.run.stages import Task, fit
+from harness.show.maps import maps
+from harness.show.recordings import Episode, record
+from harness.show.scenes import scene
+from harness.show.view import HERE, export
+from methods.base import Policy
+from methods.shaped import ShapedReward
+
+FOLDER = Path(__file__).with_name("pictures")
+SHAPED = "highway_shaped"
+CONDITIONS = Conditions("quick", "absorbing", "sbx")
+SIZE, LIST = (1040, 650), 272
+"""Of what is shown, pixels; how wide the list of recordings beside it is."""
+WIDTH, COLOURS = 640, 128
+"""Of a picture."""
+GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+WAIT = 90
+"""Seconds until something is to be seen, at most."""
+
+
+def main(names: list[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        files = []
+        for name in names or [*BUILT_IN["env"], SHAPED]:
+            file = Path(folder) / f"{name}__picture.rrd"
+            file.write_bytes(shaped() if name == SHAPED else of_expert(SPECS[name]))
+            files.append(file)
+        page = export(files, Path(folder) / "page")
+        handler = partial(http.server.SimpleHTTPRequestHandler, directory=page)
+        with http.server.ThreadingHTTPServer((HERE, 0), handler) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            FOLDER.mkdir(exist_ok=True)
+            for file in files:
+                png = picture(f"http://{HERE}:{server.server_port}/#{file.name}")
+                small = Image.open(io.BytesIO(png)).convert("RGB")
+                small.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+                path = FOLDER / f"{file.name.partition('__')[0]}.png"
+                small.quantize(COLOURS).save(path, optimize=True)
+                print(path, path.stat().st_size, flush=True)
+            server.shutdown()
+
+
+def of_expert(spec: EnvSpec) -> bytes:
+    """Its first evaluation episode."""
+    expert = expert_for(spec.name, 0, CONDITIONS).policy
+    return played(spec, "reference", "expert", expert, expert, None)
+
+
+def shaped() -> bytes:
+    """The same of what `shaped` learns on the highway, with its R*."""
+    spec, expert = SPECS["highway"], expert_for("highway", 0, CONDITIONS).policy
+    task = Task(Cell("highway", "shaped", 0), CONDITIONS, Shared({}))
+    made = fit(task, demonstrations_for("highway", 0, ALL_SHOWN, CONDITIONS))
+    assert made.policy is not None
+    assert isinstance(made.reward, ShapedReward)
+    return played(spec, "shaped", "pi_star", made.policy, expert, made.reward)
+
+
+def played(
+    spec: EnvSpec, method: str, name: str, policy: Policy, expert: Policy, reward: ShapedReward | None
+) -> bytes:
+    """One evaluation episode, recorded."""
+    seed = evaluation_seeds(0, 1)[0]
+    (trajectory,) = Simulator(spec, 1).run(policy, [seed])
+    obs, act = trajectory.obs, trajectory.act
+    told = Episode(
+        trajectory,
+        scene=None if spec.name == "gridworld" else scene(spec, seed, act),
+        expert=None if reward is None else expert(obs[:-1]),
+        maps=maps(spec, policy, reward, obs),
+    )
+    if reward is not None:
+        size = spec.act_size
+        flat = reward.chol(obs[:-1]).reshape(-1, size, size)
+        values = 1 + np.square(np.linalg.svd(flat, compute_uv=False))[:, ::-1]
+        learned = reward(obs[:-1], act, obs[1:]) - reward.absorbing
+        told = Episode(
+            trajectory, told.scene, learned, told.expert, reward.f(obs[:-1]), values, maps=told.maps
+        )
+    return record(spec, Cell(spec.name, method, 0), name, "first", told)
+
+
+def picture(address: str) -> bytes:
+    """What the page shows once it shows something, as PNG."""
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=GPU)
+        page = browser.new_page(viewport={"width": SIZE[0] + LIST, "height": SIZE[1]})
+        page.goto(address)
+        png = b""
+        for _ in range(WAIT // 10):
+            page.wait_for_timeout(10_000)
+            png = page.locator("main").screenshot(timeout=120_000)
+            colours = Image.open(io.BytesIO(png)).convert("RGB").getcolors(1 << 24)
+            if colours and len(colours) > 700:
+                break
+        browser.close()
+    return png
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from harness.judge.evaluation import evaluate
+from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
+from harness.learn.seeds import evaluation_seeds
+from harness.learn.simulator import Simulator, Trajectory
+from harness.registry import SPECS, Record
+from harness.run.cells import prepare, run_cell
+from harness.run.compared import write_compared
+from harness.run.episodes import LEAST_WEIGHT, advantages, play
+from harness.run.watched import Watched, chosen
+from methods.base import Array
+from methods.rewards import Constant
+
+pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
+SMOKE = Conditions("smoke", "absorbing", "sbx", retrain=False)
+SPEC = SPECS["cartpole"]
+
+
+@cache
+def shared() -> dict[str, bytes]:
+    return prepare([Cell("cartpole", "bc", 0)], SMOKE)
+
+
+def ran(method: str, directory: Path, record: Record = "both") -> CellResult:
+    conditions = dataclasses.replace(SMOKE, record=record)
+    result, files = run_cell(Cell("cartpole", method, 0), conditions, shared())
+    for name, data in files.items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
+        (directory / name).write_bytes(data)
+    return result
+
+
+def told(file: Path) -> dict[str, str]:
+    """What the recording's table says."""
+    for chunk in RrdReader(file).stream():
+        if chunk.entity_path == "/episode":
+            text = chunk.to_record_batch().column("TextDocument:text").to_pylist()[0][0]
+            return dict(line.strip("| ").split(" | ") for line in text.splitlines()[2:])
+    raise AssertionError
+
+
+@pytest.mark.parametrize("lanes", [1, 3, 20])
+def test_what_a_policy_did_can_be_played_again_whatever_it_is_like(lanes: int) -> None:
+    rng = np.random.default_rng(0)
+    watched = Watched(lambda obs: SPEC.random_actions(len(obs), rng))
+    episodes = Simulator(SPEC, lanes).run(watched, range(8))
+    actions = watched.actions([len(episode.act) for episode in episodes])
+    for episode, again in zip(episodes, play(SPEC, range(8), actions), strict=True):
+        assert np.array_equal(again.obs, episode.obs)
+        assert np.array_equal(again.rewards, episode.rewards)
+        assert again.ending == episode.ending
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("none", {}),
+        ("median", {"median": 3}),
+        ("worst", {"worst": 1}),
+        ("both", {"median": 3, "worst": 1}),
+        ("all", {"median": 3, "worst": 1, "episode_0": 0, "episode_2": 2}),
+    ],
+)
+def test_the_median_is_the_lower_of_two_and_the_worst_the_first_of_equals(
+    kind: Record, expected: dict[str, int]
+) -> None:
+    assert chosen(kind, np.array([5.0, 1.0, 9.0, 2.0])) == expected
+    assert chosen("both", np.full(4, 7.0)) == {"median": 1, "worst": 0}
+
+
+def test_recordings_are_of_the_episodes_that_were_scored(tmp_path: Path) -> None:
+    result = ran("reference", tmp_path)
+    for row in result.rows:
+        median, worst = (
+            told(tmp_path / "recordings" / recording_of(result.cell, row.policy, which))
+            for which in ("median", "worst")
+        )
+        assert float(worst["return"]) <= float(median["return"])
+        assert float(median["mean return of all"]) == pytest.approx(row.return_mean, abs=1e-5)
+        assert worst["returns of all"].startswith(f"{float(worst['return']):.6g} to ")
+        endings = ", ".join(f"{count} {why}" for why, count in result.endings[row.policy].items())
+        assert median["endings of all"] == endings
+
+
+def test_all_episodes_may_be_recorded(tmp_path: Path) -> None:
+    result = ran("bc", tmp_path, "all")
+    assert len(result.recordings) == result.rows[0].episodes == 5
+    assert result.files.keys() <= files_of(result.cell)
+    names = {file.name.split(".")[1] for file in (tmp_path / "recordings").iterdir()}
+    assert {"median", "worst"} < names
+    assert all(name.startswith("episode_") for name in names - {"median", "worst"})
+
+
+def test_an_experts_actions_are_worth_nothing_over_its_own_and_a_push_the_other_way_less() -> None:
+    def expert(obs: Array) -> Array:
+        return np.clip(obs @ [[0.3], [0.4], [6.0], [1.2]], -1, 1)
+
+    seed = evaluation_seeds(0, 1)[0]
+    (own,) = Simulator(SPEC, 1).run(expert, [seed])
+    reward = Constant(2.0, 1.0)
+    (found,) = advantages(SPEC, expert, [own], [seed], reward)
+    assert found is not None
+    assert np.abs(found.true).max() < 0.05 * 100  # what the discount leaves of 1 / (1 - gamma)
+    (fallen,) = Simulator(SPEC, 1).run(lambda obs: -expert(obs), [seed])
+    assert fallen.terminated
+    _, worse = advantages(SPEC, expert, [own, fallen], [seed, seed], reward)
+    assert worse is not None
+    assert worse.learned is not None
+    assert worse.steps[-1] == len(fallen.act)
+    # What they sum up to is what was earned less what the expert earns from the start.
+    weights = SPEC.gamma ** np.array([0, *worse.steps[:-1]])
+    most = math.ceil(math.log(LEAST_WEIGHT) / math.log(SPEC.gamma))
+    (best,) = Simulator(SPEC, 1).run(expert, [seed], most=most)
+    gained = [e.rewards @ SPEC.gamma ** np.arange(len(e.rewards)) for e in (fallen, best)]
+    assert weights @ worse.true == pytest.approx(gained[0] - gained[1])
+    assert weights @ worse.true < -50
+    assert weights @ worse.learned < -50
+
+
+def test_a_cut_episode_that_is_too_short_has_no_advantage() -> None:
+    cut = Trajectory(np.zeros((2, 4)), np.zeros((1, 1)), np.ones(1), False, "time limit")
+    assert advantages(SPEC, lambda obs: np.zeros((len(obs), 1)), [cut], [0], None) == [None]
+
+
+def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> None:
+    results = [ran(method, tmp_path) for method in ("reference", "bc")]
+    assert write_compared(tmp_path, results[:1], lambda file: True) == []
+    (file,) = write_compared(tmp_path, results, lambda file: False)
+    assert file == tmp_path / "recordings" / compared_in("cartpole")
+    ends = {}
+    for chunk in RrdReader(file).stream():
+        if chunk.entity_path.startswith("/earned/") and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            ends[chunk.entity_path.rpartition("/")[2]] = batch.column("Scalars:scalars").to_pylist()[-1][0]
+    assert ends.keys() == {"expert", "bc_pi_star"}
+    from harness.run.artifacts import read_artifact
+
+    learned = read_artifact(tmp_path / "artifacts/cartpole__bc__seed0.safetensors")
+    first = evaluate(SPEC, learned["pi_star"], evaluation_seeds(0, 1))
+    assert ends["bc_pi_star"] == pytest.approx(first.returns[0])
+
+    before = os.stat(file).st_mtime_ns
+    assert write_compared(tmp_path, results, lambda file: True) == [file]
+    assert os.stat(file).st_mtime_ns == before

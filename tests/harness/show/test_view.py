@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import http.server
+import importlib.util
+import io
+import json
+import threading
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from harness.cli import main
+from harness.judge.results import Cell
+from harness.learn.simulator import Simulator
+from harness.registry import SPECS, BadInput
+from harness.show import view
+from harness.show.recordings import Episode, record
+from harness.show.scenes import scene
+
+NAMES = (
+    "cartpole__bc__seed0__pi_star.median.rrd",
+    "cartpole__bc__seed0__pi_star.worst.rrd",
+    "cartpole__compare.rrd",
+    "swingup.heavy__bc__seed0__pi_star.median.rrd",
+    "swingup__shaped__seed0__pi_R.median.rrd",
+)
+CHROMIUM = Path("/usr/bin/chromium")
+GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+BACKGROUND = 20
+"""Colours of a page on which nothing is drawn, at most."""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    folder = tmp_path / "run/recordings"
+    folder.mkdir(parents=True)
+    for name in NAMES:
+        (folder / name).write_bytes(b"a recording")
+    return folder.parent
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ((None, None, False), {0, 1, 2, 3, 4}),
+        (("cartpole", None, False), {0, 1, 2}),
+        (("swingup.heavy", None, False), {3}),
+        ((None, "bc", False), {0, 1, 3}),
+        ((None, None, True), {2}),
+    ],
+)
+def test_what_is_asked_for_is_played_and_comparisons_first(
+    run: Path, asked: tuple[str | None, str | None, bool], expected: set[int]
+) -> None:
+    found = [file.name for file in view.recordings(run, ["cartpole", "swingup"], *asked)]
+    assert {*found} == {NAMES[i] for i in expected}
+    assert NAMES[2] not in found[1:]
+
+
+def test_what_is_not_there_is_said_with_what_is(run: Path) -> None:
+    with pytest.raises(BadInput, match="no such recordings; it has cartpole bc, cartpole compare, swingup"):
+        view.recordings(run, ["cartpole", "swingup"], "pendulum", None, False)
+    with pytest.raises(BadInput, match="it has none"):
+        view.recordings(run / "recordings", ["cartpole"], None, None, False)
+
+
+def test_without_a_display_the_viewer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(BadInput, match="no display; add --web"):
+        view.show([])
+
+
+def test_the_viewer_keeps_to_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    said: list[tuple[list[str], dict[str, str]]] = []
+
+    def started(command: list[str], env: dict[str, str], check: bool) -> object:
+        settings = json.loads((Path(env["XDG_CONFIG_HOME"]) / "rerun/analytics.json").read_text())
+        assert settings["analytics_enabled"] is False
+        options = (Path(env["XDG_DATA_HOME"]) / "rerun/app.ron").read_text()
+        assert "check_for_updates_on_startup:false" in options
+        said.append((command, env))
+        return type("Done", (), {"returncode": 3})
+
+    monkeypatch.setattr("subprocess.run", started)
+    assert view.show([Path("a.rrd")]) == 3
+    ((command, env),) = said
+    assert command[-4:] == ["--bind", "127.0.0.1", "--port", "auto"]
+    assert env["CI"]
+    assert not Path(env["XDG_CONFIG_HOME"]).exists()
+
+
+def test_bad_input_is_one_line_and_writes_nothing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(run.rglob("*"))
+    for words in (["--export", str(run)], ["--web", "--export", "new"], ["--env", "cartpole"]):
+        assert main(["view", str(run), *words]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(run.rglob("*")) == before
+
+
+def test_an_export_is_refused_where_something_is(run: Path) -> None:
+    with pytest.raises(BadInput, match="there already"):
+        view.export([run / "recordings" / NAMES[0]], run)
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """An exported folder with one recording, and where it is served."""
+    if importlib.util.find_spec("rerun_notebook") is None:
+        pytest.skip("needs rerun-notebook")
+    spec = SPECS["cartpole"]
+    (played,) = Simulator(spec, 1).run(lambda obs: 0 * obs[:, :1], [0])
+    file = tmp_path / "cartpole__bc__seed0__pi_star.worst.rrd"
+    told = Episode(played, scene(spec, 0, played.act))
+    file.write_bytes(record(spec, Cell("cartpole", "bc", 0), "pi_star", "worst", told))
+    folder = view.export([file], tmp_path / "page")
+    assert (folder / "recordings" / file.name).read_bytes() == file.read_bytes()
+    handler = partial(http.server.SimpleHTTPRequestHandler, directory=folder)
+    with http.server.ThreadingHTTPServer((view.HERE, 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield folder, f"http://{view.HERE}:{server.server_port}/"
+        server.shutdown()
+
+
+@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Chromium")
+def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(page: tuple[Path, str]) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    _, address = page
+    asked: list[str] = []
+    colours = 0
+    with playwright.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=str(CHROMIUM), args=GPU)
+        shown = browser.new_page(viewport={"width": 800, "height": 450})
+        shown.on("response", lambda response: asked.append(response.url))
+        shown.on("requestfinished", lambda request: asked.append(request.url))
+        shown.goto(address)
+        assert shown.locator("nav a").all_inner_texts() == ["bc pi_star, worst"]
+        for _ in range(18):
+            shown.wait_for_timeout(5000)
+            png = shown.locator("main").screenshot(timeout=100_000)
+            colours = len(Image.open(io.BytesIO(png)).convert("RGB").getcolors(1 << 24) or ())
+            if colours > 20 * BACKGROUND:
+                break
+        browser.close()
+    assert colours > 20 * BACKGROUND
+    assert {"viewer.js", "viewer.wasm.gz", "cartpole__bc__seed0__pi_star.worst.rrd"} <= {
+        url.rpartition("/")[2] for url in asked
+    }
+    assert [url for url in asked if not url.startswith((address, "data:", "blob:"))] == []
+
+
+def test_without_rerun_notebook_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"irl-bench\[view\]"):
+        view.export([run / "recordings" / NAMES[0]], run / "page")
+    assert not (run / "page").exists()
