@@ -42,11 +42,12 @@ _WHITE = [255, 255, 255]
 @dataclass(frozen=True)
 class Solid:
     """An episode of T steps in MuJoCo. places: (T+1, G, 3), where the centre of each geometry is [m], and
-    turns: (T+1, G, 4), its quaternion, w first."""
+    turns: (T+1, G, 4), its quaternion, w first. target: (3,), a place that the model does not show [m]."""
 
     model: mujoco.MjModel
     places: Array
     turns: Array
+    target: tuple[float, float, float] | None = None
 
     @property
     def length(self) -> int:
@@ -78,6 +79,11 @@ class Solid:
     def send_fixed(self, stream: rr.RecordingStream) -> None:
         """What never moves, floors as far as the episode leads."""
         stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if self.target:
+            mark = rr.Ellipsoids3D(
+                radii=[0.02], centers=[self.target], colors=[52, 168, 83], fill_mode="solid"
+            )
+            stream.log(f"{FIXED}/target", mark, static=True)
         for kind, geoms in self.fixed.items():
             if kind == "plane":
                 self._send_floor(stream, float(self.places[0, geoms[0], 2]))
@@ -300,9 +306,11 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         places[step] = data.geom_xpos
         for i in range(model.ngeom):
             mujoco.mju_mat2Quat(turns[step, i], data.geom_xmat[i])
-    return Solid(model, places, turns)
+    return Solid(model, places, turns, TARGETS.get(spec.name.partition(".")[0]))
 
 
+TARGETS = {"point_maze": (0.3, 0.5, 0.0)}
+"""Places that matter and are in no model [m]."""
 VIEWS = {"highway": (-35.0, -20.0, 75.0, 12.0)}
 """Bounds of views, as of `Flat`, of tasks whose drawings move with what is followed."""
 

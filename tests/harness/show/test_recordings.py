@@ -10,6 +10,7 @@ import pytest
 from gymnasium.envs.mujoco import MujocoEnv
 from rerun.chunk import RrdReader
 
+from envs.point_maze import TARGET
 from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Simulator, Trajectory
@@ -124,6 +125,9 @@ def test_mujocos_bodies_are_where_the_simulator_has_them(tmp_path: Path, name: s
     columns = read(
         tmp_path / "a.rrd", record(spec, Cell(name, "bc", 0), "pi_R", "worst", Episode(played, seen))
     )
+    if name == "point_maze":
+        target = values(columns["/scene/fixed/target"]["Ellipsoids3D:centers"], (3,))
+        assert target == pytest.approx([*TARGET, 0.0])
 
     env = spec.make()
     inner = env.unwrapped
