@@ -16,6 +16,8 @@ MOST_PANELS = 60
 """Of a board."""
 MOST_DRAWN = 40
 """Points of a line."""
+MOST_SEEDS = 50
+"""Whose curves are drawn, and counted in means and ranges."""
 OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
 SIGNS: list[Sign] = [
     (svg.key("", "c1", line=True), "true return of RL on R*, with the range over seeds"),
@@ -64,12 +66,12 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
             if by_method[method][1:]:
                 plot.band(_points(true, "low"), _points(true, "high"), "c1")
             plot.line(_points(true), "c1")
-            for chosen in filter(None, map(_chosen, by_method[method])):
+            for chosen in filter(None, map(_chosen, by_method[method][:MOST_SEEDS])):
                 plot.mark(*chosen, "ring", "c1", f"steps {chosen[0]:,.0f}: true return {chosen[1]:.1f}")
         plots.append(plot.render())
     drawn = {key: its for key, its in means.items() if key[0] in {REFERENCE, *methods[:most]}}
     data = _data(board.name, drawn)
-    return Chart(board.name, plots, _left_out(methods, most), name=f"learning {board.name}", data=data)
+    return Chart(board.name, plots, _left_out(board, methods, most), name=f"learning {board.name}", data=data)
 
 
 def training(board: Board, most: int = MOST_PANELS) -> Chart | None:
@@ -95,17 +97,21 @@ def training(board: Board, most: int = MOST_PANELS) -> Chart | None:
     if not plots:
         return None
     data = _data(board.name, {key: summaries[key] for key in known[:most]})
-    return Chart(board.name, plots, _left_out(known, most), name=f"training {board.name}", data=data)
+    return Chart(board.name, plots, _left_out(board, known, most), name=f"training {board.name}", data=data)
 
 
-def _left_out(panels: Sequence[object], most: int) -> str:
-    return f"The first {most} of {len(panels)} panels." if panels[most:] else ""
+def _left_out(board: Board, panels: Sequence[object], most: int) -> str:
+    """What is not drawn."""
+    seeds = len({result.cell.seed for result in board.results})
+    of_seeds = [f"Curves are of the first {MOST_SEEDS} of {seeds} seeds."] if seeds > MOST_SEEDS else []
+    of_panels = [f"The first {most} of {len(panels)} panels."] if panels[most:] else []
+    return " ".join([*of_panels, *of_seeds])
 
 
 def _summary(seeds: Sequence[Curve]) -> pd.DataFrame:
     """By x, where all seeds that have the curve have a point: the mean, the lowest and the highest y; of
     `MOST_DRAWN` at most."""
-    there = [points for points in seeds if points]
+    there = [points for points in seeds if points][:MOST_SEEDS]
     points = [(x, y) for its in there for x, y in its if math.isfinite(y)]
     frame = pd.DataFrame(points, columns=["x", "y"]).groupby("x")["y"].agg(["mean", "min", "max", "count"])
     frame = frame[frame["count"] == len(there)].rename(columns={"min": "low", "max": "high"})
