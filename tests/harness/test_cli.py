@@ -227,7 +227,7 @@ def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, t
     assert out.startswith(f"{every} cells: 0 kept from before, in run; 0 of a baseline; {every} to run\n")
     assert re.search(r"cartpole bc +2 .*a guess", out)
     for cores in plan.CORES:
-        assert f"wall time with {cores:,} cores: 0:" in out
+        assert re.search(rf"wall time with {cores:,} cores: \d+:\d\d\n", out)
     assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
     before = snapshot(tmp_path)
     code, out, _ = main(*asked, "--plan")
