@@ -214,7 +214,7 @@ def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) ->
         )
         if [len(paid) for paid in rewards] != lengths:
             raise ValueError("an episode has not as many rewards as steps")
-        if rewards and max(np.abs(np.concatenate(rewards)).max() * n for n in lengths) > MOST_PAID:
+        if rewards and np.abs(np.concatenate(rewards)).max() > MOST_PAID / max(lengths):
             raise ValueError(f"it has rewards that sum to more than {MOST_PAID:g}")
     cut_short = sum(not end and not cut for end, cut in zip(terminated, full, strict=True))
     return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed), cut_short)

@@ -179,7 +179,8 @@ def load_learned(folder: Path | str) -> Exported:
         facts = json.loads(read(folder / FACTS))
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        if (env := plugins.task_or_name(str(facts["env"]))) not in ENVS:
+        env = plugins.task_or_name(str(facts["env"]))
+        if isinstance(facts["env"], str) and env not in ENVS:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
         spec = SPECS[env]
         found = {}

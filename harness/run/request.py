@@ -75,9 +75,23 @@ def merged(path: Path, request: Request) -> Request:
     old = stored_request(path)
     grown = request if old is None else _grown(path, old, request)
     try:
-        return checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
+        found = checked(json.loads(json.dumps(dataclasses.asdict(grown))), Request)
     except ValueError as error:
         raise BadInput(f"{path} cannot hold so much: {error}") from error
+    if old is not None:
+        _check_known(path, old)
+    return found
+
+
+def _check_known(path: Path, old: Request) -> None:
+    """Raises BadInput where the run in `path` has methods or environments that are not known here."""
+    known = {*METHODS, *VARIANTS, *ENVS}
+    if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
+        raise BadInput(
+            f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
+            "or give another --out",
+            page="plugins",
+        )
 
 
 def _grown(path: Path, old: Request, request: Request) -> Request:
@@ -87,13 +101,6 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
         if there != asked and (name, there) != ("record", EARLIER_RECORD):
             said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
             raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
-    known = {*METHODS, *VARIANTS, *ENVS}
-    if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
-        raise BadInput(
-            f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
-            "or give another --out",
-            page="plugins",
-        )
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),
         envs=_union(ENVS, old.envs, request.envs),

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness import cli, commands
+from harness import cli, commands, outcome
 from harness.judge.results import Cell, CellResult, Request
 from harness.registry import ENVS, METHODS, VARIANTS
 from harness.run.store import RunDirectory
@@ -50,7 +50,7 @@ command_line = st.one_of(
 )
 
 
-def compute(run: RunDirectory, request: Request, args: object, engine: object) -> dict[Cell, CellResult]:
+def compute(run: RunDirectory, request: Request, *_: object) -> dict[Cell, CellResult]:
     """In place of the cells' work."""
     return {cell: CellResult(cell, []) for cell in request.cells}
 
@@ -82,7 +82,7 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
         ):
             patch.chdir(place)
             patch.setattr(commands, "_compute", compute)
-            patch.setattr(commands, "_write_report", lambda run, results, anew: True)
+            patch.setattr(outcome, "report", lambda *_, **__: True)
             patch.setattr("harness.reproduce.write_study", write_study)
             patch.setattr(commands, "handle_signals", lambda: None)
             code = cli.main(argv)

@@ -215,8 +215,8 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
     assert result.curves["none"] == []
     assert result.warnings == [
         f"{BC.name}: of 102 curves the first {MOST_CURVES - 3} are kept",
-        f"{BC.name}: pi_star is not kept (docs/plugins.md): builtins.function is no dataclass of envs, methods, "
-        "harness.learn, harness.judge",
+        f"{BC.name}: pi_star is not kept (docs/plugins.md): builtins.function is no dataclass of envs, "
+        "methods, harness.learn, harness.judge",
     ]
 
 

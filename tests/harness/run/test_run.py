@@ -62,7 +62,7 @@ def test_every_way_to_fail_is_told_and_takes_no_other_cell_with_it(
     assert "Traceback" in log
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 * (len(cells) + 1)
-    assert "0 left" in lines[-1]
+    assert "; 0 cells left" in lines[-1]
 
 
 def test_a_cell_that_hangs_is_stopped(directory: Path) -> None:

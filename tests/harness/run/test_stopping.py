@@ -40,7 +40,7 @@ def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
     )
     assert process.stdout is not None
-    while "; 1 left" not in (line := process.stdout.readline()):
+    while "; 1 cells left" not in (line := process.stdout.readline()):
         assert line, process.communicate()
     while "cartpole__shaped__seed0" not in computed(tmp_path / "run"):
         time.sleep(0.05)

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -19,6 +20,7 @@ from harness.registry import SPECS, BadInput
 from harness.show import view
 from harness.show.recordings import Episode, record
 from harness.show.scenes import scene
+from tests.harness.show.conftest import CHROMIUM
 
 NAMES = (
     "cartpole__bc__seed0__pi_star.median.rrd",
@@ -27,7 +29,6 @@ NAMES = (
     "swingup.heavy__bc__seed0__pi_star.median.rrd",
     "swingup__shaped__seed0__pi_R.median.rrd",
 )
-CHROMIUM = Path("/usr/bin/chromium")
 GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 BACKGROUND = 20
 """Colours of a page on which nothing is drawn, at most."""
@@ -127,26 +128,25 @@ def page(tmp_path: Path) -> Iterator[tuple[Path, str]]:
         server.shutdown()
 
 
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Chromium")
-def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(page: tuple[Path, str]) -> None:
-    playwright = pytest.importorskip("playwright.sync_api")
+def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(
+    play: Any, page: tuple[Path, str]
+) -> None:
     _, address = page
     asked: list[str] = []
     colours = 0
-    with playwright.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=str(CHROMIUM), args=GPU)
-        shown = browser.new_page(viewport={"width": 800, "height": 450})
-        shown.on("response", lambda response: asked.append(response.url))
-        shown.on("requestfinished", lambda request: asked.append(request.url))
-        shown.goto(address)
-        assert shown.locator("nav a").all_inner_texts() == ["bc pi_star, worst"]
-        for _ in range(18):
-            shown.wait_for_timeout(5000)
-            png = shown.locator("main").screenshot(timeout=100_000)
-            colours = len(Image.open(io.BytesIO(png)).convert("RGB").getcolors(1 << 24) or ())
-            if colours > 20 * BACKGROUND:
-                break
-        browser.close()
+    browser = play.chromium.launch(executable_path=CHROMIUM, args=GPU)
+    shown = browser.new_page(viewport={"width": 800, "height": 450})
+    shown.on("response", lambda response: asked.append(response.url))
+    shown.on("requestfinished", lambda request: asked.append(request.url))
+    shown.goto(address)
+    assert shown.locator("nav a").all_inner_texts() == ["bc pi_star, worst"]
+    for _ in range(18):
+        shown.wait_for_timeout(5000)
+        png = shown.locator("main").screenshot(timeout=100_000)
+        colours = len(Image.open(io.BytesIO(png)).convert("RGB").getcolors(1 << 24) or ())
+        if colours > 20 * BACKGROUND:
+            break
+    browser.close()
     assert colours > 20 * BACKGROUND
     assert {"viewer.js", "viewer.wasm.gz", "cartpole__bc__seed0__pi_star.worst.rrd"} <= {
         url.rpartition("/")[2] for url in asked
