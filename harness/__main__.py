@@ -9,12 +9,22 @@ if __name__ == "__main__":
     if not sys.flags.safe_path and os.path.realpath(sys.path[0]) != _root:
         del sys.path[0]
 
-import signal
-import warnings
+try:
+    import signal
+    import warnings
+except KeyboardInterrupt:  # which takes long enough on a slow machine
+    sys.exit(130)
 
 
 def start() -> int:
     """Does what the command line asks for; returns the exit code. For a process of its own."""
+    try:
+        return _start()
+    except KeyboardInterrupt:  # before there is anybody who would tell of it
+        return 130
+
+
+def _start() -> int:
     if hasattr(signal, "SIGCHLD"):
         signal.signal(
             signal.SIGCHLD, signal.SIG_DFL

@@ -24,7 +24,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(argv)
     except (BadInput, OSError, ImportError) as error:
-        print(f"irl-bench: error: {_plain(' '.join(str(error).split()))}", file=sys.stderr)
+        said = str(error)
+        if isinstance(error, OSError) and error.strerror and error.filename is not None:
+            said = f"{error.filename}: {error.strerror}"
+        print(f"irl-bench: error: {_plain(' '.join(said.split()))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         ignore_stops()
@@ -63,18 +66,18 @@ def _dispatch(argv: list[str]) -> int:
     if args.command == "experts":
         return _experts(args)
     with importing():
-        from harness import commands  # here, for `--help` and `list` to answer at once
+        from harness import commands, exchange  # here, for `--help` and `list` to answer at once
 
     if args.command == "report":
         return commands.report(args.directory, args.print)
     if args.command == "demos":
-        return commands.demos(args)
+        return exchange.demos(args)
     if args.command == "view":
-        return commands.view(args)
+        return exchange.view(args)
     if args.command == "export":
-        return commands.export(args)
+        return exchange.export(args)
     if args.command == "compare":
-        return commands.compare(args.directory, args.others)
+        return exchange.compare(args.directory, args.others)
     if args.command == "reproduce":
         return commands.reproduce(args)
     return commands.run(args)
@@ -123,8 +126,8 @@ def _list(named: Sequence[str]) -> int:
 
 
 def _verify(directory: Path) -> int:
+    from harness.run.opening import open_to_verify
     from harness.run.progress import say
-    from harness.run.store import open_to_verify
 
     with open_to_verify(directory) as run:
         damaged = run.damaged()

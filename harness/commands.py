@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from harness import outcome
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
@@ -31,18 +31,24 @@ from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write
+from harness.run.given import keep
+from harness.run.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
 from harness.run.processes import let_cells_sleep
 from harness.run.progress import progress_for, say, tell
 from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
-from harness.run.store import LOG, RunDirectory, open_for_report, open_for_run, open_to_plan, open_to_verify
-from harness.show.compare import Run as Comparable
+from harness.run.store import LOG, RunDirectory
+
+if TYPE_CHECKING:
+    from harness.demonstrations import Found
 
 LEFT_OUT = "left out, computed again if asked for"
 
 
 def run(args: argparse.Namespace) -> int:
     """Computes what is asked for and not there yet, and reports all that is there; or plans that."""
+    if args.plan and args.json_progress:
+        raise BadInput("a plan is text; leave out --json-progress", page="commands")
     methods, envs = _named(args)
     if not args.plan:
         _prepare()
@@ -54,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
     if args.experts == "none":
         _check_without_expert(args, methods)
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
-    if args.demos_from:
-        conditions = replace(conditions, demonstrations=_given(args, envs))
+    given = _given(args, envs) if args.demos_from else None
+    if given:
+        conditions = replace(conditions, demonstrations=str(given))
     elif args.action_bounds:
         raise BadInput("--action-bounds are of demonstrations of a file: --demos-from")
     if args.demonstrator == "medium":
@@ -78,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         tell(f"left out of the baseline: {line}")
     if args.plan:
         return _plan(args, request, engine, beside)
+    if given:
+        keep(str(given), given.episodes, given.rewards)
     with (
         outcome.for_programs(args.json_progress) as programs,
         open_for_run(args.out, request, engine.variables) as run,
@@ -131,25 +140,6 @@ def report(directory: Path, tables: bool) -> int:
     return int(failed or not whole or bool(unusable))
 
 
-def compare(directory: Path, others: Sequence[Path]) -> int:
-    """Shows what differs between a run and each of the others."""
-    from harness.show import compare as comparison
-    from harness.show.tables import markdown
-
-    first, *rest = [_read(path) for path in (directory, *others)]
-    for other in rest:
-        say(f"# {first.name}, and there: {other.name}\n")
-        for line in comparison.differing(first, other):
-            say(f"- {line}")
-        for env in comparison.other_versions(first, other):
-            say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
-        if comparison.is_other_scale(first, other):
-            say("- scores are not compared: 1 is what demonstrations return in one, and not in the other")
-        found = comparison.as_lines(comparison.differences(first, other))
-        say("\n" + markdown(comparison.HEADINGS, found) if found else "\nthere is nothing that both have")
-    return 0
-
-
 def _check_without_expert(args: argparse.Namespace, methods: Sequence[str]) -> None:
     """Raises BadInput for what needs one."""
     if not args.demos_from:
@@ -160,11 +150,9 @@ def _check_without_expert(args: argparse.Namespace, methods: Sequence[str]) -> N
         raise BadInput(f"{asking[0]} asks the expert while it learns; leave out --experts none")
 
 
-def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
-    """What is said of demonstrations that are given in a file, which are kept for cells. Raises BadInput for
-    those that cannot be shown."""
+def _given(args: argparse.Namespace, envs: Sequence[str]) -> Found:
+    """The demonstrations of a file. Raises BadInput for those that cannot be shown."""
     from harness import demonstrations
-    from harness.run import given
 
     if len(envs) != 1 or args.demonstrator != "expert":
         raise BadInput("--demos-from is for one environment, and leaves out --demonstrator")
@@ -180,79 +168,7 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> str:
         )
     if max(args.demos) > len(found.episodes):
         raise BadInput(f"{args.demos_from} has {len(found.episodes)} demonstrations, not {max(args.demos)}")
-    if not args.plan:
-        given.keep(str(found), found.episodes, found.rewards)
-    return str(found)
-
-
-def demos(args: argparse.Namespace) -> int:
-    """Writes, reads or describes demonstrations."""
-    from harness import demonstrations
-
-    env = _one_env(args)
-    if args.what == "export":
-        if not keys.experts_version(env) and not SPECS[env].tabular:
-            tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
-        demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
-        say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
-        return 0
-    found = demonstrations.read(args.path, SPECS[env], args.action_bounds)
-    if args.what == "import":
-        demonstrations.write(args.to, found.episodes, found.rewards)
-        say(f"{args.to}: {found}")
-        return 0
-    for line in demonstrations.described(found):
-        say(line)
-    return 0
-
-
-def _one_env(args: argparse.Namespace) -> str:
-    """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
-    plugins.add(args.plugin)
-    plugins.add_installed()
-    env = plugins.task_or_name(args.env)
-    if choose("env", env, ENVS) != (env,):
-        raise BadInput(f"one env is needed, not {args.env!r:.80}")
-    plugins.load([], [env])
-    return env
-
-
-def export(args: argparse.Namespace) -> int:
-    """Writes a policy and its reward into a folder."""
-    from harness import exported
-
-    plugins.add(args.plugin)
-    plugins.add_installed()
-    folder = exported.export(args.directory, args.env, args.method, args.seed, args.policy, args.to)
-    say(f"{folder}: {', '.join(sorted(file.name for file in folder.iterdir()))}")
-    return 0
-
-
-def view(args: argparse.Namespace) -> int:
-    """Shows a run's recordings, or writes a folder that plays them."""
-    from harness.show import view as viewing
-
-    with open_to_verify(args.directory) as run:
-        envs = run.request.envs
-    found = viewing.recordings(args.directory, envs, args.env, args.method, args.compare)
-    if args.export:
-        folder = viewing.export(found, args.export)
-        say(
-            f"{folder}: {len(found)} recordings; to play them: python -m http.server -d {folder} -b 127.0.0.1"
-        )
-        return 0
-    return viewing.serve(found, say) if args.web else viewing.show(found)
-
-
-def _read(path: Path) -> Comparable:
-    """A run to be compared. Raises BadInput where there is none with a finished cell."""
-    with open_to_verify(path) as run:
-        results, unusable = run.load()
-        beside, damaged = run.beside()
-    outcome.tell_unusable(unusable | damaged, "left out")
-    if not results and not beside:
-        raise BadInput(f"{path} holds no finished cell")
-    return Comparable(str(path), run.request.conditions, [*results.values(), *beside])
+    return found
 
 
 def _prepare() -> None:

@@ -39,8 +39,6 @@ from methods.base import Array, Episodes
 LARGEST = 1 << 30
 """Bytes of a file that is read, and of what is in it, at most."""
 MOST_EPISODES = 100_000
-FARTHEST = 1e6
-"""Bounds of actions beyond it are none."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 """What Minari has of each step, besides observations."""
 PLACE = "MINARI_DATASETS_PATH"
@@ -55,7 +53,8 @@ class Raw:
     """As a file has it, an entry an episode.
 
     terminated: None where nothing is said of how the episode ended. vague: whether it may call terminal what
-    was cut at the horizon. bounds: of actions, where the file says them.
+    was cut at the horizon. bounds: of actions; None where such a file has none to say, infinite ones where it
+    does not tell them.
     """
 
     form: str
@@ -114,6 +113,7 @@ def write_minari(
         )
     ]
     box = spaces.Box(-1.0, 1.0, (spec.act_size,), np.float64)
+    path = path.absolute()  # for Minari joins a relative one twice
     path.parent.mkdir(exist_ok=True)
     with (
         tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as scratch,
@@ -247,7 +247,8 @@ def _minari(data: Path) -> Raw:
     try:
         facts = json.loads(read(data / "metadata.json"))
         count, kind = facts["total_episodes"], facts["data_format"]
-        bounds = _bounds_of(json.loads(facts["action_space"])) if "action_space" in facts else None
+        space = json.loads(facts["action_space"]) if "action_space" in facts else None
+        bounds = _bounds_of(space) if space is not None else (-math.inf, math.inf)
         if type(count) is not int or not 0 < count <= MOST_EPISODES:
             raise ValueError(f"it has {count!r:.20} episodes where 1 to {MOST_EPISODES:,} are read")
         if kind not in ("hdf5", "parquet", "arrow"):
@@ -268,14 +269,12 @@ def _minari(data: Path) -> Raw:
 
 
 def _bounds_of(space: Any) -> Bounds | None:
-    """Those of a space of actions in Minari's JSON, where it is a box with bounds."""
+    """Those of a space of actions in Minari's JSON, where it is a box."""
     if space["type"] == "Discrete" and space["start"] == 0:
         return None
     if space["type"] != "Box":
         raise ValueError(f"its actions are neither numbers nor choices from 0 on, but {space!r:.80}")
     low, high = (np.array(space[end], np.float64).ravel() for end in ("low", "high"))
-    if not (max(np.abs(low).max(), np.abs(high).max()) <= FARTHEST):
-        return None
     if not (low < high).all():
         raise ValueError(f"its action_space has a low bound that is not below the high one: {space!r:.80}")
     return low, high

@@ -33,6 +33,8 @@ from methods.base import Array, Episodes
 
 SLACK = 1e-6
 """How far outside the bounds an action may be, by rounding; it is moved to the bound."""
+FARTHEST = 1e6
+"""Bounds of actions beyond it are none."""
 BINS = 10
 MOST_PAID = 1e100
 """What an episode may return, at most."""
@@ -123,6 +125,8 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
 def _check_new(path: Path) -> None:
     if os.path.lexists(path):
         raise BadInput(f"{path} is there already; give another name")
+    if not path.parent.is_dir() and os.path.lexists(path.parent):
+        raise BadInput(f"{path}: {path.parent} is no folder")
 
 
 def export(path: Path, env: str, seed: int, count: int, kind: Demonstrator) -> None:
@@ -258,6 +262,8 @@ def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: i
     if any(np.size(end) not in (1, spec.act_size) for end in bounds):
         raise ValueError("its bounds are of other actions than the task's")
     low, high = (np.broadcast_to(end, spec.act_size) for end in bounds)
+    if not max(np.abs(low).max(), np.abs(high).max()) <= FARTHEST:
+        raise ValueError("it does not tell the bounds of its actions; give them as --action-bounds")
     if (low != -1).any() or (high != 1).any():  # or rounding would change some
         act = 2 * (act - low) / (high - low) - 1
     outside = np.abs(act).max(axis=0, initial=0.0)

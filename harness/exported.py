@@ -29,7 +29,7 @@ from harness.run.artifacts import NOT_KEPT, read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import printable
 from harness.run.files import read, write_atomic
-from harness.run.store import open_to_verify
+from harness.run.opening import open_to_verify
 from methods.base import Array, Policy, Reward
 
 FORMAT = 1

@@ -44,15 +44,15 @@ def run(
     Raises `harness.registry.BadInput` for what cannot be done.
     """
     lists: dict[str, Any] = {"methods": methods, "envs": envs, "plugins": plugins, "options": options}
-    lists |= {} if isinstance(seeds, SupportsIndex) else {"seeds": seeds}
+    if not isinstance(seeds, SupportsIndex):
+        lists["seeds"] = seeds
     for name, given in lists.items():
-        if isinstance(given, str) or not isinstance(given, Sequence | range | np.ndarray):
+        if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
             raise BadInput(f"{name} must be a list, not {given!r:.40}")
-    which = (
-        str(operator.index(seeds))
-        if isinstance(seeds, SupportsIndex)
-        else ",".join(f"{seed}-{seed}" for seed in seeds)
-    )
+    if isinstance(seeds, SupportsIndex):
+        which = str(operator.index(seeds))
+    else:
+        which = ",".join(f"{seed}-{seed}" for seed in seeds)
     its_own = [f"--methods={','.join(methods)}", f"--envs={','.join(envs)}", f"--seeds={which}"]
     its_own += [f"--budget={budget}", f"--out={out}"]
     try:

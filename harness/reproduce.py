@@ -20,8 +20,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.judge.leaderboard import SURVIVAL, Entry, leaderboard, scored_rows
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
+from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked

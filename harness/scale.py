@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 
 from harness.bench import Measure
-from harness.growth import MEGABYTE, SMOKE, apart, watch
+from harness.growth import MEGABYTE, SMOKE, apart
 from harness.judge.results import (
     ALL_SHOWN,
     CONTROLS,
@@ -36,9 +36,9 @@ from harness.run.engines import Job, Outcome
 from harness.run.files import write_atomic
 from harness.run.grid import Grid, Sink
 from harness.run.keys import cell_keys, origin
+from harness.run.opening import open_for_run
 from harness.run.plan import Simulated
 from harness.run.reporting import write_report
-from harness.run.store import open_for_run
 
 MANY, STORED, WORKERS = 100_000, 10_000, 1000
 TASKS, METHODS = 10, ("bc", "shaped")
@@ -70,11 +70,10 @@ def scale() -> Iterator[Measure]:
     yield Measure(f"{name}, loading each", "ms", [found.loading], bar=None)
     yield Measure("a synced file as large as a cell's, by itself", "ms", [synced(1000)], bar=None)
     for name, shape in SHAPES.items():
-        with watch() as peak:
-            rows, seconds, cpu = apart(report, shape)
+        rows, seconds, cpu, megabytes = apart(report, shape)
         yield Measure(f"a report of {rows:,} rows, {name}", "s", [seconds], bar=60)
         yield Measure(f"a report of {rows:,} rows, {name}, on its processor", "s", [cpu], bar=60)
-        yield Measure(f"a report of {rows:,} rows, {name}", "MB", [peak.largest], bar=None)
+        yield Measure(f"a report of {rows:,} rows, {name}", "MB", [megabytes], bar=None)
     yield Measure(f"keys of {MANY:,} cells", "s", [apart(keys_of, MANY)], bar=None)
 
 
@@ -179,14 +178,18 @@ def _driven(request: Request, sink: Account, variables: Mapping[str, str]) -> Dr
     took, took_cpu = time.perf_counter() - began - does.seconds, time.process_time() - cpu - does.cpu
     if sink.saved != {*cells} or sink.failed != does.errors:
         raise RuntimeError(f"of {len(cells)} cells {len(sink.saved)} came, {sink.failed} of them failed")
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return Driven(
         len(cells),
         1000 * took / len(cells),
         1000 * took_cpu / len(cells),
-        max(0, most - memory) / MEGABYTE,
+        max(0, _most_held() - memory) / MEGABYTE,
         100 * (1 - engine.busy / (WORKERS * engine.now)),
     )
+
+
+def _most_held() -> int:
+    """Bytes of this process's memory, at most so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def synced(count: int) -> float:
@@ -236,9 +239,9 @@ def _stored(result: CellResult) -> CellResult:
     return replace(result, recordings={} if cell.seed else recordings, **facts)
 
 
-def report(shape: Shape) -> tuple[int, float, float]:
-    """Rows of a run, and the seconds in which its tables, figures and page are written: in all, and on the
-    processor."""
+def report(shape: Shape) -> tuple[int, float, float, float]:
+    """Rows of a run, the seconds in which its tables, figures and page are written, in all and on the
+    processor, and the most MB that this process ever held."""
     request, results = made_up(shape)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "recordings").mkdir()
@@ -247,7 +250,7 @@ def report(shape: Shape) -> tuple[int, float, float]:
         began, cpu = time.perf_counter(), time.process_time()
         write_report(Path(folder), request, results)
         took = time.perf_counter() - began, time.process_time() - cpu
-    return sum(len(result.rows) for result in results), *took
+    return sum(len(result.rows) for result in results), *took, _most_held() / MEGABYTE
 
 
 def result_of(cell: Cell, rng: np.random.Generator) -> CellResult:

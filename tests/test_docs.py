@@ -16,7 +16,7 @@ from typing import Any, cast
 import pytest
 
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
-from harness.run.store import open_to_verify
+from harness.run.opening import open_to_verify
 from harness.show.terminal import found
 from methods.settings import settings_for
 
@@ -165,6 +165,20 @@ def test_the_table_of_demonstrations_is_that_of_the_file() -> None:
         if row["policy"] == "pi_star":
             found.setdefault((row["method"], row["demos"]), []).append(float(row["normalized_score"]))
     assert shown == {key: f"{sum(v) / len(v):.2f} ({min(v):.2f})" for key, v in found.items()}
+
+
+def test_what_rl_earns_of_the_thesiss_reward_is_that_of_the_files() -> None:
+    """On demonstrations R* is told where they were shown, in the nominal dynamics."""
+    text = (ROOT / "results/reference/thesis/FINDINGS.md").read_text(encoding="utf-8")
+    ((method, table),) = re.findall(r"<!-- own returns of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
+    _, _, *lines = cells_of(table)
+    assert len(lines) > 10
+    for run, quoted, *shown in lines:
+        entries, task = leaderboard_of(f"results/reference/board/{run.strip('`')}"), quoted.strip("`")
+        nominal, its = (entries[name, method, "pi_R"] for name in (task.partition(".")[0], task))
+        found = [f"{float(value):,.1f}" for value in (nominal["own_return_shown"], its["own_return"])]
+        scores = [entry["score_mean"] for entry in (its, entries[task, "control_true", "pi_R"])]
+        assert shown == [its["seeds_ok"], *found, *(f"{float(score):z.2f}" for score in scores)], (run, task)
 
 
 def cells_of(table: str) -> list[list[str]]:

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 from harness.judge.results import (
     ALL_SHOWN,
     CONTROLS,
-    LOWER_CONTROLS,
     NOMINAL,
     REFERENCE,
     UNSHOWN,
@@ -21,38 +20,18 @@ from harness.judge.results import (
     Shown,
     usable,
 )
+from harness.judge.roles import LOWER, is_rival, role_of
 from harness.judge.statistics import (
-    interquartile_interval,
-    interquartile_mean,
     mean_interval,
     normal_interval,
 )
-from harness.registry import ASKING, Demonstrator
+from harness.registry import Demonstrator
 
 T = TypeVar("T")
 
 _POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
-LOWER, SURVIVAL, ASKS = "lower control", "survival control", "asks the expert"
-_ROLES = {
-    REFERENCE: "reference",
-    "control_true": "upper control",
-    "control_survival": SURVIVAL,
-    "control_shuffled": "shuffled control",
-    "control_clone": "clone control",
-    **dict.fromkeys(LOWER_CONTROLS, LOWER),
-    **dict.fromkeys(ASKING, ASKS),
-}
-WITHOUT_OFFSET = ("native", "state")
-"""Protocols under which an end pays nothing: a constant +1 then says "stay alive", as control_survival does
-under the others, and that pays 0 everywhere, as +1 does there (docs/termination.md)."""
-UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
-"""Roles of controls that know nothing of how to do the task."""
-NO_BETTER = 0.05
-"""A task where one of them scores within this of the best method's pi_R tells no reward from none."""
 NEGLIGIBLE = 0.005
 """Differences of scores up to this are none."""
-GOOD = 0.95
-"""Runs that score less are counted."""
 UNSCORED = ("not scored", "what would score 1 is missing, or no better than a random policy")
 Scales = Mapping[tuple[str, int], tuple[float, float]]
 """By env and seed: the random policy's return, and how much better the expert's is."""
@@ -130,21 +109,6 @@ class Entry:
         """The task, and what is shown there: what can be compared."""
         shown = str(self.shown)
         return f"{self.task}, {shown}" if shown else self.task
-
-
-@dataclass(frozen=True)
-class Overall:
-    """A policy of a method over all envs that tell rewards apart: the interquartile mean of its scores with
-    its 95 % interval, and the share of runs that score less than `GOOD`."""
-
-    method: str
-    policy: str
-    envs: int
-    runs: int
-    score: float
-    low: float
-    high: float
-    below: float
 
 
 def scored_rows(results: Sequence[CellResult]) -> list[Row]:
@@ -263,19 +227,6 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         theirs = best[key[1]] if is_rival(key[0]) else []
         entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
-
-
-def role_of(method: str, protocol: str) -> str:
-    """What it is there for, 'method' where it is compared with the others."""
-    if protocol in WITHOUT_OFFSET:
-        swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER}
-        return swapped.get(method) or _ROLES.get(method, "method")
-    return _ROLES.get(method, "method")
-
-
-def is_rival(method: str) -> bool:
-    """Whether it is compared with the other methods, or is there for comparison."""
-    return method not in _ROLES
 
 
 def _entry(
@@ -397,44 +348,3 @@ def _mean(values: Sequence[float]) -> float:
     """The mean of the values that are known, NaN where none is."""
     known = [value for value in values if math.isfinite(value)]
     return math.fsum(known) / len(known) if known else math.nan
-
-
-def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
-    """Of entries of one board an env, the envs in which a control that knows nothing scores about as much as
-    the best method's pi_R or more, and which one does best."""
-    boards: dict[str, list[Entry]] = {}
-    for entry in entries:
-        if entry.policy == "pi_R" and math.isfinite(entry.score_mean):
-            boards.setdefault(entry.env, []).append(entry)
-    found = {}
-    for env, mine in boards.items():
-        best = max((e.score_mean for e in mine if e.role == "method"), default=math.nan)
-        knows_nothing = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
-        if knows_nothing:
-            top = max(knows_nothing, key=lambda e: e.score_mean)
-            found[env] = f"{top.method} scores {top.score_mean:.2f} there, the best method {best:.2f}"
-    return found
-
-
-def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
-    """Every policy over all envs but those `without`, best first; empty where fewer than two are left.
-
-    Only policies with a score in every env, since those left out could be the hard ones; and none of methods
-    that ask the expert.
-    """
-    scores: dict[tuple[str, str], dict[str, list[float]]] = {}
-    for row in rows:
-        counts = row.method not in (REFERENCE, *ASKING) and row.env not in without
-        if counts and math.isfinite(row.normalized_score):
-            by_env = scores.setdefault((row.method, row.policy), {})
-            by_env.setdefault(row.env, []).append(row.normalized_score)
-    envs = {row.env for row in rows} - {*without}
-    lines = []
-    for (method, policy), by_env in scores.items():
-        if by_env.keys() == envs and len(envs) > 1:
-            pooled = [score for runs in by_env.values() for score in runs]
-            low, high = interquartile_interval(list(by_env.values()))
-            below = sum(score < GOOD for score in pooled) / len(pooled)
-            score = interquartile_mean(pooled)
-            lines.append(Overall(method, policy, len(envs), len(pooled), score, low, high, below))
-    return sorted(lines, key=lambda line: (-line.score, line.method, line.policy))

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
-from harness.registry import BUILT_IN, GYMNASIUM_NAME, Demonstrator, Experts, Library, Record
+from harness.registry import Demonstrator, Experts, Library, Record
 
 Point = TypeVar("Point")
 
@@ -261,9 +261,6 @@ class CellResult:
         folders = {"recordings": self.recordings, "artifacts": self.artifacts}
         return {f"{at}/{name}": digest for at, files in folders.items() for name, digest in files.items()}
 
-    def to_json(self) -> dict[str, Any]:
-        return dataclasses.asdict(self)
-
 
 def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
     """The rows of a cell that failed."""
@@ -384,42 +381,3 @@ class Request:
             and cell.shown in self._shown_to(cell.method)
             and (cell.dynamics == NOMINAL or cell.task in self.variants)
         )
-
-
-def as_seeds(seeds: Sequence[int]) -> str:
-    """As `--seeds` takes them: how many, where they are those from 0; else numbers and ranges, '0,3,5-9'."""
-    if list(seeds) == list(range(len(seeds))):
-        return str(len(seeds))
-    starts = [s for s in seeds if s - 1 not in seeds]
-    ends = [s for s in seeds if s + 1 not in seeds]
-    ranges = [f"{a}-{b}" if a < b or len(seeds) == 1 else str(a) for a, b in zip(starts, ends, strict=True)]
-    return ",".join(ranges)
-
-
-def command_of(request: Request, beside: bool = False) -> str:
-    """The command line that asks for all of it; several where no one does. beside: whether it is shown beside
-    a baseline."""
-    c = request.conditions
-    words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
-    known = {*BUILT_IN["method"], *BUILT_IN["env"]}
-    others = [name for name in (*request.methods, *request.envs) if name not in known]
-    words += ["--plugin", "FILE"] if any(not name.startswith(GYMNASIUM_NAME) for name in others) else []
-    words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
-    words += ["--rl", c.rl]
-    words += ["--experts", c.experts, "--record", c.record]
-    dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
-    words += ["--transfer", ",".join(dynamics)] if dynamics else []
-    words += ["--demos-from", "FILE"] if c.demonstrations else []
-    words += ["--baseline", "DIR"] if beside else []
-    words += [] if c.retrain else ["--no-retrain"]
-    words += [] if c.deterministic else ["--fast"]
-    many: dict[tuple[int, str], list[int]] = {}
-    for shown in request.shown:
-        many.setdefault((shown.every, shown.demonstrator), []).append(shown.demos)
-    commands = []
-    for (every, demonstrator), demos in many.items():
-        more = ["--demos", ",".join(map(str, demos))] if demos != [0] else []
-        more += ["--subsample", str(every)] if every > 1 else []
-        more += ["--demonstrator", demonstrator] if demonstrator != "expert" else []
-        commands.append(" ".join([*words, *more]))
-    return " && ".join(commands)

@@ -62,6 +62,8 @@ def learned_in(data: bytes) -> dict[str, Any]:
     except (KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(str(error)) from error
     things = [thing for name, thing in learned.items() if (name, thing) != ("reward", None)]
-    if not things or not all(map(callable, things)):
+    if not things:
+        raise ValueError("policies and rewards of a plug-in's own kinds are not kept")
+    if not all(map(callable, things)):
         raise ValueError("what is neither a policy nor a reward")
     return learned

@@ -26,8 +26,8 @@ from harness.judge.results import (
 from harness.registry import METHODS, VARIANTS, BadInput
 from harness.run.codec import printable
 from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
+from harness.run.opening import open_to_verify
 from harness.run.request import REQUEST
-from harness.run.store import open_to_verify
 
 MACHINE = ("processor", "family, model, stepping", "instructions", "system")
 """Of what a cell was computed with, what is not packages."""
@@ -92,7 +92,8 @@ def comparable(
     there = {cell.env for cell in found}
     for env in request.envs:
         if env not in there:
-            why = "; ".join(sorted(left_out[env])) or "none"
+            its_files = [line for line in left_out.get("", ()) if f"/{env}__" in line]
+            why = "; ".join(sorted(left_out[env]) or sorted(its_files)[:3]) or "none"
             raise BadInput(f"the baseline has no {env} that can be compared: {why}", page="plugins")
     return [found[cell] for cell in sorted(found)], sorted(set[str]().union(*left_out.values()))
 

@@ -20,8 +20,9 @@ LONGEST_REASON = 100
 def encode(result: CellResult) -> str:
     """JSON of the result and its checksum; numbers that are not `usable` become null. Raises TypeError for no
     JSON."""
-    payload = _plain(result.to_json())
-    return json.dumps({"sha256": checksum(payload), "result": payload}, indent=1) + "\n"
+    payload = _plain(msgspec.to_builtins(result, enc_hook=_as_builtin))
+    flat = json.dumps({"sha256": checksum(payload), "result": payload})
+    return msgspec.json.format(flat, indent=1) + "\n"
 
 
 def decode(data: bytes | str) -> CellResult:
@@ -84,19 +85,29 @@ def _holds(known: Any, stored: Any) -> bool:
     return False
 
 
+def _as_builtin(value: Any) -> Any:
+    """NumPy's kinds of float and str are Python's as well, and others may be."""
+    for kind in (float, int, str):
+        if isinstance(value, kind):
+            return kind(value)
+    raise TypeError(f"{type(value).__name__} is no JSON")
+
+
 def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if usable(value) else None
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not usable(value) else value
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _nan_for_none(value: Any) -> Any:
+    if isinstance(value, float):
+        if not usable(value):
+            raise ValueError(f"{value} is out of range")
+        return value
     if isinstance(value, dict):
         return {key: _nan_for_none(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_nan_for_none(item) for item in value]
-    if isinstance(value, float) and not usable(value):
-        raise ValueError(f"{value} is out of range")
     return math.nan if value is None else value

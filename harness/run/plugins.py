@@ -12,6 +12,7 @@ import dataclasses
 import importlib
 import importlib.metadata
 import importlib.util
+import inspect
 import json
 import os
 import re
@@ -19,10 +20,10 @@ import shutil
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from harness.registry import (
     BUILT_IN,
@@ -176,11 +177,14 @@ def _sources_of_task(env_id: str) -> Sources:
     found = sources_of(
         entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
     )
-    with_it = {"kwargs": spec.kwargs, "wrappers": list(map(str, spec.additional_wrappers))}
+    registered = {
+        "entry": str(entry),
+        "kwargs": spec.kwargs,
+        "wrappers": [str(wrapper) for wrapper in spec.additional_wrappers],
+        "max_episode_steps": spec.max_episode_steps,
+    }
     try:
-        told = json.dumps(
-            {**with_it, "entry": str(entry), "max_episode_steps": spec.max_episode_steps}, sort_keys=True
-        )
+        told = json.dumps(registered, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise BadInput(
             f"{env_id} is registered with arguments that are neither numbers nor texts ({error}); name it by "
@@ -194,12 +198,17 @@ class _Gymnasium(dict[str, "EnvSpec"]):
     """Specs by the ids of Gymnasium."""
 
     def __missing__(self, env_id: str) -> EnvSpec:
+        from gymnasium import registry
+
         from envs import from_gymnasium
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that there is a newer version of the task
-            self[env_id] = from_gymnasium(env_id, f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}")
-        return self[env_id]
+            found = from_gymnasium(env_id, f"{GYMNASIUM_NAME}{env_id.replace('/', '+')}")
+        if env_id not in registry:  # of which the latest version was made
+            raise BadInput(f"{env_id} names no version of the task; give its whole id, such as {env_id}-v1")
+        self[env_id] = found
+        return found
 
 
 gymnasium = _Gymnasium()
@@ -261,8 +270,20 @@ def _check(kind: str, name: object, thing: object) -> None:
 
     if kind == "method" and not (isinstance(thing, type) and callable(getattr(thing, "fit", None))):
         raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60}", READ)
+    if kind == "method" and (needed := _without_default(thing)):
+        raise BadInput(f"the method {name} has no default for {', '.join(needed)}", READ)
     if kind == "env" and not (isinstance(thing, EnvSpec) and thing.name == name):
         raise BadInput(f"the env {name} must be an EnvSpec of that name, not {thing!r:.60}", READ)
+
+
+def _without_default(method: Any) -> list[str]:
+    """Names of what a method cannot be made without."""
+    try:
+        parameters = inspect.signature(method).parameters.values()
+    except ValueError:  # of what tells none
+        return []
+    named = [one for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+    return [one.name for one in named if one.default is one.empty]
 
 
 def _register(kind: str, name: object, entry: Entry) -> None:
@@ -281,9 +302,10 @@ def _register(kind: str, name: object, entry: Entry) -> None:
 
 @contextmanager
 def _its_troubles(what: str) -> Iterator[None]:
-    """Whatever a plug-in raises is BadInput."""
+    """Whatever a plug-in raises is BadInput, and what it prints goes to standard error."""
     try:
-        yield
+        with redirect_stdout(sys.stderr):
+            yield
     except (BadInput, KeyboardInterrupt):
         raise
     except ModuleNotFoundError as error:

@@ -95,7 +95,8 @@ class Lines:
         took = "not run" if seconds is None else f"{seconds:.1f} s"
         more = f": {reason or returned(returns)}" if reason or returns else ""
         eta = clock(self.tally.eta())
-        say(f"{status:7} {job.name} ({took}; {self.tally.left} cells left, ETA {eta}){more}")
+        left = f"{self.tally.left} cell{'s' * (self.tally.left != 1)} left"
+        say(f"{status:7} {job.name} ({took}; {left}, ETA {eta}){more}")
 
 
 class Display:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import functools
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
@@ -17,40 +18,10 @@ from types import MappingProxyType
 from harness.judge.results import PROGRAM_NAME, REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode
-from harness.run.environment import numeric
-from harness.run.files import (
-    append,
-    appending,
-    opened,
-    read,
-    remove_unfinished,
-    sha256,
-    share_lock,
-    write_atomic,
-)
-from harness.run.keys import cell_keys, origin, report_key, task_of, task_version
-from harness.run.marked import held, in_use
-from harness.run.request import (
-    BASELINE,
-    FOLDERS,
-    LOCK,
-    REQUEST,
-    as_text,
-    existing,
-    merged,
-    write_request,
-)
-from harness.run.sums import (
-    SUMS,
-    as_lines,
-    in_words,
-    listed_in,
-    mend_last_line,
-    named,
-    readable,
-    seal_of,
-    why_damaged,
-)
+from harness.run.files import append, read, sha256, write_atomic
+from harness.run.keys import origin, report_key, task_of, task_version
+from harness.run.request import BASELINE, FOLDERS, LOCK, REQUEST, as_text, existing
+from harness.run.sums import SUMS, as_lines, in_words, listed_in, named, readable, seal_of, why_damaged
 
 LOG = "run.log"
 """What the cells' processes print, full tracebacks included."""
@@ -65,7 +36,7 @@ CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
 
 
 class RunDirectory:
-    """A run's directory. Made by `open_for_run`, `open_for_report`, `open_to_verify` and `open_to_plan`.
+    """A run's directory. Made by those of `harness.run.opening`.
 
     request: what its run.json says. keys: for each cell, what it must have been computed under to count;
     empty where all of one version do.
@@ -79,6 +50,7 @@ class RunDirectory:
         keys: Mapping[Cell, str] = MappingProxyType({}),
     ) -> None:
         self.path, self.request, self.lock, self.keys = path, request, lock, keys
+        self._version_of = functools.cache(task_version)
 
     def check(self) -> None:
         """Raises OSError where the path leads no more to what was opened: moved, deleted, in another's hands,
@@ -103,7 +75,7 @@ class RunDirectory:
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
         facts: dict[str, object] = {
             "key": self.keys[result.cell],
-            "task_version": task_version(result.cell.env),
+            "task_version": self._version_of(result.cell.env),
         }
         here = origin()
         there = result.origin | {PROGRAM_NAME: here[PROGRAM_NAME]} if result.origin else here
@@ -328,77 +300,6 @@ class RunDirectory:
         return found[1], found[2]
 
 
-@contextmanager
-def open_for_run(
-    path: Path, request: Request, variables: Mapping[str, str] | None = None
-) -> Iterator[RunDirectory]:
-    """Starts a run in `path`, which is made, or continues the one there; held until the context ends.
-    variables: those of the engine that computes it.
-
-    Raises BadInput, having changed nothing, where `path` is no run's directory, or that of a run with
-    other conditions or another format, or cannot be written, or is held by another process.
-    """
-    merged(path, request)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"cannot write to {path}: {error.strerror}") from error
-    except RecursionError as error:
-        raise BadInput(f"cannot write to {path}: it lies in too many folders") from error
-    with held(path) as lock:
-        grown = merged(path, request)
-        for file in filter(os.path.lexists, (path / LOG, path / SUMS)):
-            _check_can_append(file)
-        remove_unfinished(path, "|".join(map(re.escape, (REQUEST, SUMS, *REBUILT))))
-        for folder, kind in FOLDERS.items():
-            remove_unfinished(path / folder, rf".+\.{kind}")
-        write_request(path, grown)
-        mend_last_line(path / SUMS)
-        if variables is None:
-            variables = numeric(grown.conditions.deterministic)
-        yield RunDirectory(path, grown, lock, cell_keys(grown.cells, grown.conditions, variables))
-
-
-@contextmanager
-def open_for_report(path: Path) -> Iterator[RunDirectory]:
-    """Holds the run in `path` until the context ends. Raises BadInput like `open_for_run`."""
-    request = existing(path)
-    with held(path) as lock:
-        with suppress(OSError):  # what is no such list is replaced
-            mend_last_line(path / SUMS)
-        yield RunDirectory(path, request, lock)
-
-
-@contextmanager
-def open_to_verify(path: Path) -> Iterator[RunDirectory]:
-    """The run in `path`, where nothing is written, not even a lock, but held where a lock is there and can be
-    read. Raises BadInput like `open_for_run`."""
-    request = existing(path)
-    with _shared(path):
-        yield RunDirectory(path, request)
-
-
-@contextmanager
-def open_to_plan(path: Path, request: Request, variables: Mapping[str, str]) -> Iterator[RunDirectory]:
-    """The run that `open_for_run` would start or continue, where nothing is written. Raises BadInput as that
-    does, but for what cannot be written."""
-    grown = merged(path, request)
-    with _shared(path):
-        yield RunDirectory(path, grown, keys=cell_keys(grown.cells, grown.conditions, variables))
-
-
-@contextmanager
-def _shared(path: Path) -> Iterator[None]:
-    """Nobody writes the run in `path` until the context ends, as far as a lock there can be read. Raises
-    BadInput where somebody does."""
-    with ExitStack() as stack:
-        with suppress(OSError):
-            lock = stack.enter_context(opened(path / LOCK))
-            if not share_lock(lock.fileno()):
-                raise BadInput(in_use(path))
-        yield
-
-
 def _of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
     """Cells that cannot be compared with the rest of their environment, that is of the version of most of its
     references, or of most cells where it has none; nor with those that differ by their seed alone."""
@@ -437,11 +338,3 @@ def _is_ours(name: str) -> bool:
     """Whether a run writes files of such names, by their path in its directory."""
     folder, _, file = name.rpartition("/")
     return folder in ("", *FOLDERS) and file not in ("", ".", "..")
-
-
-def _check_can_append(file: Path) -> None:
-    try:
-        with appending(file):
-            pass
-    except OSError as error:
-        raise BadInput(f"cannot write to {file}: {error.strerror}") from error

@@ -44,14 +44,17 @@ def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[
     if len(counts) < 2:
         return []
     policies = [policy for policy in ("pi_star", "pi_R") if any(e.policy == policy for e in mine)]
+    scored: dict[object, list[Entry]] = {}
+    for e in mine:
+        if math.isfinite(e.score_mean):
+            scored.setdefault((e.method, _way(e), e.policy), []).append(e)
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     shared: Axes | None = None
     for place, policy in enumerate(policies):
         axes = figure.add_subplot(1, len(policies), place + 1, sharey=shared)
         shared = shared or axes
         for number, (method, way) in enumerate(lines):
-            its = [e for e in mine if (e.method, _way(e), e.policy) == (method, way, policy)]
-            known = [e for e in its if math.isfinite(e.score_mean)]
+            known = scored.get((method, way, policy), [])
             colour, marker = look(list(dict.fromkeys(m for m, _ in lines)).index(method))
             axes.errorbar(
                 [e.demos * (1 + 0.02 * (number - len(lines) / 2)) for e in known],

@@ -73,7 +73,7 @@ def scores(board: Board) -> Chart | None:
         if entry.policy == "expert" and not board.is_nominal and math.isfinite(entry.score_mean):
             plot.rule(x=entry.score_mean, dash="1 3", look="c2")
     place = {method: row for row, method in enumerate(methods)}
-    for method in place.keys() & {*CONTROLS}:
+    for method in [method for method in place if method in CONTROLS]:
         plot.shade(place[method])
     lines: list[list[Item]] = []
     known = Counter(e.method for e in mine if math.isfinite(e.score_mean))

@@ -33,13 +33,17 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
     by_method: dict[str, list[CellResult]] = {}
     for result in board.results:
         by_method.setdefault(result.cell.method, []).append(result)
+    methods = [
+        method
+        for method in dict.fromkeys(e.method for e in board.entries)
+        if any(result.curves.get("pi_R") for result in by_method.get(method, ()))
+    ]
     means = {
         (method, name): summary
-        for method, its in by_method.items()
+        for method in dict.fromkeys([REFERENCE, "control_true", *methods[:most]])
         for name in ("expert", "pi_R", "pi_R_true")
-        if len(summary := _summary([result.curves.get(name, []) for result in its]))
+        if len(summary := _summary([r.curves.get(name, []) for r in by_method.get(method, ())]))
     }
-    methods = [m for m in dict.fromkeys(e.method for e in board.entries) if (m, "pi_R") in means]
     truth = means.get(("control_true", "pi_R_true"))
     stars = {e.method: e.return_mean for e in board.entries if e.policy == "pi_star"}
     low, high = [], []
@@ -54,7 +58,9 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
     x = svg.Axis(0, max(1.0, longest), "environment steps")
     plots = []
     for method in methods[:most]:
-        own, true = means[method, "pi_R"], means.get((method, "pi_R_true"))
+        own, true = means.get((method, "pi_R")), means.get((method, "pi_R_true"))
+        if own is None:
+            continue
         said = f"RL on the reward of {method} in {board.name}: true return and return under R* by steps."
         plot = svg.Plot(method, said, x, y, second=svg.around([*own["mean"]], ""))
         if truth is not None and method != "control_true":
@@ -69,8 +75,7 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
             for chosen in filter(None, map(_chosen, by_method[method][:MOST_SEEDS])):
                 plot.mark(*chosen, "ring", "c1", f"steps {chosen[0]:,.0f}: true return {chosen[1]:.1f}")
         plots.append(plot.render())
-    drawn = {key: its for key, its in means.items() if key[0] in {REFERENCE, *methods[:most]}}
-    data = _data(board.name, drawn)
+    data = _data(board.name, means)
     return Chart(board.name, plots, _left_out(board, methods, most), name=f"learning {board.name}", data=data)
 
 
@@ -81,13 +86,12 @@ def training(board: Board, most: int = MOST_PANELS) -> Chart | None:
         for name, points in result.curves.items():
             if name not in OWN:
                 curves.setdefault((result.cell.method, name), []).append(points)
-    summaries = {key: _summary(its) for key, its in curves.items()}
     rank = {method: place for place, method in enumerate(dict.fromkeys(e.method for e in board.entries))}
-    known = [key for key, its in summaries.items() if len(its) and key[0] in rank]
+    known = [key for key, its in curves.items() if any(its) and key[0] in rank]
     known.sort(key=lambda key: rank[key[0]])
+    summaries = {key: its for key in known[:most] if len(its := _summary(curves[key]))}
     plots = []
-    for key in known[:most]:
-        its = summaries[key]
+    for key, its in summaries.items():
         x = svg.Axis(its.index.min(), max(its.index.min() + 1.0, its.index.max()), "iteration")
         y = svg.around([*its["low"], *its["high"]], "")
         plot = svg.Plot(": ".join(key), f"Training of {key[0]} in {board.name}: {key[1]}.", x, y)
@@ -96,7 +100,7 @@ def training(board: Board, most: int = MOST_PANELS) -> Chart | None:
         plots.append(plot.render())
     if not plots:
         return None
-    data = _data(board.name, {key: summaries[key] for key in known[:most]})
+    data = _data(board.name, summaries)
     return Chart(board.name, plots, _left_out(board, known, most), name=f"training {board.name}", data=data)
 
 

@@ -6,7 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from harness.judge.results import PROGRAM_NAME, CellResult, Request, Row, as_seeds, command_of
+from harness.judge.command_line import as_seeds, command_of
+from harness.judge.results import PROGRAM_NAME, CellResult, Request, Row
 from harness.show.tables import Item, Number, Table
 
 NO_RESULT = "NOT A RESULT"

@@ -86,6 +86,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
     dots: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         dots.setdefault((row.method, row.policy), []).append(row.normalized_score)
+    drawn: dict[str, list[tuple[float, Entry]]] = {}
     for place, method in enumerate(methods):
         ground = "#eeeeee" if method in CONTROLS else "white"
         axes.axhspan(place - 0.5, place + 0.5, color=ground, linewidth=0, zorder=-1)
@@ -93,21 +94,27 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
         words = []
         for entry in mine:
             y = place + (0.0 if len(mine) == 1 else -0.22 if entry.policy == "pi_star" else 0.18)
-            _, colour, marker = POLICIES[entry.policy]
             if not math.isfinite(entry.score_mean):
                 text = f"{entry.policy} {_why(entry)}"
                 box = {"facecolor": ground, "linewidth": 0, "pad": 1}
                 style: dict[str, Any] = {"va": "center", "fontsize": 8, "parse_math": False, "bbox": box}
-                axes.text(0.02, y, text, transform=axes.get_yaxis_transform(), color=colour, **style)
+                style["color"] = POLICIES[entry.policy][1]
+                axes.text(0.02, y, text, transform=axes.get_yaxis_transform(), **style)
                 words.append(f"{entry.policy} n/a")
                 continue
-            its = dots[method, entry.policy][:MOST_SEEDS]
-            axes.scatter(its, [y + 0.17] * len(its), s=14, color=colour, alpha=0.5, linewidths=0)
-            if math.isfinite(entry.score_low):
-                axes.plot([entry.score_low, entry.score_high], [y, y], color=colour, linewidth=2, zorder=3)
-            axes.scatter(entry.score_mean, y, s=38, color=colour, marker=marker, edgecolors="white", zorder=4)
+            drawn.setdefault(entry.policy, []).append((y, entry))
             words.append(f"{entry.policy} {entry.score_mean:.2f}")
         told.append(f"{method} {', '.join(words)}")
+    for policy, its in drawn.items():
+        _, colour, marker = POLICIES[policy]
+        small = [(x, y + 0.17) for y, e in its for x in dots[e.method, policy][:MOST_SEEDS]]
+        bars = [((e.score_low, y), (e.score_high, y)) for y, e in its if math.isfinite(e.score_low)]
+        axes.scatter(
+            [x for x, _ in small], [y for _, y in small], s=14, color=colour, alpha=0.5, linewidths=0
+        )
+        axes.add_collection(LineCollection(bars, colors=colour, linewidths=2, zorder=3))
+        means, places = [e.score_mean for _, e in its], [y for y, _ in its]
+        axes.scatter(means, places, s=38, color=colour, marker=marker, edgecolors="white", zorder=4)
     axes.set_yticks(range(len(methods)), methods, parse_math=False)
     axes.set_ylim(len(methods) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)

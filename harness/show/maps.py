@@ -45,7 +45,7 @@ class Maps:
         stream.log("map/here", look, static=True)
         steps = rr.TimeColumn("step", sequence=np.arange(len(down)))
         stream.send_columns("map/here", [steps], rr.Points2D.columns(positions=down))
-        places = [[width / 2, height * 1.12], [width / 2, -height * 0.12]]
+        places = [[width / 2, height * 1.02], [width / 2, -height * 0.12]]  # a label hangs below its place
         words = [f"across: {self.axes[0]}", f"upwards: {self.axes[1]}"]
         texts = rr.Points2D(places, labels=words, show_labels=True, radii=0.0, colors=_TEXT)
         stream.log("map/axes", texts, static=True)

@@ -6,6 +6,7 @@ import base64
 import gzip
 import hashlib
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,8 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from harness.judge.leaderboard import Entry, Overall
+from harness.judge.across_tasks import Overall
+from harness.judge.leaderboard import Entry
 from harness.judge.results import CellResult, Request, Row
 from harness.show import charts, curves, facts, profiles, tables
 from harness.show.boards import Board
@@ -147,18 +149,29 @@ def _more_tables(boards: Sequence[Board]) -> list[tuple[str, list[Table]]]:
     return [(name, there) for name, its in every if (there := [table for table in its if table.lines])]
 
 
-def _recordings(found: Found) -> list[tuple[str, str, str]]:
-    """File, how all episodes of its policy ended, and the command that plays it."""
+def _recordings(found: Found) -> list[tuple[str, str, str, str]]:
+    """File, what its policy scored, how all of the policy's episodes ended, and the command that plays it."""
     there = {*found.recorded}
+    if not there:
+        return []
+    scores = {
+        (row.env, row.dynamics, row.method, row.seed, row.shown, row.policy): row.normalized_score
+        for row in found.rows
+    }
     lines = []
     for result in found.results:
         cell = result.cell
         for name in sorted(there & result.recordings.keys()):
-            its = next((counts for policy, counts in result.endings.items() if policy in name), {})
-            ended = ", ".join(f"{why} {count}" for why, count in its.items())
-            lines.append((name, ended, f"irl-bench view . --env {cell.env} --method {cell.method}"))
+            score, ended = math.nan, ""
+            for policy, counts in result.endings.items():
+                if name.startswith(f"{cell.name}__{policy}."):
+                    its = (cell.env, cell.dynamics, cell.method, cell.seed, cell.shown, policy)
+                    score = scores.get(its, math.nan)
+                    ended = ", ".join(f"{why} {count}" for why, count in counts.items())
+            command = f"irl-bench view . --env {cell.env} --method {cell.method}"
+            lines.append((name, tables.number(score, "z.2f").text, ended, command))
     compared = [
-        (name, "all methods on one episode", f"irl-bench view . --env {env} --compare")
+        (name, "", "all methods on one episode", f"irl-bench view . --env {env} --compare")
         for env in found.request.envs
         if (name := f"{env}__compare.rrd") in there
     ]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from harness.judge.comparisons import MOST_SEEDS, Runs, improvement, profile, runs_of
-from harness.judge.leaderboard import is_rival
 from harness.judge.results import Row
+from harness.judge.roles import is_rival
 from harness.judge.statistics import interquartile_mean
 from harness.show import svg
 from harness.show.charts import NAMES, POLICIES, Chart

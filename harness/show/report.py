@@ -9,7 +9,8 @@ from operator import attrgetter
 
 import pandas as pd
 
-from harness.judge.leaderboard import Entry, indistinct, leaderboard, overall, scored_rows
+from harness.judge.across_tasks import indistinct, overall
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import COLUMNS, NOMINAL, PROGRAM_NAME, Cell, CellResult, Request, Row
 from harness.show import facts, figures, page
 from harness.show.axes import draw_axes

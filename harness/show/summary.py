@@ -7,8 +7,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from harness.judge.leaderboard import ASKS, Entry, indistinct
+from harness.judge.across_tasks import indistinct
+from harness.judge.leaderboard import Entry
 from harness.judge.results import NOMINAL, REFERENCE
+from harness.judge.roles import ASKS
 from harness.show.boards import Board
 from harness.show.tables import NOTHING, is_best, score
 

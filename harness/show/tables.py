@@ -7,7 +7,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from harness.judge.leaderboard import Entry, Overall
+from harness.judge.across_tasks import Overall
+from harness.judge.leaderboard import Entry
 from harness.judge.results import NOMINAL
 
 NOTHING = "no score: what would score 1 is missing, or no better than random"

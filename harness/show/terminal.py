@@ -17,16 +17,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from harness.judge.across_tasks import GOOD, NO_BETTER
 from harness.judge.leaderboard import (
-    ASKS,
-    GOOD,
-    NO_BETTER,
-    UNINFORMED,
     Entry,
     leaderboard,
     scored_rows,
 )
 from harness.judge.results import NOMINAL, CellResult, Request
+from harness.judge.roles import ASKS, UNINFORMED
 from harness.show.facts import NO_RESULT
 
 HEADINGS = ("Method", "Policy", "Score", "Behind best", "Note")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from harness import commands
+from harness import commands, exchange
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.judge.statistics import probability_of_improvement
@@ -17,7 +17,7 @@ from harness.registry import BadInput
 from harness.run import baseline, keys, store
 from harness.run.codec import checksum
 from harness.run.environment import numeric
-from harness.run.store import open_for_run
+from harness.run.opening import open_for_run
 from harness.show import compare
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 
@@ -160,6 +160,10 @@ def test_what_is_no_run_or_has_nothing_of_a_task_is_said(board: Path, tmp_path: 
     more = dataclasses.replace(MINE, envs=("cartpole", "swingup"))
     with pytest.raises(BadInput, match="no swingup that can be compared: none"):
         baseline.comparable([board], more, VARIABLES)
+    for file in board.rglob("cartpole__*.json"):
+        file.write_text(file.read_text()[:100])
+    with pytest.raises(BadInput, match=r"no cartpole that can be compared: .*cartpole__.*json: "):
+        baseline.comparable([board], MINE, VARIABLES)
 
 
 class Computes:
@@ -269,7 +273,7 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     request = dataclasses.replace(REQUEST, methods=("bc", "shaped", "maxmargin", "gail"), envs=("cartpole",))
     one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
     other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
-    runs = [commands._read(path) for path in (one, other)]
+    runs = [exchange._read(path) for path in (one, other)]
     found = {(d.method, d.policy): d for d in compare.differences(*runs)}
     gail = found["gail", "pi_star"]
     assert (gail.seeds, gail.better) == (2, 1.0)

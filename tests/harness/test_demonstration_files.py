@@ -12,72 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
 import pytest
 
-from harness import commands
 from harness import demonstrations as demos
 from harness.cli import main
-from harness.judge.leaderboard import scored_rows
-from harness.judge.results import Cell, Conditions, Shown
-from harness.registry import SPECS, BadInput
-from harness.run import experts, given
-from harness.run.cells import prepare, run_cell
-from harness.run.environment import CACHE_VARIABLE
-from harness.run.experts import Shared
-from methods.base import Episodes
+from harness.judge.results import Conditions, Shown
+from harness.registry import BadInput
+from tests.harness.made_demonstrations import CHOICES, SWINGUP, imitation, made, same
 from tests.harness.made_minari import minari_folder
 
-RUNS_SOMETHING = '{"py/reduce": [{"py/function": "os.abort"}, {"py/tuple": []}]}'
-"""Where it is decoded."""
-SWINGUP, CHOICES = SPECS["swingup"], SPECS["cartpole_discrete"]
 Tried = Callable[[str, Counter[str]], None]
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-
-
-def made(
-    lengths: tuple[int, ...] = (200, 7, 3), ended: tuple[bool, ...] = (False, True, True), spec: Any = SWINGUP
-) -> tuple[Episodes, tuple[np.ndarray, ...]]:
-    """Episodes and rewards."""
-    rng = np.random.default_rng(0)
-    obs = tuple(
-        rng.uniform(-0.4, 0.4, (n + 1, spec.obs_size)).astype(np.float32).astype(float) for n in lengths
-    )
-    act = tuple(spec.random_actions(n, rng) for n in lengths)
-    return Episodes(obs, act, ended), tuple(rng.normal(size=n) for n in lengths)
-
-
-def same(one: Episodes, other: Episodes) -> bool:
-    pairs = zip((*one.obs, *one.act), (*other.obs, *other.act), strict=True)
-    return all(map(np.array_equal, *zip(*pairs, strict=True))) and one.terminated == other.terminated
-
-
-def imitation(path: Path, episodes: Episodes, rewards: Any, parts: int = 2, act: Any = None) -> Path:
-    """A folder as `datasets` of imitation's trajectories is saved, with every end called terminal, and texts
-    in `infos` that would run something if they were decoded."""
-    path.mkdir()
-    rows = {
-        "obs": [obs.tolist() for obs in episodes.obs],
-        "acts": [a.tolist() for a in (episodes.act if act is None else act)],
-        "infos": [
-            ['{"py/reduce": [{"py/function": "os.abort"}, {"py/tuple": []}]}'] * n for n in episodes.lengths
-        ],
-        "terminal": [True] * len(episodes),
-        "rews": [r.tolist() for r in rewards],
-    }
-    names = []
-    for part in range(parts):
-        table = pa.table({name: values[part::parts] for name, values in rows.items()})
-        names.append(f"data-{part:05d}-of-{parts:05d}.arrow")
-        with pa.OSFile(str(path / names[-1]), "wb") as file, pa.ipc.new_stream(file, table.schema) as stream:
-            stream.write_table(table)
-    (path / "state.json").write_text(json.dumps({"_data_files": [{"filename": name} for name in names]}))
-    return path
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def test_what_is_written_comes_back_bit_by_bit(tmp_path: Path) -> None:
@@ -149,96 +94,6 @@ def test_imitations_older_files_are_read(tmp_path: Path) -> None:
     assert found.form == "imitation's npz"
 
 
-def test_a_run_is_shown_what_a_file_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    episodes, rewards = made((30, 20, 10), (True, True, True))
-    demos.write(tmp_path / "d.npz", episodes, rewards)
-    found = demos.read(tmp_path / "d.npz", SWINGUP)
-    given.keep(str(found), found.episodes, found.rewards)
-    conditions = Conditions("smoke", "absorbing", "sbx", retrain=False, demonstrations=str(found))
-    shown = [Shown(), Shown(2), Shown(2, every=5)]
-    cells = [Cell("swingup", "bc", 0, one) for one in shown]
-    inputs = prepare(cells, conditions)
-    all_three, two, few = (Shared(inputs).demonstrations(one) for one in shown)
-    assert same(all_three, episodes)
-    assert len(two) == 2
-    assert {len(act) for act in two.act} < {30, 20, 10}
-    assert few.times is not None
-    assert [len(times) for times in few.times] == [int(n) // 5 for n in few.lengths]
-    result, _ = run_cell(cells[1], conditions, inputs)
-    assert {row.expert for row in result.rows} == {f"file:{found.digest}"}
-    assert result.rows[0].pairs == sum(len(act) for act in two.act)
-    reference, _ = run_cell(Cell("swingup", "reference", 0), conditions, inputs)
-    assert not any(row.expert.startswith("file") for row in reference.rows)
-    with pytest.raises(ValueError, match="4 demonstrations are asked for, and there are 3"):
-        given.shown(str(found), "swingup", 0, Shown(4))
-    with pytest.raises(ValueError, match="are gone from the cache"):
-        given.shown("other: 3 episodes", "swingup", 0, Shown())
-
-
-def test_without_an_expert_a_score_of_1_is_what_the_demonstrations_return(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing is trained for it, and rewards are compared in states that a clone visits."""
-
-    def train(*_: object) -> None:
-        raise AssertionError("an expert is trained")
-
-    monkeypatch.setattr(experts, "_trained", train)
-    episodes, rewards = made()
-    demos.write(tmp_path / "d.npz", episodes, [5 * paid for paid in rewards])
-    found = demos.read(tmp_path / "d.npz", SWINGUP)
-    given.keep(str(found), found.episodes, found.rewards)
-    conditions = Conditions("smoke", "absorbing", "sbx", experts="none", demonstrations=str(found))
-    cells = [Cell("swingup", method, 0) for method in ("reference", "bc", "control_untrained")]
-    inputs = prepare(cells, conditions)
-    rows = scored_rows([run_cell(cell, conditions, inputs)[0] for cell in cells])
-    by_policy = {(row.method, row.policy): row for row in rows}
-    shown, random = by_policy["reference", "demonstrations"], by_policy["reference", "random"]
-    assert shown.return_mean == pytest.approx(np.mean([5 * paid.sum() for paid in rewards]))
-    assert shown.discounted_mean == pytest.approx(
-        np.mean([5 * paid @ SWINGUP.gamma ** np.arange(len(paid)) for paid in rewards])
-    )
-    assert (shown.episodes, shown.length_mean) == (3, pytest.approx(np.mean(episodes.lengths)))
-    assert (shown.normalized_score, random.normalized_score) == (1, 0)
-    star = by_policy["bc", "pi_star"]
-    scale = shown.return_mean - random.return_mean
-    assert star.normalized_score == pytest.approx((star.return_mean - random.return_mean) / scale)
-    assert {row.expert for row in rows} == {f"file:{found.digest}"}
-    assert 0 < by_policy["control_untrained", "pi_R"].reward_distance < 1
-
-
-def test_a_file_without_rewards_needs_an_expert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    demos.write(tmp_path / "d.npz", made()[0])
-    run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--experts", "none"]
-    assert main([*run, "--demos-from", str(tmp_path / "d.npz")]) == 2
-    assert "tells no rewards" in capsys.readouterr().err
-    assert main(run) == 2
-    assert "is for demonstrations of a file" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
-def test_episodes_that_were_cut_short_are_no_score(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What an episode of 7 steps of 200 returns says nothing of the other 193."""
-    demos.write(tmp_path / "d.npz", *made(ended=(False, True, False)))
-    run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--plan"]
-    from_file = ["--demos-from", str(tmp_path / "d.npz")]
-    assert main([*run, *from_file]) == 0
-    assert main([*run, *from_file, "--experts", "none"]) == 2
-    assert "1 of the 3 episodes of" in capsys.readouterr().err
-    assert main(["demos", "inspect", from_file[1], "--env", "swingup"]) == 0
-    assert "1 neither terminated nor last until the horizon" in capsys.readouterr().out
-
-
-def test_other_rewards_are_another_run() -> None:
-    episodes, rewards = made()
-    shuffled = tuple(paid[::-1].copy() for paid in rewards)
-    one, other = (demos.Found(episodes, paid, "npz") for paid in (rewards, shuffled))
-    assert one.digest == other.digest
-    assert str(one) != str(other)
-
-
 def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     demos.write(tmp_path / "d.npz", *made())
     before = (tmp_path / "d.npz").read_bytes()
@@ -247,6 +102,10 @@ def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.Cap
         assert main(["demos", *words, *to]) == 2
         assert "d.npz is there already" in capsys.readouterr().err
     assert (tmp_path / "d.npz").read_bytes() == before
+    for name in ("e.npz", "e"):
+        to = ["--env", "swingup", "--to", str(tmp_path / "d.npz" / name)]
+        assert main(["demos", "export", "--demos", "1", *to]) == 2
+        assert "d.npz is no folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("row", [(0.0, 0.0), (1.0, 1.0), (0.4, 0.6), (-1.0, 1.0)])
@@ -276,62 +135,6 @@ def test_observations_that_the_task_does_not_have_are_refused(tmp_path: Path) ->
     demos.write(tmp_path / "d.npz", replace(episodes, obs=tuple(obs)), rewards)
     with pytest.raises(BadInput, match=r"episode 1 observes 8.1 as .*, which lies in \[-8, 8\]"):
         demos.read(tmp_path / "d.npz", SWINGUP)
-
-
-def test_other_content_is_another_run_and_another_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(commands, "handle_signals", lambda: None)
-    monkeypatch.setattr("harness.run.grid.Grid.run", lambda self, cells: None)
-    for name, seed in (("one", (9, 8)), ("two", (9, 7))):
-        demos.write(tmp_path / f"{name}.npz", made(seed, (True, True))[0])
-    run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--demos-from"]
-    assert main([*run, str(tmp_path / "one.npz"), "--plan"]) == 0
-    assert not (tmp_path / "run").exists()
-    assert not (tmp_path / "cache").exists()
-    main([*run, str(tmp_path / "one.npz")])
-    stored = json.loads((tmp_path / "run/run.json").read_text())
-    assert stored["demonstrations"].endswith(": 2 episodes, 17 steps")
-    assert "--demos-from FILE" in (tmp_path / "run/leaderboard.md").read_text()
-    capsys.readouterr()
-    assert main([*run, str(tmp_path / "two.npz")]) == 2
-    assert "holds a run with demonstrations" in capsys.readouterr().err
-    assert main([*run[:-1]]) == 2
-    assert ": 2 episodes, 17 steps, not none; give another --out" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["--envs", "swingup,hopper"], "is for one environment"),
-        (["--envs", "swingup", "--demonstrator", "noisy"], "leaves out --demonstrator"),
-        (["--envs", "swingup", "--experts", "none", "--methods", "dagger"], "dagger asks the expert"),
-        (["--envs", "swingup", "--experts", "none", "--transfer"], "--transfer carries the expert over"),
-        (["--envs", "swingup", "--demos", "4"], "has 3 demonstrations, not 4"),
-        (["--envs", "hopper"], "observations float64 (201, 3); (T, 11) are needed"),
-        (["--envs", "swingup", "--action-bounds", "2"], "is not two numbers"),
-        (["--envs", "swingup", "--action-bounds=2,-2"], "is not a lower number and a higher one"),
-        (["--envs", "swingup", "--action-bounds=nan,2"], "is not a lower number and a higher one"),
-    ],
-)
-def test_what_cannot_be_shown_is_refused_before_anything_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], why: str
-) -> None:
-    demos.write(tmp_path / "d.npz", *made())
-    asked = [
-        "--methods",
-        "bc",
-        "--demos-from",
-        str(tmp_path / "d.npz"),
-        "--out",
-        str(tmp_path / "run"),
-        *words,
-    ]
-    assert main(["run", *asked]) == 2
-    err = capsys.readouterr().err
-    assert why in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "run").exists()
 
 
 def test_inspect_says_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -469,11 +272,3 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(tmp_path: Path, tr
         file.write_bytes(whole)
     tried("damaged files of demonstrations", counts)
     assert all(counts[f"{suffix} refused"] > 50 for suffix in (".npz", ".arrow", ".hdf5", ".parquet"))
-
-
-def test_pandas_reads_what_was_shown(tmp_path: Path) -> None:
-    """The exported arrays are plain: other programs need nothing of this one."""
-    demos.write(tmp_path / "d.npz", *made())
-    with np.load(tmp_path / "d.npz", allow_pickle=False) as arrays:
-        frame = pd.DataFrame(arrays["act"])
-        assert len(frame) == arrays["lengths"].sum()

@@ -27,7 +27,7 @@ from harness.run.artifacts import artifact, read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.files import sha256_of
-from harness.run.store import open_for_run, open_to_verify
+from harness.run.opening import open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", "shaped", 0), Cell("cartpole_discrete", "bc", 0)]

@@ -88,7 +88,9 @@ def test_actions_are_scaled_by_the_bounds_of_their_space(tmp_path: Path, form: s
     asked = demos.read(tmp_path / "d", SWINGUP, (-4.0, 4.0))
     assert all(np.allclose(2 * act, its) for act, its in zip(asked.episodes.act, there["act"], strict=True))
     unbounded = minari_folder(tmp_path / "unbounded", form, **native, action_space=box(-np.inf, np.inf))
-    refused(unbounded, "from its middle; give others as --action-bounds")
+    refused(unbounded, "does not tell the bounds of its actions; give them as --action-bounds")
+    small = minari_folder(tmp_path / "small", form, **there, action_space=box(-np.inf, np.inf))
+    refused(small, "does not tell the bounds of its actions; give them as --action-bounds")
     assert demos.read(unbounded, SWINGUP, (-2.0, 2.0)).digest == found.digest
     refused(
         minari_folder(tmp_path / "flat", form, **native, action_space=box(2, 2)), "not below the high one"
@@ -171,7 +173,8 @@ ODD_FACTS: dict[str, Callable[[dict[str, Any]], Any]] = {
 }
 
 
-MORE = {"more than there are": "3", "other bounds": "its bounds are of other actions"}
+OTHERS = "its bounds are of other actions"
+MORE = {"more than there are": "3", "no numbers": OTHERS, "other bounds": OTHERS}
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -186,7 +189,8 @@ def test_odd_descriptions_are_refused(tmp_path: Path, form: str) -> None:
     facts = json.loads(whole)
     del facts["action_space"]
     file.write_text(json.dumps(facts))
-    assert len(demos.read(tmp_path / "d", SWINGUP).episodes) == 3
+    refused(tmp_path / "d", "does not tell the bounds of its actions; give them as --action-bounds")
+    assert len(demos.read(tmp_path / "d", SWINGUP, (-1.0, 1.0)).episodes) == 3
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -346,6 +350,9 @@ def test_minari_reads_what_is_exported(
     assert "form        Minari parquet" in capfd.readouterr().out
     assert main([*export, str(tmp_path / "folder")]) == 2
     assert "is there already" in capfd.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    assert main([*export, "relative"]) == 0
+    assert demos.read(tmp_path / "relative", spec).digest == known.digest
 
 
 def test_nothing_is_left_of_an_export_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,8 @@ import math
 import pytest
 from scipy.stats import sem, t
 
-from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
+from harness.judge.across_tasks import indistinct, overall
+from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import Cell, CellResult
 from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
 

@@ -17,6 +17,7 @@ import pytest
 from harness import commands
 from harness.arguments import parser
 from harness.cli import main
+from harness.judge.command_line import command_of
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import (
     CONTROLS,
@@ -30,7 +31,6 @@ from harness.judge.results import (
     Request,
     Shown,
     before,
-    command_of,
     files_of,
     name_of,
     needs,
@@ -42,8 +42,9 @@ from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for
+from harness.run.opening import open_for_report, open_for_run
 from harness.run.request import REQUEST, existing, merged, write_request
-from harness.run.store import CELL_FILE, open_for_report, open_for_run
+from harness.run.store import CELL_FILE
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
 

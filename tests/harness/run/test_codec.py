@@ -9,9 +9,11 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -105,6 +107,15 @@ def changed(payload: Any, path: tuple[Any, ...], how: Callable[[Any, Any], None]
         holder = holder[key]
     how(holder, path[-1])
     return mutated
+
+
+def test_what_is_stored_is_plain_json() -> None:
+    result = replace(cell_with(return_std=np.float64(0.1)), details={"a": np.float64(2.5)})
+    stored = json.loads(encode(result))
+    assert [row["return_std"] for row in stored["result"]["rows"]] == [0.1, 0.1]
+    assert encode(result) == json.dumps(stored, indent=1) + "\n"
+    with pytest.raises(TypeError, match="int64"):
+        encode(replace(result, details={"a": np.int64(1)}))
 
 
 def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(

@@ -2,10 +2,8 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +12,6 @@ import pandas as pd
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-import irl_bench
 from harness import registry
 from harness.cli import main
 from harness.judge.results import Cell, Conditions
@@ -22,22 +19,9 @@ from harness.registry import ENVS, PLUGINS, SPECS, VARIANTS, BadInput, load_meth
 from harness.run import keys, plugins
 from harness.run.engines import Job, compute
 from harness.run.environment import of_this_process
+from tests.harness.plugged import MINE
 
-ROOT = Path(__file__).parents[3]
-SAMPLE = ROOT / "tests/sample_plugin"
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
-MINE = """
-from dataclasses import dataclass
-from irl_bench import Learned, from_gymnasium
-from methods.bc import BehaviourCloning
-
-@dataclass(frozen=True)
-class Mine(BehaviourCloning):
-    steps: int = 30
-
-METHODS = {"mine": Mine}
-ENVS = {"moon": from_gymnasium("Pendulum-v1", "moon", kwargs={"g": 1.62})}
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -119,6 +103,16 @@ def test_whatever_a_plugin_raises_is_a_line(
     assert err.count("\n") == 1
 
 
+def test_what_a_plugin_prints_while_it_is_loaded_goes_to_standard_error(
+    mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Standard output may be read by a program."""
+    mine.write_text(f"print('hello')\n{MINE}")
+    assert main(["list", "--plugin", str(mine)]) == 0
+    out, err = capsys.readouterr()
+    assert ("hello" in out, err) == (False, "hello\n")
+
+
 def test_a_method_that_exits_fails_its_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = MINE.replace(
         "    steps: int = 30", "    def fit(self, demos, world, rng):\n        raise SystemExit(0)"
@@ -165,6 +159,10 @@ BROKEN = {
     "no dict": ("METHODS = 3", "METHODS must be a dict"),
     "no class": ("METHODS = {'mine': 3}", "must be a class with a method fit, not 3"),
     "no fit": ("class A: ...\nMETHODS = {'mine': A}", "must be a class with a method fit"),
+    "no default": (
+        "class A:\n fit = print\n def __init__(self, steps, *, rate, **more): ...\nMETHODS = {'mine': A}",
+        "the method mine has no default for steps, rate",
+    ),
     "shadows": ("class A:\n fit = print\nMETHODS = {'bc': A}", "'bc': the name is this program's"),
     "control": ("class A:\n fit = print\nMETHODS = {'control_x': A}", "the name is this program's"),
     "all": ("class A:\n fit = print\nMETHODS = {'all': A}", "the name is this program's"),
@@ -255,6 +253,7 @@ def test_a_task_of_gymnasium_needs_its_id_alone() -> None:
     ("name", "reason"),
     [
         ("gym:NoSuchTask-v0", "NameNotFound"),
+        ("gym:Pendulum", "Pendulum names no version of the task"),
         ("gym:Blackjack-v1", "observations must be a flat box"),
         ("gym:../run-v0", "no id of Gymnasium"),
         ("gym:", "no id of Gymnasium|cannot be loaded"),
@@ -269,55 +268,6 @@ def test_of_a_task_that_cannot_be_derived_it_is_said_why(
     assert pd.Series([err]).str.contains(reason).all(), err
     assert err.count("\n") == 1
     assert not out.exists()
-
-
-def command(folder: Path, *words: str, code: int = 0, **variables: str) -> str:
-    """What the command line prints, run in a folder."""
-    env = {**os.environ, "IRL_BENCH_CACHE": str(folder / "cache"), **variables}
-    program = [sys.executable, "-c", "from harness.cli import main; import sys; sys.exit(main())"]
-    done = subprocess.run(
-        [*program, *words], cwd=folder, env=env, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
-SMOKE = ("--budget", "smoke", "--no-retrain", "--record", "none")
-
-
-def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
-    told = command(
-        mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,plugins", "--envs", "swingup", *SMOKE
-    )
-    assert "3 cells to run" in told
-    frames = irl_bench.load(mine.parent / "results/latest")
-    stars = frames.scores[frames.scores.policy == "pi_star"]
-    assert dict(zip(stars.method, stars.status, strict=True)) == {"bc": "ok", "mine": "ok"}
-    assert "methods of plug-ins:\n  mine " in command(mine.parent, "list", "--plugin", "mine.py")
-    assert "ok      mine: it is a frozen dataclass" in command(
-        mine.parent, "check", "mine", "--plugin", "mine.py"
-    )
-    # It is edited: its own cell is computed anew, and no other.
-    mine.write_text(MINE.replace("30", "40"))
-    told = command(
-        mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,mine", "--envs", "swingup", *SMOKE
-    )
-    assert "1 cells to run, 2 kept from before" in told
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/plugins.md"])
-def test_the_recipe_works_word_for_word(tmp_path: Path, page: str) -> None:
-    text = (ROOT / page).read_text(encoding="utf-8")
-    name, block = re.findall(r"<!-- the file (\S+) -->\n(.*?)<!-- end of the file -->", text, re.DOTALL)[0]
-    (tmp_path / name).write_text(textwrap.dedent(block))
-    assert sum(bool(line.strip()) for line in block.splitlines()) <= 10
-    checked = command(tmp_path, "check", "linear", "--plugin", name)
-    assert {line.split()[0] for line in checked.splitlines()} == {"ok"}
-    (asked,) = re.findall(r"irl-bench (run --plugin my_method.py --methods linear,bc --envs swingup)\n", text)
-    command(tmp_path, *asked.split(), *SMOKE)
-    scores = irl_bench.load(tmp_path / "results/latest").scores
-    assert set(scores[scores.policy == "pi_star"].method) == {"linear", "bc"}
-    assert set(scores[scores.policy == "pi_star"].status) == {"ok"}
 
 
 def test_a_run_from_python_gives_frames(tmp_path: Path, mine: Path) -> None:
@@ -340,119 +290,3 @@ if __name__ == "__main__":
     said = done.stdout.splitlines()[-2:]
     assert said[0] == "[1, 3] ['mine', 'mine', 'reference', 'reference']"
     assert said[1].startswith("BadInput nowhere holds no finished run")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        {"seeds": "12"},
-        {"methods": "bc"},
-        {"methods": None},
-        {"options": ["--out=other"]},
-        {"options": ["--seeds", "3"]},
-        {"options": ["--plan"]},
-        {"options": ["--help"]},
-        {"seeds": [-1]},
-    ],
-)
-def test_what_a_run_from_python_cannot_mean_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: dict
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(BadInput):
-        irl_bench.run(**{"methods": ["bc"], "envs": ["swingup"], "budget": "smoke", "out": "run", **words})
-    assert not [*tmp_path.iterdir()]
-
-
-def test_texts_that_pandas_takes_for_nothing_are_texts(tmp_path: Path) -> None:
-    for name in ("scores", "leaderboard"):
-        (tmp_path / f"{name}.csv").write_text("method,score\nnull,\nNA,1.5\n")
-    found = irl_bench.load(tmp_path).scores
-    assert [*found.method] == ["null", "NA"]
-    assert [*found.score.isna()] == [True, False]
-
-
-def test_all_that_the_public_module_names_is_there() -> None:
-    for name in irl_bench.__all__:
-        assert getattr(irl_bench, name) is not None
-    assert set(irl_bench.__all__) == set(dir(irl_bench))
-    with pytest.raises(AttributeError, match="has no attribute 'nothing'; it has DDPG"):
-        irl_bench.nothing  # noqa: B018
-
-
-def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) -> None:
-    site = tmp_path / "site"
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--no-index",
-    ]
-    source = tmp_path / "source"
-    source.mkdir()
-    for file in SAMPLE.glob("*.*"):
-        (source / file.name).write_bytes(file.read_bytes())
-    subprocess.run([*install, "--target", str(site), str(source)], check=True, capture_output=True)
-    listed = command(tmp_path, "list", PYTHONPATH=str(site))
-    assert "still        " in listed.partition("methods of plug-ins:")[2] or "  still" in listed
-    assert "of the package irl-bench-sample 0.3" in listed
-    assert "not usable: irl-bench-sample 0.3: no plug-in may name its method 'bc'" in listed
-    asked = ("--methods", "still", "--envs", "slow_swingup", *SMOKE, "--out", "run")
-    told = command(tmp_path, "run", *asked, PYTHONPATH=str(site))
-    assert "2 cells to run" in told
-    scores = irl_bench.load(tmp_path / "run").scores
-    assert set(scores[scores.policy == "pi_star"].status) == {"ok"}
-    broken = command(
-        tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=str(site), code=2
-    )
-    assert "the method broken cannot be loaded: AttributeError" in broken
-
-
-def test_a_run_that_has_a_plugins_cells_goes_on_with_the_plugin_alone(
-    tmp_path: Path, mine: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Or what it computed would be dropped from the board."""
-    monkeypatch.chdir(tmp_path)
-    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", str(mine))
-    before = (tmp_path / "results/latest/leaderboard.csv").read_bytes()
-    refused = command(tmp_path, "run", "--methods", "bc", "--envs", "swingup", *SMOKE, code=2)
-    assert "holds cells of mine, which is of a plug-in" in refused
-    assert (tmp_path / "results/latest/leaderboard.csv").read_bytes() == before
-
-
-def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path) -> None:
-    complex_ones = MINE.replace(
-        "steps: int = 30",
-        "steps: int = 30\n\n    def fit(self, demos, world, rng):\n"
-        "        return Learned(lambda obs: 0.5j + obs[:, :1] * 0, None)",
-    )
-    (tmp_path / "odd.py").write_text(complex_ones)
-    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", "odd.py", code=1)
-    scores = irl_bench.load(tmp_path / "results/latest").scores
-    reasons = scores[scores.method == "mine"].reason
-    assert len(reasons)
-    assert reasons.str.startswith("ComplexWarning: Casting complex values to real").all()
-
-
-def test_experts_of_a_task_of_gymnasium_are_trained_for_runs(tmp_path: Path) -> None:
-    """A run finds the one that was trained, and trains none."""
-    env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
-
-    def told(*words: str) -> str:
-        command = [sys.executable, "-m", "harness", *words]
-        return subprocess.run(command, env=env, check=True, capture_output=True, text=True).stdout
-
-    out = told("experts", "train", "gym:Pendulum-v1", "--budget", "smoke", "--seeds", "1")
-    assert re.fullmatch(
-        r"gym_Pendulum-v1, seed 0: mean return -\d+\.\d\d, .*; 600 steps of RL in \d+ s\n", out
-    )
-    (trained,) = (tmp_path / "cache").glob("expert*")
-    before = trained.stat().st_mtime_ns
-    common = ("--envs", "gym:Pendulum-v1", "--budget", "smoke", "--no-retrain", "--record", "none")
-    told("run", "--methods", "bc", *common, "--out", str(tmp_path / "run"))
-    assert [*(tmp_path / "cache").glob("expert*")] == [trained]
-    assert trained.stat().st_mtime_ns == before

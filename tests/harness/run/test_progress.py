@@ -122,7 +122,7 @@ def test_cells_alone_are_counted_as_the_run_counts_them(capsys: pytest.CaptureFi
     out = capsys.readouterr().out.splitlines()
     assert out[0] == "start   cartpole__expert__seed0"
     assert "2 cells left" in out[1]
-    assert "1 cells left" in out[3]
+    assert "1 cell left" in out[3]
     assert out[3].endswith("): pi_star 480.1")
     assert "0 cells left" in out[5]
     assert out[5].endswith("): no luck")

@@ -24,7 +24,7 @@ REASONS = {
     "hungry": "out of memory: MemoryError: Unable to allocate 1.00 GiB",
     "nan": "FloatingPointError: pi_star: return_mean is nan; in ",
     "other": "ValueError: asked for cartpole__other__seed0, got 2 rows of cartpole__bc__seed99",
-    "unstorable": "TypeError: Object of type complex is not JSON serializable",
+    "unstorable": "TypeError: complex is no JSON; in _as_builtin (codec.py:",
 }
 
 

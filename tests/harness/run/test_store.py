@@ -20,7 +20,7 @@ from harness.registry import BadInput
 from harness.run import marked
 from harness.run.codec import checksum, decode, encode
 from harness.run.files import sha256_of, write_atomic
-from harness.run.store import open_for_report, open_for_run, open_to_verify
+from harness.run.opening import open_for_report, open_for_run, open_to_verify
 from harness.run.sums import SUMS
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

@@ -14,7 +14,7 @@ from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.run.cache import Kept, cache_file, kept
 from harness.run.codec import encode
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.store import open_for_run
+from harness.run.opening import open_for_run
 from harness.run.sums import SUMS
 
 ROOT = Path(__file__).parents[3]

@@ -14,8 +14,8 @@ from harness.registry import BadInput
 from harness.reproduce import open_study
 from harness.run.codec import encode
 from harness.run.files import append, write_atomic
+from harness.run.opening import open_for_report, open_for_run, open_to_verify
 from harness.run.request import write_request
-from harness.run.store import open_for_report, open_for_run, open_to_verify
 from harness.run.sums import SUMS
 from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import re
+import shutil
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -14,7 +18,8 @@ from pathlib import Path
 import pytest
 from scipy.stats import norm
 
-from harness.judge.leaderboard import indistinct, leaderboard, overall, scored_rows
+from harness.judge.across_tasks import indistinct, overall
+from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import (
     COLUMNS,
     CONTROLS,
@@ -29,6 +34,8 @@ from harness.run.reporting import write_report
 from harness.show import curves, figures
 from harness.show.boards import Board
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
+
+SIGNS = Path(__file__).parents[3] / "results/reference/signs/native"
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -102,6 +109,17 @@ def test_equal_results_give_equal_files_in_whatever_order_they_come(report: Path
     assert sorted(map(str, files)) == sorted(figures + tables + recordings)
     for file in files:
         assert (report / file).read_bytes() == (tmp_path / file).read_bytes(), file
+
+
+def test_equal_results_give_equal_files_in_whatever_order_sets_are(tmp_path: Path) -> None:
+    written = []
+    for order in "12":
+        run = tmp_path / order
+        shutil.copytree(SIGNS, run)
+        command = [sys.executable, "-m", "harness", "report", str(run)]
+        subprocess.run(command, check=True, capture_output=True, env=os.environ | {"PYTHONHASHSEED": order})
+        written.append([(run / file).read_bytes() for file in ("report.html", "leaderboard.md")])
+    assert written[0] == written[1]
 
 
 def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -> None:
@@ -298,7 +316,8 @@ def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
     assert few is not None
     assert (len(few.plots), few.note) == (2, "The first 2 of 7 panels.")
     assert few.data is not None
-    assert len({*few.data["method"]} - {"reference"}) == 2
+    drawn = {"maxmargin", "shaped", "control_true"}  # the last in each of the two panels
+    assert {*few.data["method"]} - {"reference"} == drawn
 
 
 def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
@@ -335,11 +354,29 @@ def test_page_shows_endings_warnings_and_recordings(report: Path) -> None:
     assert "irl-bench view . --env cartpole --method shaped" in page.text
     assert "cartpole__reference__seed0: expert <misses> its bar" in page.text
     assert "time limit 210, pole fell 90" in page.text
+    score = next(
+        row["normalized_score"]
+        for row in read_csv(report / "scores.csv")
+        if (row["env"], row["method"], row["seed"], row["policy"]) == ("cartpole", "shaped", "0", "pi_R")
+    )
+    assert f"__pi_R.rrd{float(score):.2f}time limit" in "".join(page.text.split("\n"))
     others = len(make_results()) - 1
     for text, old in ((page.text, "<old>"), ((report / "leaderboard.md").read_text(), r"\<old\>")):
         assert f"1 cells: processor {old}, torch 1" in text
         assert f"{others} cells: processor new, torch 2" in text
     assert "computed on different machines" in page.text
+
+
+def test_a_recording_of_a_policy_without_a_row_has_no_score(tmp_path: Path) -> None:
+    results = with_warning(make_results())
+    shaped = next(i for i, r in enumerate(results) if r.recordings)
+    kept = [row for row in results[shaped].rows if row.policy != "pi_R"]
+    results[shaped] = replace(results[shaped], rows=kept)
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
+    write_report(tmp_path, REQUEST, results)
+    text = Page((tmp_path / "report.html").read_text()).text
+    assert "__pi_R.rrdn/atime limit" in "".join(text.split("\n"))
 
 
 def test_one_machine_is_no_warning(tmp_path: Path) -> None:

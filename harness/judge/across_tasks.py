@@ -1,0 +1,75 @@
+"""What scores come to over all tasks, of those that tell rewards apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from harness.judge.leaderboard import Entry
+from harness.judge.results import REFERENCE, Row
+from harness.judge.roles import UNINFORMED
+from harness.judge.statistics import interquartile_interval, interquartile_mean
+from harness.registry import ASKING
+
+NO_BETTER = 0.05
+"""A task where a control that knows nothing scores within this of the best method's pi_R tells no reward from
+none."""
+GOOD = 0.95
+"""Runs that score less are counted."""
+
+
+@dataclass(frozen=True)
+class Overall:
+    """A policy of a method over all envs that tell rewards apart: the interquartile mean of its scores with
+    its 95 % interval, and the share of runs that score less than `GOOD`."""
+
+    method: str
+    policy: str
+    envs: int
+    runs: int
+    score: float
+    low: float
+    high: float
+    below: float
+
+
+def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
+    """Of entries of one board an env, the envs in which a control that knows nothing scores about as much as
+    the best method's pi_R or more, and which one does best."""
+    boards: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if entry.policy == "pi_R" and math.isfinite(entry.score_mean):
+            boards.setdefault(entry.env, []).append(entry)
+    found = {}
+    for env, mine in boards.items():
+        best = max((e.score_mean for e in mine if e.role == "method"), default=math.nan)
+        knows_nothing = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
+        if knows_nothing:
+            top = max(knows_nothing, key=lambda e: e.score_mean)
+            found[env] = f"{top.method} scores {top.score_mean:.2f} there, the best method {best:.2f}"
+    return found
+
+
+def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
+    """Every policy over all envs but those `without`, best first; empty where fewer than two are left.
+
+    Only policies with a score in every env, since those left out could be the hard ones; and none of methods
+    that ask the expert.
+    """
+    scores: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for row in rows:
+        counts = row.method not in (REFERENCE, *ASKING) and row.env not in without
+        if counts and math.isfinite(row.normalized_score):
+            by_env = scores.setdefault((row.method, row.policy), {})
+            by_env.setdefault(row.env, []).append(row.normalized_score)
+    envs = {row.env for row in rows} - {*without}
+    lines = []
+    for (method, policy), by_env in scores.items():
+        if by_env.keys() == envs and len(envs) > 1:
+            pooled = [score for runs in by_env.values() for score in runs]
+            low, high = interquartile_interval(list(by_env.values()))
+            below = sum(score < GOOD for score in pooled) / len(pooled)
+            score = interquartile_mean(pooled)
+            lines.append(Overall(method, policy, len(envs), len(pooled), score, low, high, below))
+    return sorted(lines, key=lambda line: (-line.score, line.method, line.policy))

@@ -1,0 +1,43 @@
+"""Fixtures of several files."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from harness import cli, commands
+from harness.run import engines, grid, isolated
+from harness.run.environment import CACHE_VARIABLE
+
+HERE = Path(__file__).parent
+Main = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Main:
+    """The command line with the cells of fake_cells.py, in an empty directory; returns code, out and err."""
+    monkeypatch.syspath_prepend(HERE)
+    monkeypatch.chdir(tmp_path)
+    import fake_cells
+
+    # Set as they are, so that what is installed over them goes with the test.
+    monkeypatch.setattr(grid, "Grid", grid.Grid)
+    monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
+    monkeypatch.setattr(engines, "Inline", engines.Inline)
+    monkeypatch.setenv(fake_cells.FOLDER, "")
+    monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
+    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    fake_cells.install()
+
+    def call(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept between runs is in the test's folder."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
