@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -25,7 +26,10 @@ HORIZON = 10
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What JAX compiles, much of the time of many tests, is compiled once for all."""
+    """What JAX compiles, much of the time of many tests, is compiled once for all. Ctrl-C reaches what
+    tests start, also where a shell started them in the background and so deaf to it."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
