@@ -181,6 +181,26 @@ def test_what_rl_earns_of_the_thesiss_reward_is_that_of_the_files() -> None:
         assert shown == [its["seeds_ok"], *found, *(f"{float(score):z.2f}" for score in scores)], (run, task)
 
 
+def test_what_rl_earns_of_rewards_with_good_policies_is_that_of_the_files() -> None:
+    text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"<!-- of R\*, RL and pi\* -->\n(.*?)<!-- end", text, re.DOTALL)
+    _, _, *lines = cells_of(table)
+    assert len(lines) > 4
+    for run, *shown in lines:
+        file = ROOT / "results/reference/board" / run.strip("`") / "scores.csv"
+        fits: dict[tuple[str, str], dict[str, tuple[float, float]]] = {}
+        for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
+            if row["dynamics"] == "nominal" and row["own_return"] and row["method"] in METHODS | VARIANTS:
+                its = float(row["normalized_score"]), float(row["own_return"])
+                fits.setdefault((row["method"], row["seed"]), {})[row["policy"]] = its
+        good = [fit for fit in fits.values() if len(fit) == 2 and fit["pi_star"][0] >= 0.9]
+        found = [len(good)]
+        for retrained in (False, True):
+            such = [fit for fit in good if (fit["pi_R"][0] >= 0.9) == retrained]
+            found += [len(such), sum(fit["pi_R"][1] < fit["pi_star"][1] for fit in such)]
+        assert [int(count) for count in shown] == found, run
+
+
 def cells_of(table: str) -> list[list[str]]:
     """Of each line of a table."""
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]

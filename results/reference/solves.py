@@ -1,7 +1,7 @@
 """Is it the reward that fails, or RL on it? Learns a cell's reward as the run did, and solves it more often.
 
-Appends a line for each solve to solves.csv beside this file: env, method, seed, demos, solve, score, own_return
-(what it earns of R*), own_return_star (what pi* earns). Solve 0 is the run's pi_R; others differ
+Appends a line for each solve to solves.csv beside this file: env, method, seed, demos, solve, score,
+own_return (what it earns of R*), own_return_star (what pi* earns). Solve 0 is the run's pi_R; others differ
 from it by the seed of RL alone. Budget full, protocol absorbing. From the root, with the variable that the
 cells of the board were computed with:
 
