@@ -201,6 +201,23 @@ def test_what_rl_earns_of_rewards_with_good_policies_is_that_of_the_files() -> N
         assert [int(count) for count in shown] == found, run
 
 
+def test_what_more_solves_found_is_that_of_the_file() -> None:
+    text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"<!-- solves -->\n(.*?)<!-- end", text, re.DOTALL)
+    solves: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for solve in csv.DictReader((ROOT / "results/reference/solves.csv").read_text("utf-8").splitlines()):
+        solves.setdefault((solve["env"], solve["method"], solve["seed"]), []).append(solve)
+    expected = []
+    for (env, method, seed), its in solves.items():
+        most = max(its, key=lambda solve: float(solve["own_return"]))
+        own = [f"{float(most[name]):,.1f}" for name in ("own_return", "own_return_star")]
+        scores = [f"{float(solve['score']):z.2f}" for solve in its]
+        expected.append(
+            [f"`{env}`", f"`{method}`", seed, ", ".join(scores), *own, f"{float(most['score']):z.2f}"]
+        )
+    assert cells_of(table)[2:] == expected
+
+
 def cells_of(table: str) -> list[list[str]]:
     """Of each line of a table."""
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
