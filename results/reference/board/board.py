@@ -37,7 +37,11 @@ COLUMNS = (
     Column("highway", 100, ("highway",)),
     Column("reacher", 5, ("reacher_5",)),
     Column("swingup", 5, ("swingup_5",)),
-    Column("cartpole_swingup", 5, ("cartpole_swingup_5_retrained", "cartpole_swingup_5")),
+    Column(
+        "cartpole_swingup",
+        5,
+        ("cartpole_swingup_5_retrained", "cartpole_swingup_5", "cartpole_swingup_5_all"),
+    ),
     Column("point_maze", 5, ("point_maze_5",)),
     Column("halfcheetah", 5, ("halfcheetah_5_retrained", "halfcheetah_5")),
     Column("hopper", 5, ("hopper_5",)),
@@ -74,7 +78,10 @@ def board() -> pd.DataFrame:
 def figure(scores: pd.DataFrame) -> Figure:
     """A panel a policy, a row a method, a column a task."""
     methods = [*METHODS, *VARIANTS, *CONTROLS]
-    seeds = scores.groupby("task")["seeds"].max()
+    seeds = {
+        task: "-".join(f"{number}" for number in sorted({min(its), max(its)}))
+        for task, its in scores.groupby("task")["seeds"]
+    }
     drawn = Figure(figsize=(10, 6.6), layout="constrained")
     for place, (policy, title) in enumerate(POLICIES.items()):
         axes = drawn.add_subplot(1, 2, place + 1)
