@@ -37,11 +37,7 @@ COLUMNS = (
     Column("highway", 100, ("highway",)),
     Column("reacher", 5, ("reacher_5",)),
     Column("swingup", 5, ("swingup_5",)),
-    Column(
-        "cartpole_swingup",
-        5,
-        ("cartpole_swingup_5_retrained", "cartpole_swingup_5", "cartpole_swingup_5_all"),
-    ),
+    Column("cartpole_swingup", 5, ("cartpole_swingup_5",)),
     Column("point_maze", 5, ("point_maze_5",)),
     Column("halfcheetah", 5, ("halfcheetah_5_retrained", "halfcheetah_5")),
     Column("hopper", 5, ("hopper_5",)),
