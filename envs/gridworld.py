@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from envs.learners import DQN
 from envs.spec import Array, EnvSpec, Quantity, Shape, Tabular
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 ACTIONS = ("right", "up", "left", "down", "stay")
 MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, in the order of ACTIONS
 

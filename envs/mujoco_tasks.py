@@ -17,6 +17,8 @@ from envs.learners import PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 WEAK = 0.3
 """Of its strength, what a weak motor has left."""
 SIDE, TOP = [0, 2], [0, 1]

@@ -24,6 +24,8 @@ from envs.learners import DDPG, PPO
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 100
 LOW, HIGH = -0.1, 0.6  # m, where the outer walls are
 HEIGHT = 0.3  # m, of the inner wall

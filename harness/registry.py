@@ -13,6 +13,14 @@ if TYPE_CHECKING:
     from envs import EnvSpec
     from methods.base import Method
 
+NO_NUMBERS = {
+    "METHODS": "Keys are of a cell's own entry.",
+    "VARIANTS": "Keys are of a cell's own entry.",
+    "ENVS": "Keys are of a cell's own entry.",
+    "NO_NAMES": "It says what users may mean.",
+    "GROUPS": "It says what users may type.",
+}
+
 Library = Literal["sbx", "sb3"]
 Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+NO_NUMBERS = "Keys are of the settings that it gives to a method."
+
 MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
 ITERATIVE = (*MAXMARGIN, *MAXENT)

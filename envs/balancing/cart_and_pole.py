@@ -9,6 +9,8 @@ import numpy as np
 
 from envs.spec import Array, Quantity, Shape
 
+NO_NUMBERS = {"draw_cart_and_pole": "It draws pictures."}
+
 POSITION, VELOCITY = Quantity("cart position", "m"), Quantity("cart velocity", "m/s")
 ANGLE, RATE = Quantity("pole angle", "rad"), Quantity("pole rate", "rad/s")
 

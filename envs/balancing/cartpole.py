@@ -20,6 +20,8 @@ from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centre
 from envs.dynamics import DynamicsBatch, why_ended
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 500
 
 

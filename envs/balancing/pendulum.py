@@ -18,6 +18,8 @@ from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centre
 from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 1000
 MAX_ANGLE = 0.2  # rad, where the environment terminates
 RAIL = 1.0  # m, half of the rail's length

@@ -25,6 +25,8 @@ from envs.driving.fast import FastHighwayEnv, speed_up_vehicle
 from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 75  # 30 s
 TIME_STEP = 0.4  # s
 LANES, LANE_WIDTH = 3, 4.0  # m

@@ -21,6 +21,8 @@ from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta
 from envs.learners import PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 500
 BEYOND = 0.5  # m, that the drawing's ground reaches to each side
 

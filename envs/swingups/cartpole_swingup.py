@@ -21,6 +21,8 @@ from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta, why_ended
 from envs.learners import PPO, SAC
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 500
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from envs.dynamics import DynamicsBatch, DynamicsEnv
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
+NO_NUMBERS = {"draw": "It draws pictures."}
+
 HORIZON = 200
 
 

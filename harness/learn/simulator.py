@@ -14,6 +14,8 @@ from envs import EnvSpec, Shape
 from envs.spec import Batch
 from methods.base import Array, Policy, Transitions
 
+NO_NUMBERS = {"drawings": "It draws pictures."}
+
 
 @dataclass
 class Trajectory:

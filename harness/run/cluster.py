@@ -24,7 +24,7 @@ from harness.registry import BadInput
 from harness.run import given, node, plugins
 from harness.run.engines import WORK, Job, Outcome, describe
 from harness.run.environment import CHOSEN, numeric
-from harness.run.keys import write_program
+from harness.run.processes import write_program
 from harness.run.progress import tell
 from harness.run.scratch import scratch_folder
 

@@ -15,6 +15,8 @@ from harness.run.engines import Job
 from harness.run.environment import cache_folder
 from harness.run.files import read, write_atomic
 
+NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
+
 FILE = "seconds.json"
 SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""

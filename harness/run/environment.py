@@ -22,10 +22,24 @@ PASSED = {
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
-    "NPY_DISABLE_CPU_FEATURES",
+    *("NPY_DISABLE_CPU_FEATURES", "LD_PRELOAD"),
 )
 """Numbers depend on these; the user may set them, for some processors need it, and they are part of every
 key. Where instructions are fixed, by `SAME_INSTRUCTIONS`."""
+NUMERIC_PREFIXES = (
+    *("ATEN_", "BLIS_", "DNNL_", "GLIBC_TUNABLES", "GOTO_", "JAX_", "KMP_", "MKL_", "NPY_", "OMP_"),
+    *("ONEDNN_", "OPENBLAS_", "PYTORCH_", "TF_", "TORCH_", "XLA_"),
+)
+"""Beginnings of the names of variables that numeric libraries read. Isolated cells have none of them besides
+those that are set here; of this process all are in the keys of what it computes itself."""
+NO_NUMBER_PREFIXES = (
+    "JAX_COMPILATION_CACHE_",
+    "JAX_PERSISTENT_CACHE_",
+    "JAX_LOG",
+    "JAX_TRACEBACK",
+    "TORCH_HOME",
+)
+"""Beginnings of names among those that no number depends on."""
 FIXED = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -68,8 +82,14 @@ def numeric(deterministic: bool) -> dict[str, str]:
 
 
 def of_this_process() -> dict[str, str]:
-    """Those that this process has."""
-    return {name: os.environ[name] for name in sorted({*CHOSEN, *FIXED}) if name in os.environ}
+    """Return the variables of this process that numbers depend on."""
+    return {name: value for name, value in sorted(os.environ.items()) if _is_numeric(name)}
+
+
+def _is_numeric(name: str) -> bool:
+    if name.startswith(NO_NUMBER_PREFIXES):
+        return False
+    return name in CHOSEN or name in FIXED or name.startswith(NUMERIC_PREFIXES)
 
 
 @contextlib.contextmanager

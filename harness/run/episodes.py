@@ -23,6 +23,8 @@ from harness.show.scenes import scene
 from methods.base import Array, Policy, Reward
 from methods.tabular import greedy, value_iteration
 
+NO_NUMBERS = "It records episodes that were scored before."
+
 MOMENTS = 6
 """Stretches of an episode whose advantage is told, where the model is not known."""
 LANES = 100

@@ -11,38 +11,38 @@ import importlib.util
 import json
 import platform
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple, cast
 
 from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
-from harness.registry import ENVS, METHODS, PLUGINS, VARIANTS, BadInput, Entry
-from harness.run import environment, plugins
+from harness.registry import ENVS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, Entry
+from harness.run import environment, packages, plugins
 from harness.run.plugin_sources import Sources
 from methods.settings import settings_for
 
-STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
-"""What computes cells' numbers, and what they share."""
-NO_EXPERT = "harness.run.without_expert"
-"""What computes the latter where there is no expert."""
+RUNNING = (
+    *("harness.run.grid", "harness.run.store", "harness.run.cluster", "harness.run.node"),
+    *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.run.cells"),
+)
+"""Modules that feed, start, compute and store cells."""
+EXPERTS_MODULE = "harness.run.experts"
+"""The module that makes what cells share."""
+CLONE = "bc"
+"""The method that stands in for an expert where there is none (`harness.run.without_expert`)."""
 SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
-"""How policies are scored, and on which episodes."""
-NO_NUMBER = {
-    *("harness/registry.py", "methods/settings.py", "harness/judge/results.py"),
-    *(
-        f"harness/run/{name}.py"
-        for name in ("artifacts", "cache", "codec", "files", "keys", "plugins", "plugin_sources", "sums")
-    ),
-}
-"""Files that those import and that change none of the numbers. What the first two say of a cell's own method
-is in its key, as is a plug-in's version; the others name what was found, and keep it bit for bit."""
-DRAWING = "draw"
-"""How the names of functions begin that make pictures, and no numbers."""
+"""Modules that score policies, and choose the episodes."""
+DECLARATION = "NO_NUMBERS"
+"""Variable by which a module says which of its places change no number, and why: one reason for the whole
+module, or a reason for each place, such as 'Class.method'."""
+NO_NUMBERS = "It makes the keys themselves."
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """What decides, besides the program, how cells are reported."""
 PACKAGES = (
     *("torch", "numpy", "scipy", "jax", "jaxlib", "flax", "optax", "stable-baselines3", "sbx-rl"),
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
+"""Packages whose versions people are told. Keys are of more of them (`harness.run.packages`)."""
 MODULES = {"sbx-rl": "sbx"}
 """Packages whose module has another name."""
 PROGRAM = ("envs", "methods", "harness")
@@ -52,6 +52,7 @@ EXPERTS = ("results/reference/experts", "harness/shipped")
 """Where the shipped experts are: in the repository, and where the package is installed."""
 PAGE_PARTS = tuple(f"harness/show/report.{kind}" for kind in ("html.j2", "css", "js"))
 ROOT = Path(__file__).parents[2]
+_DECLARED = ast.dump(ast.Name(DECLARATION, ast.Store()))
 INSTRUCTIONS = ("sse4", "avx", "fma", "amx")
 
 
@@ -90,40 +91,30 @@ def _counts(file: Path) -> bool:
     return counts and all(part.isidentifier() for part in (*folders, stem)) and file.is_file()
 
 
-def write_program(folder: Path) -> None:
-    """Copies `program()` into the folder, which is made."""
-    for name, content in program().items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-
-
 def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[str, str]) -> dict[Cell, str]:
-    """What each cell must have been computed under to count, in processes with these `environment.numeric`
-    variables: 'TASK:METHOD'. TASK is of all that the cells of an environment share, METHOD of the source and
-    the settings of the cell's own method. Cells can be compared where TASK is the same."""
-    installed, tasks, methods = (
-        [_installed(), dict(variables)],
-        dict[str, str](),
-        dict[tuple[str, str, Shown, str], str](),
-    )
+    """Return what each cell must have been computed under to count, 'TASK:METHOD'.
+
+    TASK is a digest of all that the cells of an environment share, METHOD one of the source and the settings
+    of the cell's own method. Cells can be compared where TASK is the same.
+    variables: `environment.numeric` variables of the processes that compute the cells.
+    """
+    more = [_installed(), dict(variables)]
+    tasks, methods = dict[str, str](), dict[tuple[str, str, Shown, str], str]()
     keys = {}
     for cell in cells:
         if cell.env not in tasks:
             asked = [_asked(conditions), experts_version(cell.env), _target(ENVS, cell.env)]
-            others = _of_others("env", cell.env)
-            shared = [NO_EXPERT] * (conditions.experts == "none")
-            read = sources(STAGES, *shared, *_module(ENVS, cell.env), *others.program)
-            tasks[cell.env] = _digest(read, asked, [*installed, *others.digests])
+            others, clone = _of_others("env", cell.env), list[str]()
+            if conditions.experts == "none":
+                asked += [_target(METHODS, CLONE), settings_for(CLONE, cell.env, conditions.budget)]
+                clone = _module(METHODS, CLONE)
+            read = sources(*RUNNING, *clone, *_module(ENVS, cell.env), *others.program)
+            tasks[cell.env] = _digest(read, asked, [*more, *others.digests])
         if (its := (cell.env, cell.method, cell.shown, cell.dynamics)) not in methods:
             method = CONTROL_METHODS.get(cell.method, cell.method)
             settings = settings_for(method, cell.env, conditions.budget)
-            asked = [
-                method,
-                _target(METHODS | VARIANTS, method),
-                settings,
-                _asked(cell.shown),
-                cell.dynamics,
-            ]
+            target = _target(METHODS | VARIANTS, method)
+            asked = [method, target, settings, _asked(cell.shown), cell.dynamics]
             others = _of_others("method", method)
             read = sources(*_module(METHODS | VARIANTS, method), *others.program)
             methods[its] = _digest(read, asked, others.digests)
@@ -177,14 +168,16 @@ def report_key(cells: object) -> str:
 
 
 def sources(*modules: str) -> set[str]:
-    """The files of the program that importing these modules reads, but for `NO_NUMBER`."""
+    """Return the files of the program that importing these modules reads, without those of which a
+    `DECLARATION` says that they change no number."""
     found: set[str] = set()
     waiting = [name for module in modules for name in _files_of(module)]
     while waiting:
-        if (name := waiting.pop()) not in found:
+        name = waiting.pop()
+        if name not in found and (code := _code(program()[name])).counts:
             found.add(name)
-            waiting += [n for module in _code(program()[name])[1] for n in _files_of(module)]
-    return found - NO_NUMBER
+            waiting += [n for module in code.imports for n in _files_of(module)]
+    return found
 
 
 def _files_of(module: str) -> list[str]:
@@ -194,32 +187,84 @@ def _files_of(module: str) -> list[str]:
     return [name for start in starts for name in (f"{start}.py", f"{start}/__init__.py") if name in program()]
 
 
-class _Code(ast.NodeTransformer):
-    """Leaves out docstrings, of fields as well, and `DRAWING`."""
+class Code(NamedTuple):
+    """What a file does.
 
-    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
-        told = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        return None if told else node
+    imports: modules, and names in modules, that it imports, lazily or not. counts: whether it can change a
+    number.
+    """
+
+    digest: str
+    imports: tuple[str, ...] = ()
+    counts: bool = True
+
+
+class _Numbers(ast.NodeTransformer):
+    """Leaves out docstrings, those of fields included, and the places that change no number."""
+
+    def __init__(self, left_out: Collection[str]) -> None:
+        self._left_out, self._place = left_out, ""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if is_text else self.generic_visit(node)
+
+    def visit_Assign(self, node: ast.Assign) -> ast.AST | None:
+        names = [target.id for target in node.targets if isinstance(target, ast.Name)]
+        return None if any(map(self._is_left_out, names)) else self.generic_visit(node)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
+        named = isinstance(node.target, ast.Name) and self._is_left_out(node.target.id)
+        return None if named else self.generic_visit(node)
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST | None:
+        return self._definition(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST | None:
-        return None if node.name.startswith(DRAWING) else self.generic_visit(node)
+        return self._definition(node)
+
+    def visit_AsyncFunctionDef(self, node: ast.AsyncFunctionDef) -> ast.AST | None:
+        return self._definition(node)
+
+    def _definition(self, node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) -> ast.AST | None:
+        if self._is_left_out(node.name):
+            return None
+        outside, self._place = self._place, f"{self._place}{node.name}."
+        changed = self.generic_visit(node)
+        self._place = outside
+        return changed
+
+    def _is_left_out(self, name: str) -> bool:
+        return f"{self._place}{name}" in self._left_out
 
 
 @functools.cache
-def _code(source: bytes) -> tuple[str, tuple[str, ...]]:
-    """A digest of what a file does, whatever it says of that; and the modules, and names in modules, that it
-    imports, lazily or not. What cannot be read imports nothing."""
-    found = []
+def _code(source: bytes) -> Code:
+    """What a file does, whatever it says of that. A file that cannot be read imports nothing."""
     try:
-        tree = _Code().visit(ast.parse(source))
+        tree = ast.parse(source)
     except (SyntaxError, ValueError):
-        return hashlib.sha256(source).hexdigest(), ()
+        return Code(hashlib.sha256(source).hexdigest())
+    declared = no_numbers(tree)
+    places = {} if isinstance(declared, str) else declared
+    tree = _Numbers({DECLARATION, *places}).visit(tree)
+    imports = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            imports += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), tuple(found)
+            imports += [f"{node.module}.{alias.name}" for alias in node.names]
+    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    return Code(digest, tuple(imports), not isinstance(declared, str))
+
+
+def no_numbers(tree: ast.Module) -> str | dict[str, str]:
+    """Return what a module declares under the name `DECLARATION`: reasons by place, none where it declares
+    nothing; or the reason for the whole module."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.dump(node.targets[0]) == _DECLARED:
+            return cast("str | dict[str, str]", ast.literal_eval(node.value))
+    return {}
 
 
 def _target(known: Mapping[str, Entry], name: str) -> str:
@@ -235,16 +280,22 @@ def _module(known: Mapping[str, Entry], name: str) -> list[str]:
 def _of_others(kind: str, name: str) -> Sources:
     """What the numbers of the plug-in come from that has the method or environment, if one has it."""
     known = PLUGINS[kind]
-    return plugins.sources(known[name].target) if name in known else Sources([], [])
+    if name not in known:
+        return Sources([], [])
+    found = plugins.sources(known[name].target)
+    if kind == "env":
+        needed = plugins.packages_of_task(SPECS[name].env_id)
+        found = dataclasses.replace(found, digests=[*found.digests, json.dumps(needed)])
+    return found
 
 
 def _installed() -> list[object]:
-    return [platform.python_version(), versions(PACKAGES), _elsewhere()]
+    return [platform.python_version(), packages.required(), _elsewhere()]
 
 
 def _digest(sources: Iterable[str], ingredients: object, more: object) -> str:
     """Of what these files do, and of what JSON can hold."""
-    digests = {name: _code(program()[name])[0] for name in sources}
+    digests = {name: _code(program()[name]).digest for name in sources}
     everything = json.dumps([ingredients, digests, more], sort_keys=True)
     return hashlib.sha256(everything.encode()).hexdigest()[:16]
 

@@ -17,6 +17,8 @@ import psutil
 
 from harness.registry import BadInput
 
+NO_NUMBERS = "It ends processes that cells leave behind."
+
 PATIENCE = 5.0
 """Seconds for killed processes to be gone."""
 _LINUX = sys.platform == "linux"

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+NO_NUMBERS = "It reads and words what people are told of a cell's progress."
+
 IN_WORDS = {
     "demonstrate": "reading demonstrations",
     "retrain": "RL",

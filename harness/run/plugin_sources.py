@@ -18,6 +18,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+NO_NUMBERS = "Whatever it does shows in the keys themselves."
+
 PROGRAM = ("envs", "methods", "harness")
 PUBLIC = "irl_bench"
 """The module that gives names of the program's modules."""

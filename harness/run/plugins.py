@@ -37,6 +37,7 @@ from harness.registry import (
     Entry,
     load_method,
 )
+from harness.run import packages
 from harness.run.plugin_sources import Sources, sources_of
 
 if TYPE_CHECKING:
@@ -174,9 +175,7 @@ def _sources_of_task(env_id: str) -> Sources:
 
     spec = gymnasium.spec(env_id)
     entry = spec.entry_point
-    found = sources_of(
-        entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
-    )
+    found = sources_of(_module_of(entry))
     registered = {
         "entry": str(entry),
         "kwargs": spec.kwargs,
@@ -192,6 +191,18 @@ def _sources_of_task(env_id: str) -> Sources:
             READ,
         ) from error
     return dataclasses.replace(found, digests=[*found.digests, told])
+
+
+def packages_of_task(env_id: str) -> dict[str, str]:
+    """Return the versions of the packages that a registered task of Gymnasium needs (`packages.imported`)."""
+    import gymnasium
+
+    return packages.imported(_module_of(gymnasium.spec(env_id).entry_point))
+
+
+def _module_of(entry: object) -> str:
+    """The module of what a task is registered with."""
+    return entry.partition(":")[0] if isinstance(entry, str) else str(getattr(entry, "__module__", ""))
 
 
 class _Gymnasium(dict[str, "EnvSpec"]):

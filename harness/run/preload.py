@@ -10,7 +10,8 @@ from harness.run.environment import PRELOAD_VARIABLE
 _usual = ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo")
 with contextlib.suppress(BaseException):
     # What a cell's key is of, read once, too.
-    importlib.import_module("harness.run.keys").sources("harness.run.stages")
+    _keys = importlib.import_module("harness.run.keys")
+    _keys.sources(*_keys.RUNNING), _keys.packages.required()
 for _name in (*_usual, *filter(None, os.environ.get(PRELOAD_VARIABLE, "").split(","))):
     # Whatever this raises, a cell's own import raises again, and there it is told.
     with contextlib.suppress(BaseException):

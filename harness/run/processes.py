@@ -23,7 +23,7 @@ import psutil
 from harness.registry import BadInput
 from harness.run import orphans
 from harness.run.environment import for_cells
-from harness.run.keys import write_program
+from harness.run.keys import program
 from harness.run.scratch import scratch_folder
 from harness.run.signals import STOPS, deaf_to, stops_wait
 
@@ -149,6 +149,13 @@ def wake_server() -> None:
 
 def _cells() -> list[BaseProcess]:
     return [process for process in multiprocessing.active_children() if process.name == NAME]
+
+
+def write_program(folder: Path) -> None:
+    """Write `keys.program()` into the folder, which is made."""
+    for name, content in program().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
 
 
 @contextmanager

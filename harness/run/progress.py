@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from harness.judge.results import Status
     from harness.run.engines import Job
 
+NO_NUMBERS = "It tells people how far a run is."
+
 NOTHING: Mapping[str, float] = MappingProxyType({})
 NOTES = 5
 """Of what was told above the display, that is shown again where a narrower terminal had to be cleared."""

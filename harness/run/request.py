@@ -15,6 +15,8 @@ from harness.run import plugins
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
 
+NO_NUMBERS = "It reads and writes what was asked for, of which keys are."
+
 LOCK = ".lock"
 LOCK_MARK = "irl-bench "
 """What a lock says before the number of the process that has it."""

@@ -17,6 +17,8 @@ from filelock import lock_descriptor
 from harness.registry import BadInput
 from harness.run.files import opened
 
+NO_NUMBERS = "It makes and deletes temporary folders."
+
 PREFIX = "irl-bench-"
 MARKER = ".irl-bench-scratch-9d1f7c52a3e84b06"
 """The file that makes a folder ours to delete, unless somebody holds a lock on it. It says whose the folder

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
+NO_NUMBERS = "It ends a run cleanly."
+
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Collection
 
+NO_NUMBERS = "It counts what is done, for people."
+
 FEW, EVERY = 64, 1.0
 """Where more jobs run, how long the rest may take is reckoned once in so many seconds: each is looked at."""
 TRUST = 0.1

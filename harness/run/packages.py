@@ -1,0 +1,91 @@
+"""Installed packages that numbers can come from, with their versions."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib.metadata
+import importlib.util
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+PROGRAM = "irl-bench"
+NO_NUMBERS = "Whatever it does shows in the keys themselves."
+LEFT_OUT = {
+    **dict.fromkeys(("irl-bench",), "keys are of its source"),
+    **dict.fromkeys(("matplotlib", "jinja2", "markupsafe", "rich", "rerun-sdk"), "they show results"),
+    **dict.fromkeys(("pillow", "imageio", "pygame-ce", "pygame", "glfw", "pyopengl"), "they draw"),
+    **dict.fromkeys(("filelock", "pebble", "psutil", "tqdm"), "they start, lock or count"),
+    **dict.fromkeys(("pandas",), "it makes tables of stored rows"),
+    **dict.fromkeys(("pyarrow",), "it reads files of demonstrations, whose content is in the keys"),
+}
+"""Packages of which no number is, and why. What only they require is left out, too."""
+
+
+@functools.cache
+def required(*roots: str) -> dict[str, str]:
+    """Return the versions of these distributions and of all that they require, directly or not, by name.
+
+    Extras are left out, and so is what `LEFT_OUT` names. A distribution that is not installed has version ''.
+    """
+    versions = dict[str, str]()
+    waiting = [*roots] or [PROGRAM]
+    while waiting:
+        if (name := canonicalize_name(waiting.pop())) in versions:
+            continue
+        try:
+            distribution = importlib.metadata.distribution(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = ""
+            continue
+        versions[name] = distribution.version
+        requirements = map(Requirement, distribution.requires or ())
+        waiting += [
+            one.name
+            for one in requirements
+            if canonicalize_name(one.name) not in LEFT_OUT
+            and (one.marker is None or one.marker.evaluate({"extra": ""}))
+        ]
+    return {name: version for name, version in sorted(versions.items()) if name != PROGRAM}
+
+
+@functools.cache
+def imported(module: str) -> dict[str, str]:
+    """Return the versions of what a module of an installed package needs, by distribution.
+
+    That is what it imports, lazily or not, and what the modules of its package do that it imports, with all
+    that is `required` by it: a task of Gymnasium may need a simulator that Gymnasium itself does not.
+    """
+    top = module.partition(".")[0]
+    spec = importlib.util.find_spec(top)
+    folders = [Path(folder) for folder in (spec and spec.submodule_search_locations) or ()]
+    tops, waiting, seen = {top}, [module], {top}
+    while waiting:
+        name = waiting.pop()
+        tops.add(name.partition(".")[0])
+        if name in seen or not name.startswith(f"{top}."):
+            continue
+        seen.add(name)
+        for folder in folders:
+            path = folder.joinpath(*name.split(".")[1:])
+            for file in (path.with_suffix(".py"), path / "__init__.py"):
+                if file.is_file():
+                    package = name if file.parent == path else name.rpartition(".")[0]
+                    waiting += _imports(file.read_bytes(), package)
+    known = importlib.metadata.packages_distributions()
+    return required(*sorted({name for top in tops for name in known.get(top, ())}))
+
+
+def _imports(source: bytes, package: str) -> list[str]:
+    """Modules, and names in modules, that a file of the package imports."""
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            relative = "." * node.level + (node.module or "")
+            module = importlib.util.resolve_name(relative, package) if node.level else relative
+            names += [module, *(f"{module}.{alias.name}" for alias in node.names)]
+    return names
