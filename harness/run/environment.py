@@ -33,13 +33,10 @@ NUMERIC_PREFIXES = (
 """Beginnings of the names of variables that numeric libraries read. Isolated cells have none of them besides
 those that are set here; of this process all are in the keys of what it computes itself."""
 NO_NUMBER_PREFIXES = (
-    "JAX_COMPILATION_CACHE_",
-    "JAX_PERSISTENT_CACHE_",
-    "JAX_LOG",
-    "JAX_TRACEBACK",
-    "TORCH_HOME",
+    *("JAX_COMPILATION_CACHE_", "JAX_PERSISTENT_CACHE_", "JAX_LOG", "JAX_TRACEBACK"),
+    *("TF_CPP_", "TORCH_HOME"),
 )
-"""Beginnings of names among those that no number depends on."""
+"""Beginnings of names among those that no number depends on; libraries set some of them on import."""
 FIXED = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",

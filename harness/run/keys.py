@@ -29,12 +29,12 @@ RUNNING = (
 EXPERTS_MODULE = "harness.run.experts"
 """The module that makes what cells share."""
 CLONE = "bc"
-"""The method that stands in for an expert where there is none (`harness.run.without_expert`)."""
+"""Name of the method that replaces an absent expert (`harness.run.without_expert`)."""
 SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
 """Modules that score policies, and choose the episodes."""
 DECLARATION = "NO_NUMBERS"
-"""Variable by which a module says which of its places change no number, and why: one reason for the whole
-module, or a reason for each place, such as 'Class.method'."""
+"""Variable of a module that lists which of its places change no number. It holds one reason for the whole
+module, or a reason by place, such as 'Class.method'."""
 NO_NUMBERS = "It makes the keys themselves."
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """What decides, besides the program, how cells are reported."""
@@ -42,7 +42,7 @@ PACKAGES = (
     *("torch", "numpy", "scipy", "jax", "jaxlib", "flax", "optax", "stable-baselines3", "sbx-rl"),
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
-"""Packages whose versions people are told. Keys are of more of them (`harness.run.packages`)."""
+"""Packages whose versions a result names. Keys are of more of them (`harness.run.packages`)."""
 MODULES = {"sbx-rl": "sbx"}
 """Packages whose module has another name."""
 PROGRAM = ("envs", "methods", "harness")
@@ -168,8 +168,8 @@ def report_key(cells: object) -> str:
 
 
 def sources(*modules: str) -> set[str]:
-    """Return the files of the program that importing these modules reads, without those of which a
-    `DECLARATION` says that they change no number."""
+    """Return the files of the program that importing these modules reads. Files that change no number, by
+    their `DECLARATION`, are left out."""
     found: set[str] = set()
     waiting = [name for module in modules for name in _files_of(module)]
     while waiting:
@@ -188,10 +188,9 @@ def _files_of(module: str) -> list[str]:
 
 
 class Code(NamedTuple):
-    """What a file does.
+    """Digest and imports of a file.
 
-    imports: modules, and names in modules, that it imports, lazily or not. counts: whether it can change a
-    number.
+    imports: modules, and names in modules, lazy ones too. counts: whether the file can change a number.
     """
 
     digest: str
@@ -240,7 +239,7 @@ class _Numbers(ast.NodeTransformer):
 
 @functools.cache
 def _code(source: bytes) -> Code:
-    """What a file does, whatever it says of that. A file that cannot be read imports nothing."""
+    """Return what a file does, without its comments. A file that cannot be parsed imports nothing."""
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):

@@ -21,7 +21,7 @@ LEFT_OUT = {
     **dict.fromkeys(("pandas",), "it makes tables of stored rows"),
     **dict.fromkeys(("pyarrow",), "it reads files of demonstrations, whose content is in the keys"),
 }
-"""Packages of which no number is, and why. What only they require is left out, too."""
+"""Packages that change no number, and why. Packages that only they require are left out, too."""
 
 
 @functools.cache
@@ -53,10 +53,10 @@ def required(*roots: str) -> dict[str, str]:
 
 @functools.cache
 def imported(module: str) -> dict[str, str]:
-    """Return the versions of what a module of an installed package needs, by distribution.
+    """Return the versions of the distributions that a module of an installed package imports, lazily or not.
 
-    That is what it imports, lazily or not, and what the modules of its package do that it imports, with all
-    that is `required` by it: a task of Gymnasium may need a simulator that Gymnasium itself does not.
+    Imports are followed within its package, and each distribution comes with all that it requires. So the
+    simulator of a task is found that Gymnasium itself does not require.
     """
     top = module.partition(".")[0]
     spec = importlib.util.find_spec(top)

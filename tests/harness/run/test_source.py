@@ -23,7 +23,7 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
-from harness.run.keys import PROGRAM, ROOT, STAGES, cell_keys, expert_key, program, sources
+from harness.run.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
 from harness.run.processes import NAME, fresh_processes
 from tests.harness.fake_runs import compute
 
@@ -154,7 +154,7 @@ def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path
 
 
 def test_only_what_python_would_import_counts(reading: Path) -> None:
-    before = sources(STAGES, "methods.bc"), expert_key("cartpole", None)
+    before = sources(*RUNNING, "methods.bc"), expert_key("cartpole", None)
     (reading / "methods/.#bc.py").symlink_to("nobody@nowhere")
     (reading / "methods/gone.py").symlink_to("nowhere")
     (reading / "methods/folder.py").mkdir()
@@ -165,11 +165,11 @@ def test_only_what_python_would_import_counts(reading: Path) -> None:
     (reading / "methods/__pycache__").mkdir()
     (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
     program.cache_clear()
-    assert (sources(STAGES, "methods.bc"), expert_key("cartpole", None)) == before
+    assert (sources(*RUNNING, "methods.bc"), expert_key("cartpole", None)) == before
     (reading / "methods/network.py").write_text("import methods.another\n")
     (reading / "methods/another.py").write_text("")
     program.cache_clear()
-    assert "methods/another.py" in sources(STAGES, "methods.bc")
+    assert "methods/another.py" in sources(*RUNNING, "methods.bc")
     assert expert_key("cartpole", None) != before[1]
 
 
@@ -212,6 +212,22 @@ def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest
     assert cell_keys([CELL], CONDITIONS, numeric(False)) != before
     assert expert_key("cartpole", None) != here
     assert of_this_process()[name] == "another"
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        *((name, True) for name in ("JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_RANDOM_SEED_OFFSET")),
+        *((name, True) for name in ("TF_ENABLE_ONEDNN_OPTS", "MKL_DYNAMIC", "GLIBC_TUNABLES", "LD_PRELOAD")),
+        *((name, False) for name in ("JAX_COMPILATION_CACHE_DIR", "TORCH_HOME", "TERM", "PWD")),
+    ],
+)
+def test_inline_what_libraries_read_of_this_process_is_part_of_the_key(
+    name: str, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = cell_keys([CELL], CONDITIONS, of_this_process())
+    monkeypatch.setenv(name, "another")
+    assert (cell_keys([CELL], CONDITIONS, of_this_process()) != before) == counts
 
 
 def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
