@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from harness import demonstration_forms as forms
 from harness.arguments import installed_version
+from harness.judge.numbers import as_text
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
@@ -181,7 +183,10 @@ def described(found: Found) -> list[str]:
     if found.returns is None:
         lines.append("returns     not told")
     else:
-        lines += [f"returns     {found.returns.mean():.2f} on average", *_histogram(found.returns)]
+        lines += [
+            f"returns     {as_text(found.returns.mean(), '.2f')} on average",
+            *_histogram(found.returns),
+        ]
     return lines
 
 
@@ -190,10 +195,9 @@ def _histogram(values: Array) -> list[str]:
         return []
     counts, edges = np.histogram(values, BINS)
     scale = 40 / counts.max()
-    return [
-        f"  {low:10.2f} to {high:10.2f} {'#' * round(count * scale)}{' ' * bool(count)}{count or ''}".rstrip()
-        for count, low, high in zip(counts, edges, edges[1:], strict=False)
-    ]
+    spans = [f"{as_text(a, '10.2f')} to {as_text(b, '10.2f')}" for a, b in pairwise(edges)]
+    bars = [f"{'#' * round(count * scale)}{' ' * bool(count)}{count or ''}" for count in counts]
+    return [f"  {span} {bar}".rstrip() for span, bar in zip(spans, bars, strict=True)]
 
 
 def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) -> Found:

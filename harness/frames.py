@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, SupportsIndex
 
@@ -13,10 +13,20 @@ import pandas as pd
 
 from harness import commands
 from harness.arguments import parser
+from harness.judge.leaderboard import Entry
+from harness.judge.results import Row
 from harness.registry import BadInput
 from harness.run import plugins as plugged_in
+from harness.show.spreadsheet import read_csv
 
 DEFAULT = Path("results/latest")
+NUMBERS = ("int", "float", "bool", "Count", "Seed")
+"""Types of columns of numbers."""
+TEXTS: Mapping[str, type] = {
+    **{field.name: str for kind in (Row, Entry) for field in fields(kind) if field.type not in NUMBERS},
+    **dict.fromkeys(("budget", "rl", "program", "finished"), str),
+}
+"""Columns of texts, some of which could be taken for numbers."""
 
 
 @dataclass(frozen=True)
@@ -83,5 +93,5 @@ def load(directory: Path | str) -> Frames:
 
 
 def _table(file: Path) -> pd.DataFrame:
-    """A method may be called null or NA, and only what is empty is none."""
-    return pd.read_csv(file, keep_default_na=False, na_values=[""])
+    with file.open("rb") as binary:
+        return read_csv(binary, TEXTS)

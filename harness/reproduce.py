@@ -28,7 +28,8 @@ from harness.run.files import write_atomic
 from harness.run.marked import open_marked
 from harness.run.request import STUDY
 from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.show.report import as_csv
+from harness.show.report import frame_of
+from harness.show.spreadsheet import as_csv
 from harness.show.terminal import score_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
@@ -65,7 +66,7 @@ def open_study(path: Path) -> Iterator[None]:
 def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
     """Writes tables and figures into `directory` from the results of each protocol's run."""
     rows = [row for results in runs.values() for row in scored_rows(results)]
-    write_atomic(directory / "scores.csv", as_csv(rows, COLUMNS))
+    write_atomic(directory / "scores.csv", as_csv(frame_of(rows, COLUMNS)))
     entries = [entry for results in runs.values() for entry in leaderboard(scored_rows(results))]
     order = (*STUDIED, *CONTROLS, REFERENCE)
     entries.sort(
@@ -73,7 +74,7 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
     )
     lines = [_line(entry) for entry in entries if entry.method != REFERENCE]
     table = pd.DataFrame(lines).drop_duplicates(ignore_index=True)
-    write_atomic(directory / "study.csv", table.to_csv(index=False, lineterminator="\n"))
+    write_atomic(directory / "study.csv", as_csv(table))
     write_atomic(directory / "study.md", _markdown(table))
     for env in dict.fromkeys(entry.env for entry in entries):
         mine = [entry for entry in entries if entry.env == env]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import REFERENCE, Row
 from harness.judge.roles import UNINFORMED
 from harness.judge.statistics import interquartile_interval, interquartile_mean
@@ -47,7 +48,8 @@ def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
         knows_nothing = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
         if knows_nothing:
             top = max(knows_nothing, key=lambda e: e.score_mean)
-            found[env] = f"{top.method} scores {top.score_mean:.2f} there, the best method {best:.2f}"
+            scores = as_text(top.score_mean, ".2f"), as_text(best, ".2f")
+            found[env] = f"{top.method} scores {scores[0]} there, the best method {scores[1]}"
     return found
 
 

@@ -52,4 +52,9 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward
 
 def total(reward: Reward, obs: Array, act: Array) -> float:
     """What the reward pays for an episode, obs (T+1, O) and act (T, A), counted from what absorption pays."""
-    return float((reward(obs[:-1], act, obs[1:]) - reward.absorbing).sum())
+    return float(paid(reward, obs, act).sum())
+
+
+def paid(reward: Reward, obs: Array, act: Array) -> Array:
+    """(T,): what it pays for each step. It is given arrays of its own, for it may write into them."""
+    return np.asarray(reward(obs[:-1].copy(), act.copy(), obs[1:].copy()) - reward.absorbing)

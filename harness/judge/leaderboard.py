@@ -67,6 +67,8 @@ class Entry:
     score_high: float
     varies: str
     """What intervals are over: 'seeds'; 'episodes' where there is one seed, whose luck is not in them."""
+    best: bool
+    """Whether it is the one that other methods' policies of the same name are compared with."""
     behind_mean: float
     """Of methods: how much less it scores than the best one's policy of the same name, paired by seed."""
     behind_low: float
@@ -93,6 +95,12 @@ class Entry:
     rl_solves: float
     note: str
     """Where it comes from, if from a baseline; which seeds were skipped, failed or not scored, and why."""
+
+    @property
+    def incomparable(self) -> bool:
+        """Whether it is a method with a score, but without a seed that the best one has too."""
+        scored = is_rival(self.method) and math.isfinite(self.score_mean)
+        return scored and not self.best and not math.isfinite(self.behind_mean)
 
     @property
     def task(self) -> str:
@@ -277,6 +285,7 @@ def _entry(
         score_low=score_low,
         score_high=score_high,
         varies=varies,
+        best=bool(best) and best[0].method == first.method,
         behind_mean=behind,
         behind_low=behind_low,
         behind_high=behind_high,

@@ -19,7 +19,7 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes) -> None:
     obs, act = (values[:ROWS] for values in demos.pairs())
     if not callable(learned.policy):
         raise TypeError("the policy of what fit returns cannot be called")
-    chosen = spec.executed(np.asarray(learned.policy(obs)))
+    chosen = spec.executed(np.asarray(learned.policy(obs.copy())))
     if len(chosen) != len(obs):
         raise ValueError(f"a policy gave {len(chosen)} actions for {len(obs)} observations")
     reward = learned.reward
@@ -32,6 +32,6 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes) -> None:
             "the reward of what fit returns lacks `absorbing`, what a step in the absorbing state pays "
             "(docs/termination.md)"
         )
-    paid = np.asarray(reward(obs, act, obs))
+    paid = np.asarray(reward(obs.copy(), act.copy(), obs.copy()))
     if paid.shape != (len(obs),) or not np.isfinite([*paid, float(reward.absorbing)]).all():
         raise ValueError("the reward must give one finite number for each step, and one for absorption")

@@ -101,10 +101,10 @@ class Simulator:
             chosen = spec.executed(answer(obs[places, now], episodes))
             if len(chosen) != len(places):
                 raise ValueError(f"a policy gave {len(chosen)} actions for {len(places)} observations")
+            act[places, now] = chosen
             if first is not None:
                 for i in np.flatnonzero(now < begun[episodes]):
-                    chosen[i] = first[episodes[i]][now[i]]
-            act[places, now] = chosen
+                    act[places[i], now[i]] = first[episodes[i]][now[i]]
             stepped = self._batch.step(places.tolist(), act[places, now])
             obs[places, now + 1], rewards[places, now], terminated = stepped
             length[places] += 1

@@ -81,7 +81,8 @@ class TrainingEnv(VecEnv):
                     raise FloatingPointError("the reward must give one finite number for each step")
                 paid[alive] = living - reward.absorbing if self._offset else living
         else:
-            paid = reward(steps)
+            own = Transitions(*(column.copy() for column in vars(steps).values()))
+            paid = np.array(reward(own))
         if paid.shape != true.shape or not (np.abs(paid) <= LARGEST).all():
             raise FloatingPointError("the reward must give one finite number for each step")
         return paid

@@ -72,7 +72,7 @@ class TaskWorld:
         if self._expert is None:
             raise ValueError("only methods that are marked as asking the expert may ask it")
         self.answers += len(obs)
-        return self._spec.executed(self._expert(obs))
+        return np.array(self._spec.executed(self._expert(obs.copy())))
 
     def agent(
         self,

@@ -58,10 +58,12 @@ def run_cell(
     rows = [row(task, one, scored.get(one.name)) for one in made]
     if nobody:
         rows[0] = without_expert.in_its_place(rows[0], conditions)
-    recordings = dict[str, bytes]()
+    recordings, troubles = dict[str, bytes](), list[str]()
     for one in made:
         if one.name in watched:
-            recordings |= recorded(task, one, scored[one.name], watched[one.name])
+            files, false = recorded(task, one, scored[one.name], watched[one.name])
+            recordings |= files
+            troubles += false
     result = CellResult(
         cell,
         rows=[
@@ -70,7 +72,7 @@ def run_cell(
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
         warnings=[w for one in made for w in one.warnings]
-        + [*filter(None, missed), *(lost if keeps else ())],
+        + [*filter(None, missed), *(lost if keeps else ()), *troubles],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
         below_bar=any(missed),
@@ -78,8 +80,8 @@ def run_cell(
         seconds=task.seconds,
     )
     folders = {"recordings": recordings, "artifacts": artifacts}
-    files = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
-    return result, files if keeps or not learned else files | {LEARNED: learned}
+    kept = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
+    return result, kept if keeps or not learned else kept | {LEARNED: learned}
 
 
 class _Told:
@@ -127,8 +129,10 @@ def watched_policies(task: Task, made: Sequence[Made]) -> dict[PolicyName, Watch
     return {one.name: Watched(one.policy) for one in made if records and one.policy is not None}
 
 
-def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> dict[str, bytes]:
-    """The recordings of its evaluation episodes, by the files' names."""
+def recorded(
+    task: Task, made: Made, scored: Evaluation, watched: Watched
+) -> tuple[dict[str, bytes], list[str]]:
+    """The recordings of its evaluation episodes, by the files' names, and why some are missing."""
     from harness.run import episodes  # 30 MB of rerun, which other seeds do without
 
     return episodes.recorded(task, made, scored, watched)

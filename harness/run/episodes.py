@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec
 from harness.judge.advantage import policy_advantage
-from harness.judge.evaluation import Evaluation
+from harness.judge.evaluation import Evaluation, paid
+from harness.judge.numbers import as_text
 from harness.judge.results import LARGEST, recording_of
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
@@ -29,12 +30,17 @@ MOMENTS = 6
 """Stretches of an episode whose advantage is told, where the model is not known."""
 LANES = 100
 """Episodes that are played side by side, at most."""
+SLACK = 1e-9
+"""How far, as a share, an episode's return may be from the scored one when it is played again."""
 LEAST_WEIGHT = 0.05
 """What the expert would go on to reach counts until the discount has fallen to this."""
 
 
-def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> dict[str, bytes]:
-    """The recordings of a policy's episodes that conditions ask for, by the files' names."""
+def recorded(
+    task: Task, made: Made, scored: Evaluation, watched: Watched
+) -> tuple[dict[str, bytes], list[str]]:
+    """The recordings of a policy's episodes that conditions ask for, by the files' names, and why there is
+    none of an episode that is not the one that was scored when it is played again."""
     with task.during("record"):
         spec, reward, policy, expert = task.place, made.reward, made.policy, None
         assert policy is not None
@@ -47,15 +53,23 @@ def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> di
         worth: Sequence[Advantage | None] = [None] * len(played)
         if expert is not None:
             worth = advantages(spec, expert, played, seeds, reward)
-        found = {}
+        found, troubles = {}, []
         for (which, number), seed, trajectory, one in zip(numbers.items(), seeds, played, worth, strict=True):
+            again, once = float(trajectory.rewards.sum()), float(scored.returns[number])
+            if not math.isclose(again, once, rel_tol=SLACK, abs_tol=SLACK):
+                told = (
+                    f"{as_text(once, '.6g')}, and {as_text(again, '.6g')} when its actions were played again"
+                )
+                what = f"{task.cell.name}, {made.name}: evaluation episode {number}"
+                troubles.append(f"{what} returned {told}: the task is not reproducible, nothing is recorded")
+                continue
             obs = trajectory.obs[:-1]
             shaped = _shaped(reward, obs)
             episode = Episode(
                 trajectory,
                 scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
                 learned=None if reward is None else _paid(reward, trajectory),
-                expert=None if expert is None else spec.executed(expert(obs)),
+                expert=None if expert is None else np.array(spec.executed(expert(obs.copy()))),
                 f=shaped[0] if shaped else None,
                 precision=shaped[1] if shaped else None,
                 advantage=one,
@@ -64,7 +78,7 @@ def recorded(task: Task, made: Made, scored: Evaluation, watched: Watched) -> di
             )
             name = recording_of(task.cell, made.name, which)
             found[name] = record(spec, task.cell, made.name, which, episode)
-        return found
+        return found, troubles
 
 
 def play(spec: EnvSpec, seeds: Sequence[int], acts: Sequence[Array]) -> list[Trajectory]:
@@ -88,9 +102,8 @@ def _among(scored: Evaluation, number: int) -> dict[str, str | float]:
 
 def _paid(reward: Reward, trajectory: Trajectory) -> Array:
     """(T,): what R* pays above absorption; numbers that mean nothing are 0."""
-    obs = trajectory.obs
-    paid = np.asarray(reward(obs[:-1], trajectory.act, obs[1:]) - reward.absorbing, np.float64)
-    return np.where(np.abs(paid) <= LARGEST, paid, 0.0)
+    told = np.asarray(paid(reward, trajectory.obs, trajectory.act), np.float64)
+    return np.where(np.abs(told) <= LARGEST, told, 0.0)
 
 
 def _shaped(reward: Reward | None, obs: Array) -> tuple[Array, Array] | None:
@@ -130,8 +143,8 @@ def advantages(
         true = _gained(one.rewards, [other.rewards for other in on], its, spec.gamma)[told]
         learned = None
         if reward is not None:
-            paid = [_paid(reward, other) for other in on]
-            learned = _gained(_paid(reward, one), paid, its, spec.gamma)[told]
+            theirs = [_paid(reward, other) for other in on]
+            learned = _gained(_paid(reward, one), theirs, its, spec.gamma)[told]
         found.append(Advantage(its[1:][told], true, learned) if len(true) else None)
     return found
 
@@ -139,7 +152,7 @@ def advantages(
 def _gained(rewards: Array, of_expert: Sequence[Array], moments: NDArray[np.int64], gamma: float) -> Array:
     """(K,): of each stretch between K + 1 moments, by these rewards (T,), and by those of the episodes in
     which the expert takes over at each."""
-    values = [_discounted(paid[at:], gamma) for paid, at in zip(of_expert, moments[:-1], strict=True)]
+    values = [_discounted(its[at:], gamma) for its, at in zip(of_expert, moments[:-1], strict=True)]
     values.append(0.0)  # nothing is to be had where an episode has ended
     found = []
     for i, (at, to) in enumerate(pairwise(moments)):
@@ -156,8 +169,8 @@ def _known_advantage(spec: EnvSpec, trajectory: Trajectory, reward: Reward | Non
     true = np.broadcast_to(tabular.reward[:, None], tabular.P.shape[:2])
     at = tabular.states(trajectory.obs[:-1]), trajectory.act.argmax(axis=1)
     found = [
-        policy_advantage(tabular.P, paid, expert, spec.gamma)[at]
-        for paid in (true, *([] if reward is None else [expected_rewards(tabular, reward)]))
+        policy_advantage(tabular.P, rewards, expert, spec.gamma)[at]
+        for rewards in (true, *([] if reward is None else [expected_rewards(tabular, reward)]))
     ]
     return Advantage(np.arange(len(trajectory.act)), found[0], found[1] if found[1:] else None)
 

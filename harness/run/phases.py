@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from harness.judge.numbers import as_text
+
 NO_NUMBERS = "It reads and words what people are told of a cell's progress."
 
 IN_WORDS = {
@@ -16,7 +18,7 @@ IN_WORDS = {
     "record": "recording",
 }
 STEPS = re.compile(r"(.*), (?:step ([\d,]{1,20}) of ([\d,]{1,20})|([\d,]{1,20}) steps so far)")
-RETURNS = re.compile(r"(\w+) (-?\d{1,20}\.\d+)")
+RETURNS = re.compile(r"(\w+) (-?\d{1,20}(?:\.\d+|(?:\.\d+)?e[+-]\d{1,3}))")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,9 @@ def phase_of(said: str) -> Phase:
 
 def returned(returns: Mapping[str, float]) -> str:
     """Mean returns of policies, as `phase_of` reads them."""
-    return ", ".join(f"{name} {value:.{1 if abs(value) >= 10 else 2}f}" for name, value in returns.items())
+    return ", ".join(
+        f"{name} {as_text(value, '.1f' if abs(value) >= 10 else '.2f')}" for name, value in returns.items()
+    )
 
 
 def short(count: int) -> str:

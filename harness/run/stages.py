@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ from envs import EnvSpec
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import Evaluation, evaluate, total
+from harness.judge.numbers import as_text
 from harness.judge.results import (
     CONTROLS,
     LONGEST_TEXT,
@@ -176,7 +177,8 @@ def learned_by(task: Task, method: str, demos: Episodes, world: World) -> Learne
     """What a method learns with the settings of its environment and budget."""
     settings = settings_for(method, task.cell.env, task.conditions.budget)
     rng = rng_for(task.cell.seed, task.cell.env, method, "fit")
-    learned = load_method(method)(**settings).fit(demos, world, rng)
+    own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
+    learned = load_method(method)(**settings).fit(own, world, rng)
     check_learned(learned, task.spec, demos)
     return learned
 
@@ -273,8 +275,9 @@ def missed_bar(task: Task, expert: Evaluation) -> str:
     bar = task.place.bar(task.seeds)
     if expert.returns.mean() >= bar and terminated <= allowed:
         return ""
+    reached = as_text(expert.returns.mean(), ".2f")
     return (
         f"{task.cell.env}, seed {task.cell.seed}: the expert misses its bar: mean return "
-        f"{expert.returns.mean():.2f} (at least {bar:.2f}), {terminated:.0%} of episodes terminated "
+        f"{reached} (at least {bar:.2f}), {terminated:.0%} of episodes terminated "
         f"early (at most {allowed:.0%})"
     )

@@ -20,7 +20,7 @@ class Watched:
 
     def __call__(self, obs: Array, /) -> Array:
         act = self.policy(obs)
-        self._answers.append(act)
+        self._answers.append(np.array(act))  # for it may be the policy's own buffer
         return act
 
     def actions(self, lengths: Sequence[int]) -> list[Array]:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, Shown
 from harness.show.figures import POLICIES, RED, Picture, file_of, picture, styled
 
@@ -80,7 +81,7 @@ def _over_demonstrations(env: str, entries: Sequence[Entry], flag: str) -> list[
     figure.legend(*shared.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     if flag:
         figure.suptitle(flag, color=RED)
-    told = "; ".join(f"{e.method} {e.policy} with {e.demos}: {e.score_mean:.2f}" for e in mine)
+    told = "; ".join(f"{e.method} {e.policy} with {e.demos}: {as_text(e.score_mean, '.2f')}" for e in mine)
     title = f"{env}: scores against demonstrations"
     if len(every) > len(lines):
         title += f" (the first {len(lines)} of {len(every)} lines)"
@@ -112,7 +113,7 @@ def _over_dynamics(env: str, entries: Sequence[Entry], flag: str) -> list[Pictur
             if method in CONTROLS:
                 axes.axhspan(row - 0.5, row + 0.5, color="#eeeeee", linewidth=0, zorder=-1)
         for entry in (e for e in mine if e.dynamics == variant and math.isfinite(e.score_mean)):
-            told.append(f"{variant}: {entry.method} {entry.policy} {entry.score_mean:.2f}")
+            told.append(f"{variant}: {entry.method} {entry.policy} {as_text(entry.score_mean, '.2f')}")
             if entry.policy == "expert":
                 axes.axvline(entry.score_mean, color="#009e73", linewidth=1.2, linestyle=":")
             if entry.method == REFERENCE:

@@ -12,10 +12,11 @@ from markupsafe import Markup
 
 from harness.judge.comparisons import front
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, Shown
 from harness.show import svg
 from harness.show.boards import Board
-from harness.show.tables import Item, Number, Table, number, score
+from harness.show.tables import Item, Table, number, score
 
 MOST_LINES = 14
 """Methods of a figure of lines; its table has all."""
@@ -110,7 +111,9 @@ def costs(board: Board) -> Chart | None:
         at = [(cost, entry.score_mean) for cost, entry in points]
         best = front(at)
         y = svg.around([s for _, s in at], "", least=(0.0, 1.0))
-        said = ", ".join(f"{points[i][1].method} {NAMES[points[i][1].policy]} {at[i][1]:.2f}" for i in best)
+        said = ", ".join(
+            f"{points[i][1].method} {NAMES[points[i][1].policy]} {as_text(at[i][1], '.2f')}" for i in best
+        )
         x = svg.decades([cost for cost, _ in at], f"{unit} (log)")
         plot = svg.Plot(f"score against {unit}", f"Scores against {unit}. On the Pareto front: {said}.", x, y)
         plot.rule(y=1.0)
@@ -119,7 +122,7 @@ def costs(board: Board) -> Chart | None:
         for cost, value in at:
             plot.taken(cost, value)
         for place, (cost, entry) in enumerate(points):
-            told = Number(f"{cost:,.0f}" if cost >= 10 else f"{cost:.2g}", cost)
+            told = number(cost, ",.0f" if cost >= 10 else ".2g")
             tip = f"{entry.method} {NAMES[entry.policy]}: {score(entry)}, {told} {unit}"
             plot.mark(cost, entry.score_mean, *POLICIES[entry.policy], tip)
             lines.append(
@@ -145,7 +148,7 @@ def distances(board: Board) -> Chart | None:
         return None
     y = svg.around([e.score_mean for e in known], "", least=(0.0, 1.0))
     x = svg.Axis(-0.03, 1.03, "distance of R* from the true reward")
-    told = "; ".join(f"{e.method} {e.reward_distance:.2f}, {e.score_mean:.2f}" for e in known)
+    told = "; ".join(f"{e.method} {e.reward_distance:.2f}, {as_text(e.score_mean, '.2f')}" for e in known)
     plot = svg.Plot("score of π_R", f"Distances of rewards and scores of π_R in {board.name}: {told}.", x, y)
     plot.rule(y=1.0)
     plot.rule(y=0.0)
@@ -185,7 +188,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         its = [e for e in mine if e.policy == policy]
         if not its:
             continue
-        told = "; ".join(f"{e.method} with {e.demos}: {e.score_mean:.2f}" for e in its)
+        told = "; ".join(f"{e.method} with {e.demos}: {as_text(e.score_mean, '.2f')}" for e in its)
         plot = svg.Plot(
             f"{NAMES[policy]}: score", f"Scores of {NAMES[policy]} by demonstrations: {told}.", x, y
         )

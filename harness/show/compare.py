@@ -8,8 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
+from harness.judge.numbers import as_text
 from harness.judge.results import REFERENCE, CellResult, Conditions, Row
 from harness.judge.statistics import mean_interval, probability_of_improvement
+from harness.show.tables import interval
 
 HEADINGS = (
     "Task",
@@ -163,8 +165,8 @@ def as_lines(found: Sequence[Difference]) -> list[list[str]]:
     """Of the table with `HEADINGS`."""
     return [
         [
-            *(d.board, d.method, d.policy, str(d.seeds), f"{d.here:z.2f}", f"{d.there:z.2f}"),
-            f"{d.difference:+.2f}" + (f" [{d.low:+.2f}, {d.high:+.2f}]" if math.isfinite(d.low) else ""),
+            *(d.board, d.method, d.policy, str(d.seeds), as_text(d.here, "z.2f"), as_text(d.there, "z.2f")),
+            str(interval(d.difference, d.low, d.high, "+.2f")),
             f"{d.better:.2f}",
         ]
         for d in found

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from harness.judge.numbers import as_text
 from harness.judge.results import REFERENCE, CellResult, Curve, thinned
 from harness.show import svg
 from harness.show.boards import Board
@@ -73,7 +74,9 @@ def learning(board: Board, most: int = MOST_PANELS) -> Chart | None:
                 plot.band(_points(true, "low"), _points(true, "high"), "c1")
             plot.line(_points(true), "c1")
             for chosen in filter(None, map(_chosen, by_method[method][:MOST_SEEDS])):
-                plot.mark(*chosen, "ring", "c1", f"steps {chosen[0]:,.0f}: true return {chosen[1]:.1f}")
+                plot.mark(
+                    *chosen, "ring", "c1", f"steps {chosen[0]:,.0f}: true return {as_text(chosen[1], '.1f')}"
+                )
         plots.append(plot.render())
     data = _data(board.name, means)
     return Chart(board.name, plots, _left_out(board, methods, most), name=f"learning {board.name}", data=data)

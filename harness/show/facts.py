@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from harness.judge.command_line import as_seeds, command_of
 from harness.judge.results import PROGRAM_NAME, CellResult, Request, Row
-from harness.show.tables import Item, Number, Table
+from harness.show.tables import Item, Number, Table, number
 
 NO_RESULT = "NOT A RESULT"
 
@@ -77,7 +77,7 @@ def details(name: str, results: Sequence[CellResult]) -> Table:
     lines: list[list[Item]] = []
     for key, values in sorted(found.items()):
         mean = sum(values) / len(values)
-        lines.append([*key, Number(f"{mean:,.0f}" if mean >= 100 else f"{mean:.2g}", mean)])
+        lines.append([*key, number(mean, ",.0f" if abs(mean) >= 100 else ".2g")])
     return Table(name, ("Method", "Detail of its fit", "Mean over seeds"), lines)
 
 
@@ -105,7 +105,7 @@ def spent(results: Sequence[CellResult]) -> Table:
         seconds.update(result.seconds)
     total = sum(seconds.values())
     lines: list[list[Item]] = [
-        [stage, Number(f"{took:.1f}", took), Number(f"{took / total:.0%}", took / total)]
+        [stage, number(took, ".1f"), Number(f"{took / total:.0%}", took / total)]
         for stage, took in seconds.most_common()
         if took
     ]

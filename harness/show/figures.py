@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, Row
 from harness.show.boards import Board
 from harness.show.facts import NO_RESULT
@@ -103,7 +104,7 @@ def _scores(env: str, entries: Sequence[Entry], rows: Sequence[Row], flag: str) 
                 words.append(f"{entry.policy} n/a")
                 continue
             drawn.setdefault(entry.policy, []).append((y, entry))
-            words.append(f"{entry.policy} {entry.score_mean:.2f}")
+            words.append(f"{entry.policy} {as_text(entry.score_mean, '.2f')}")
         told.append(f"{method} {', '.join(words)}")
     for policy, its in drawn.items():
         _, colour, marker = POLICIES[policy]

@@ -120,7 +120,7 @@ def _dynamics(
         state = np.zeros((len(physics.start(np.random.default_rng(0))), where.shape[1]))
         state[list(at)] = where
         before = np.asarray(physics.observe(state)).T
-        act = spec.executed(policy(before))
+        act = np.array(spec.executed(policy(before.copy("K"))))
         pushed = act[:, 1:] - act[:, :1] if spec.discrete else act
         after = physics.advance(state, pushed.T.astype(np.float32))
         true = np.ones(len(act)) if spec.discrete else physics.pay(state, pushed.T.astype(np.float32), after)
@@ -154,7 +154,7 @@ def _still(
     spec: EnvSpec, policy: Policy, before: Array, pay: Callable[[Array, Array], Array]
 ) -> tuple[Array, Array, Array, Array]:
     """What stays where it is for a step."""
-    act = spec.executed(policy(before))
+    act = np.array(spec.executed(policy(before.copy("K"))))
     return before, act, before, pay(before, act)
 
 
@@ -200,7 +200,7 @@ def _of_cells(spec: EnvSpec, policy: Policy, reward: Reward | None, obs: Array) 
     assert tabular is not None
     learned = None
     if reward is not None:
-        chosen = policy(tabular.obs).argmax(axis=1)
+        chosen = policy(tabular.obs.copy()).argmax(axis=1)
         paid = expected_rewards(tabular, reward)[np.arange(len(chosen)), chosen]
         learned = (paid - reward.absorbing).reshape(SIZE, SIZE)
     path = np.asarray(positions(SIZE)[tabular.states(obs)] + 0.5, np.float64)

@@ -21,6 +21,7 @@ from harness.show import charts, curves, facts, profiles, tables
 from harness.show.boards import Board
 from harness.show.charts import Chart
 from harness.show.glossary import MEANINGS
+from harness.show.spreadsheet import as_csv
 from harness.show.summary import anchor, summary
 from harness.show.tables import Table
 
@@ -209,5 +210,5 @@ def _hash(text: str) -> str:
 
 def pack(frame: pd.DataFrame) -> str:
     """A CSV of it, compressed, as text."""
-    text = frame.to_csv(index=False, lineterminator="\n", float_format="%.5g")
+    text = as_csv(frame, float_format="%.5g")
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()

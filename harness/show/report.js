@@ -108,7 +108,9 @@ document.getElementById("more")?.addEventListener("click", (event) => {
 });
 
 function csv(table) {
-  const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  // A spreadsheet would compute a text that begins like this (harness/show/spreadsheet.py).
+  const plain = (text) => (/^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(text) ? `'${text}` : text);
   const rows = [...table.tBodies[0].rows].filter((row) => !row.hidden);
   const bounded = headings(table).map((_, i) => rows.some((row) => row.cells[i].dataset.b));
   const head = headings(table).flatMap((name, i) => {
@@ -117,7 +119,7 @@ function csv(table) {
   });
   const lines = rows.map((row) =>
     [...row.cells].flatMap((cell, i) => {
-      const text = cell.dataset.v ?? (table.tHead.rows[0].cells[i].className === "n" ? "" : cell.textContent);
+      const text = cell.dataset.v ?? (table.tHead.rows[0].cells[i].className === "n" ? "" : plain(cell.textContent));
       return bounded[i] ? [text, ...(cell.dataset.b ?? " ").split(" ")] : [text];
     }),
   );

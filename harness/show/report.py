@@ -15,6 +15,7 @@ from harness.judge.results import COLUMNS, NOMINAL, PROGRAM_NAME, Cell, CellResu
 from harness.show import facts, figures, page
 from harness.show.axes import draw_axes
 from harness.show.boards import Board, boards_of, compared_across, first
+from harness.show.spreadsheet import as_csv
 from harness.show.tables import (
     COSTS,
     FIRST,
@@ -89,7 +90,7 @@ def report_files(
         pictures += draw_axes(env, its, f"{facts.NO_RESULT}: {flags[env]}" if flags[env] else "")
     return {
         "scores.csv": _scores_csv(rows, request, results),
-        "leaderboard.csv": as_csv(entries, [f.name for f in dataclasses.fields(Entry)]),
+        "leaderboard.csv": as_csv(frame_of(entries, [f.name for f in dataclasses.fields(Entry)])),
         "leaderboard.md": leaderboard_md(found),
         "report.html": page.render(found, parts),
         **{f"figures/{picture.file}": picture.png for picture in pictures},
@@ -148,23 +149,15 @@ def _left_out(every: Sequence[Board], shown: Sequence[Board], drawn: Sequence[Bo
 def _scores_csv(rows: Sequence[Row], request: Request, results: Sequence[CellResult]) -> str:
     """The rows, with what each was computed under."""
     cells = {result.cell: result for result in results}
-    frame = _frame(rows, COLUMNS)
+    frame = frame_of(rows, COLUMNS)
     conditions = request.conditions
     frame["budget"], frame["rl"] = conditions.budget, conditions.rl
     mine = [cells[Cell(row.env, row.method, row.seed, row.shown, row.dynamics)] for row in rows]
     frame["program"] = [result.origin.get(PROGRAM_NAME, "") for result in mine]
     frame["finished"] = [result.finished for result in mine]
-    return frame.to_csv(index=False, lineterminator="\n")
+    return as_csv(frame)
 
 
-def as_csv(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> str:
-    """A table of the items, a line each, which a spreadsheet shows as it is."""
-    return _frame(items, columns).to_csv(index=False, lineterminator="\n")
-
-
-def _frame(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> pd.DataFrame:
-    frame = pd.DataFrame(map(attrgetter(*columns), items), columns=list(columns))
-    for name in ("reason", "note"):
-        if name in frame:  # A spreadsheet would compute what begins like this.
-            frame[name] = ["'" + text if text.startswith(tuple("=+-@")) else text for text in frame[name]]
-    return frame
+def frame_of(items: Sequence[Row] | Sequence[Entry], columns: Sequence[str]) -> pd.DataFrame:
+    """Return a table of the items, a line each."""
+    return pd.DataFrame(map(attrgetter(*columns), items), columns=list(columns))

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 from harness.judge.across_tasks import indistinct
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import NOMINAL, REFERENCE
 from harness.judge.roles import ASKS
 from harness.show.boards import Board
-from harness.show.tables import NOTHING, is_best, score
+from harness.show.tables import INCOMPARABLE, NOTHING, score
 
 MOST_COLUMNS = 16
 """Boards of each group."""
@@ -131,10 +132,11 @@ def _tile(entry: Entry | None) -> Tile:
         return Tile(failed, "", -1, name + why)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds"
     over = "; interval over episodes" if entry.varies == "episodes" else ""
-    mark = BEST if is_best(entry) else TIED if entry.tied else ""
-    said = {BEST: "; the best", TIED: "; not told apart from the best", "": ""}[mark]
+    mark = BEST if entry.best else TIED if entry.tied else ""
+    apart = f"; {INCOMPARABLE} with the best" * entry.incomparable
+    said = {BEST: "; the best", TIED: "; not told apart from the best", "": apart}[mark]
     shade = round(SHADES * min(1.0, max(0.0, entry.score_mean)))
-    return Tile(f"{entry.score_mean:z.2f}", mark, shade, f"{name}{score(entry)}, {seeds}{over}{said}")
+    return Tile(as_text(entry.score_mean, "z.2f"), mark, shade, f"{name}{score(entry)}, {seeds}{over}{said}")
 
 
 def _warned(board: Board, policy: str) -> list[Warned]:
@@ -163,9 +165,11 @@ def _found(board: Board) -> str:
     said = []
     for policy, name in (("pi_star", "π*"), ("pi_R", "π_R")):
         its = [e for e in board.entries if e.policy == policy]
-        best = next((e for e in its if is_best(e)), None)
+        best = next((e for e in its if e.best), None)
         if best:
-            tied = sum(e.tied for e in its)
-            others = f" ({tied} other{'s' * (tied > 1)} not told apart)" if tied else ""
+            tied, apart = sum(e.tied for e in its), sum(e.incomparable for e in its)
+            counts = [f"{tied} other{'s' * (tied > 1)} not told apart"] * bool(tied)
+            counts += [f"{apart} with {INCOMPARABLE}"] * bool(apart)
+            others = f" ({', '.join(counts)})" if counts else ""
             said.append(f"best {name} {best.method} {score(best)}{others}")
     return f"{board.name}: {'; '.join(said)}" if said else ""

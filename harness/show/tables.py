@@ -9,9 +9,12 @@ from dataclasses import dataclass
 
 from harness.judge.across_tasks import Overall
 from harness.judge.leaderboard import Entry
+from harness.judge.numbers import as_text
 from harness.judge.results import NOMINAL
 
 NOTHING = "no score: what would score 1 is missing, or no better than random"
+INCOMPARABLE = "no seed in common"
+"""In the place of a difference to the best method, where there is nothing to compare."""
 LONGEST_NOTE = 5000
 """Characters of what a line notes."""
 
@@ -51,14 +54,14 @@ class Table:
 
 
 def number(value: float, spec: str) -> Number:
-    return Number(format(value, spec) if math.isfinite(value) else "n/a", value)
+    return Number(as_text(value, spec), value)
 
 
 def interval(mean: float, low: float, high: float, spec: str) -> Number:
     """A mean and its interval, if it has one."""
     known = math.isfinite(low)
-    told = f" [{low:{spec}}, {high:{spec}}]" if known else ""
-    return Number(number(mean, spec).text + told, mean, low if known else math.nan, high)
+    ends = f" [{as_text(low, spec)}, {as_text(high, spec)}]" if known else ""
+    return Number(as_text(mean, spec) + ends, mean, low if known else math.nan, high)
 
 
 def score(entry: Entry) -> Number:
@@ -69,13 +72,7 @@ def behind(entry: Entry) -> Number:
     found = interval(entry.behind_mean, entry.behind_low, entry.behind_high, "+z.2f")
     if math.isfinite(entry.behind_mean):
         return Number(found.text + (" tied" if entry.tied else ""), found.value, found.low, found.high)
-    return Number("the best", 0.0) if is_best(entry) else Number("", math.nan)
-
-
-def is_best(entry: Entry) -> bool:
-    """Whether it is the method that scores best."""
-    alone = entry.role == "method" and not math.isfinite(entry.behind_mean)
-    return alone and math.isfinite(entry.score_mean)
+    return Number("the best", 0.0) if entry.best else Number(INCOMPARABLE * entry.incomparable, math.nan)
 
 
 def _learned(value: Callable[[Entry], Number]) -> Callable[[Entry], Number]:
@@ -84,7 +81,7 @@ def _learned(value: Callable[[Entry], Number]) -> Callable[[Entry], Number]:
 
 
 def _distance(entry: Entry) -> Number:
-    floor = f" ({entry.reward_floor:z.2f})" if math.isfinite(entry.reward_floor) else ""
+    floor = f" ({as_text(entry.reward_floor, 'z.2f')})" if math.isfinite(entry.reward_floor) else ""
     found = number(entry.reward_distance, "z.2f")
     return Number(found.text + floor, found.value)
 

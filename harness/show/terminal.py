@@ -23,9 +23,11 @@ from harness.judge.leaderboard import (
     leaderboard,
     scored_rows,
 )
+from harness.judge.numbers import as_text
 from harness.judge.results import NOMINAL, CellResult, Request
 from harness.judge.roles import ASKS, UNINFORMED
 from harness.show.facts import NO_RESULT
+from harness.show.tables import INCOMPARABLE
 
 HEADINGS = ("Method", "Policy", "Score", "Behind best", "Note")
 NAMES = {"pi_star": "pi*", "pi_R": "pi_R"}
@@ -55,14 +57,14 @@ def found(request: Request, results: Sequence[CellResult], directory: Path) -> l
     ]
     if any(result.recordings for result in results):
         places.append(f"recordings: irl-bench view {where}")
-    told = {
+    lines = {
         "cells": "; ".join([*_counts(request, results, directory), *_cautions(request, results, boards)]),
         "pi*": _best(boards, "pi_star"),
         "pi_R": _best(boards, "pi_R"),
         "controls": _controls(boards),
         "look at": "; ".join(places),
     }
-    return [f"{label:{LABEL}}{line}" for label, line in told.items()]
+    return [f"{label:{LABEL}}{line}" for label, line in lines.items()]
 
 
 def wrapped(line: str) -> str:
@@ -98,9 +100,8 @@ def _table(entries: Sequence[Entry], intervals: bool) -> Table:
         with_interval = intervals and heading == "Score"
         table.add_column(f"{heading} [95 %]" if with_interval else heading, no_wrap=True)
     table.add_column(note, overflow="fold")
-    best = {policy: _best_of(entries, policy) for policy in NAMES}
     for entry in entries:
-        table.add_row(*map(Text, _line(entry, best.get(entry.policy), intervals)))
+        table.add_row(*map(Text, _line(entry, intervals)))
     return table
 
 
@@ -110,13 +111,11 @@ def _glossary(request: Request) -> str:
     return f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best."
 
 
-def _line(entry: Entry, best: Entry | None, intervals: bool) -> tuple[str, str, str, str, str]:
+def _line(entry: Entry, intervals: bool) -> tuple[str, str, str, str, str]:
     """In the order of `HEADINGS`."""
-    behind = ""
-    if entry is best:
-        behind = "the best"
-    elif math.isfinite(entry.behind_mean):
-        behind = f"{entry.behind_mean:z.2f}" + (" tied" if entry.tied else "")
+    behind = "the best" if entry.best else INCOMPARABLE * entry.incomparable
+    if math.isfinite(entry.behind_mean):
+        behind = as_text(entry.behind_mean, "z.2f") + (" tied" if entry.tied else "")
     role = {"method": "", ASKS: f"{ASKS}: no rival"}.get(entry.role, entry.role)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds" if 0 < entry.seeds_ok < entry.seeds else ""
     note = "; ".join(filter(None, [role, seeds, entry.note]))
@@ -133,11 +132,9 @@ def _boards(results: Sequence[CellResult]) -> Boards:
 
 def score_of(entry: Entry, interval: bool = True) -> str:
     """As '0.98 [0.96, 1.00]', or without the interval; 'n/a' where there is none."""
-    if not math.isfinite(entry.score_mean):
-        return "n/a"
     known = interval and math.isfinite(entry.score_low)
-    within = f" [{entry.score_low:z.2f}, {entry.score_high:z.2f}]" if known else ""
-    return f"{entry.score_mean:z.2f}{within}"
+    within = f" [{as_text(entry.score_low, 'z.2f')}, {as_text(entry.score_high, 'z.2f')}]" if known else ""
+    return as_text(entry.score_mean, "z.2f") + within
 
 
 def _counts(request: Request, results: Sequence[CellResult], directory: Path) -> list[str]:
@@ -150,10 +147,10 @@ def _counts(request: Request, results: Sequence[CellResult], directory: Path) ->
     counts += [f"{len(results) - len(own)} of a baseline"] if len(results) > len(own) else []
     conditions, seeds = request.conditions, request.seeds
     which = f"seed {seeds[0]}" if len(seeds) == 1 else f"{len(seeds)} seeds"
-    told = [", ".join(counts), f"budget {conditions.budget}, protocol {conditions.protocol}, {which}"]
+    lines = [", ".join(counts), f"budget {conditions.budget}, protocol {conditions.protocol}, {which}"]
     if statuses["failed"]:
-        told.append(f"why some failed: {directory / 'run.log'}; --retry-failed tries them again")
-    return told
+        lines.append(f"why some failed: {directory / 'run.log'}; --retry-failed tries them again")
+    return lines
 
 
 def _cautions(request: Request, results: Sequence[CellResult], boards: Boards) -> list[str]:
@@ -161,8 +158,8 @@ def _cautions(request: Request, results: Sequence[CellResult], boards: Boards) -
     if request.conditions.budget == "smoke":
         return [f"{NO_RESULT}: budget smoke only shows that everything runs"]
     below = list(dict.fromkeys(result.cell.env for result in results if result.below_bar))
-    told = [f"{NO_RESULT} on {_some(below)}: an expert misses its bar"] if below else []
-    return told + [ONE_SEED] * all(map(_has_one_seed, boards.values()))
+    lines = [f"{NO_RESULT} on {_some(below)}: an expert misses its bar"] if below else []
+    return lines + [ONE_SEED] * all(map(_has_one_seed, boards.values()))
 
 
 def _status(result: CellResult) -> str:
@@ -173,14 +170,11 @@ def _status(result: CellResult) -> str:
 def _best(boards: Boards, policy: str) -> str:
     """Which methods are best by this policy, and which are not told apart from those."""
     best = {name: one for name, its in boards.items() if (one := _best_of(its, policy))}
-    tied = {
-        name: [e.method for e in boards[name] if _is_scored(e, policy) and e.tied and e is not one]
-        for name, one in best.items()
-    }
+    tied = {name: [e.method for e in boards[name] if e.policy == policy and e.tied] for name in best}
     if len(best) > FEW_BOARDS:
         counts = Counter(method for name, one in best.items() for method in (one.method, *tied[name]))
-        told = [f"{method} on {count}" for method, count in counts.most_common()]
-        lines = [f"best or not told apart from it, of {len(best)} boards: {_some(told)}"]
+        often = [f"{method} on {count}" for method, count in counts.most_common()]
+        lines = [f"best or not told apart from it, of {len(best)} boards: {_some(often)}"]
     else:
         lines = [f"{name}: {_first(boards[name], one, tied[name])}" for name, one in best.items()]
     asking = {
@@ -197,17 +191,15 @@ def _first(entries: Sequence[Entry], best: Entry, tied: Sequence[str]) -> str:
     """The best of a board, and those that are not told apart from it."""
     most = max(e.seeds_ok for e in entries)
     seeds = f" ({best.seeds_ok} of {most} seeds)" if best.seeds_ok < most else ""
-    return f"{best.method} {score_of(best)}{seeds}" + (f", not told apart: {_some(tied)}" if tied else "")
+    apart = [e.method for e in entries if e.policy == best.policy and e.incomparable]
+    others = {"not told apart": tied, INCOMPARABLE: apart}
+    lists = [f", {title}: {_some(methods)}" for title, methods in others.items() if methods]
+    return f"{best.method} {score_of(best)}{seeds}{''.join(lists)}"
 
 
 def _best_of(entries: Sequence[Entry], policy: str) -> Entry | None:
     """Of one board, the entry that others are compared with; None where no method has a score."""
-    mine = sorted((e for e in entries if _is_scored(e, policy)), key=lambda e: e.method)
-    return max(mine, key=lambda e: e.score_mean, default=None)
-
-
-def _is_scored(entry: Entry, policy: str) -> bool:
-    return entry.policy == policy and entry.role == "method" and math.isfinite(entry.score_mean)
+    return next((e for e in entries if e.best and e.policy == policy), None)
 
 
 def _has_one_seed(entries: Sequence[Entry]) -> bool:
@@ -231,21 +223,21 @@ def _controls(boards: Boards) -> str:
     if not highest:
         return "no pi_R to compare with one of a reward that knows nothing"
     if ties:
-        told = [
+        lines = [
             "WARNING: a reward that knows nothing does as well as the best method's on "
-            + _some([f"{name} ({e.method} {e.score_mean:z.2f})" for name, e in ties.items()])
+            + _some([f"{name} ({e.method} {score_of(e, False)})" for name, e in ties.items()])
         ]
     else:
         name = max(highest, key=lambda name: highest[name].score_mean)
         top = highest[name]
-        told = [
+        lines = [
             f"no reward that knows nothing comes within {NO_BETTER} of the best method's; "
-            f"the highest: {top.method} {top.score_mean:z.2f} on {name}"
+            f"the highest: {top.method} {score_of(top, False)} on {name}"
         ]
     if short:
-        scores = [f"{e.score_mean:z.2f} on {name}" for name, e in short.items()]
-        told.append(f"RL on the true reward falls short: {_some(scores)}")
-    return "; ".join(told)
+        scores = [f"{score_of(e, False)} on {name}" for name, e in short.items()]
+        lines.append(f"RL on the true reward falls short: {_some(scores)}")
+    return "; ".join(lines)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -38,11 +38,12 @@ def check_learned(learned: object, obs: Array = OBS, act: Array = ACT) -> None:
     """Raises ContractError unless it is a `Learned` for observations (B, O) and actions (B, A)."""
     expect(isinstance(learned, Learned), f"fit must return a Learned, not {type(learned).__name__}")
     assert isinstance(learned, Learned)
-    chosen = learned.policy(obs)
+    chosen = learned.policy(obs.copy())
     expect(
         isinstance(chosen, np.ndarray) and chosen.shape == act.shape,
         f"the policy must give actions {act.shape} for observations {obs.shape}, not {np.shape(chosen)}",
     )
+    chosen = chosen.copy()  # for it may be the policy's own buffer
     expect(chosen.dtype.kind == "f", f"actions must be real numbers, floating-point, not {chosen.dtype}")
     expect(np.isfinite(chosen).all(), "actions must be finite")
     expect(np.abs(chosen).max() <= 1, f"actions must lie in [-1, 1], one is {np.abs(chosen).max():.3g}")
@@ -67,12 +68,13 @@ def _check_reward(reward: Reward, obs: Array, act: Array) -> None:
         isinstance(reward.absorbing, float) and bool(np.isfinite(reward.absorbing)),
         f"`absorbing` must be a finite float, not {reward.absorbing!r}",
     )
-    paid = reward(obs, act, obs)
+    paid = reward(obs.copy(), act.copy(), obs.copy())
     expect(
         np.shape(paid) == (len(obs),),
         f"the reward must give one number a step, ({len(obs)},), not {np.shape(paid)}",
     )
-    kind = np.asarray(paid).dtype
+    paid = np.array(paid)
+    kind = paid.dtype
     expect(kind.kind == "f", f"rewards must be real numbers, floating-point, not {kind}")
     expect(np.isfinite(paid).all(), "rewards must be finite")
     expect(np.array_equal(reward(obs, act, obs), paid), "the reward must be deterministic")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness.judge.evaluation import evaluate
+from harness.judge.evaluation import evaluate, total
+from harness.learn.simulator import Simulator
 from methods.base import Array
 from methods.rewards import Constant
 
@@ -54,3 +55,18 @@ def test_endings_are_counted(fragile: EnvSpec) -> None:
     columns = scored.columns()
     assert columns["length_std"] == pytest.approx(scored.lengths.std())
     assert columns["return_mean"] == pytest.approx(scored.returns.mean())
+
+
+def test_a_reward_that_writes_into_what_it_is_given_changes_nothing(steady: EnvSpec) -> None:
+    class Writing(Constant):
+        def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
+            told = next_obs[:, 0] - obs[:, 0]
+            for array in (obs, act, next_obs):
+                array[:] = 0.0
+            return told
+
+    (episode,) = Simulator(steady).run(lambda obs: obs[:, :1] * 0.5, [0])
+    before = episode.obs.copy()
+    assert total(Writing(0.0), episode.obs, episode.act) == pytest.approx(before[-1, 0] - before[0, 0])
+    assert np.array_equal(episode.obs, before)
+    assert episode.act.any()

@@ -155,6 +155,30 @@ def test_a_difference_that_nobody_would_care_for_is_none() -> None:
     assert near.tied
 
 
+def test_without_a_seed_in_common_with_the_best_a_method_is_neither_best_nor_tied() -> None:
+    results = [r for r in make_results(("cartpole",)) if r.cell.method != "shaped" or r.cell.seed == 0]
+    results = [r for r in results if r.cell.method != "maxmargin" or r.cell.seed == 1]
+    best, apart, clone = (entry_of(results, method, "pi_star") for method in ("bc", "shaped", "maxmargin"))
+    assert (best.best, best.incomparable) == (True, False)
+    assert not clone.best  # bc has all seeds, so both are compared with it
+    assert math.isfinite(apart.behind_mean)
+    assert math.isfinite(clone.behind_mean)
+    best, apart = (entry_of(results, method, "pi_R") for method in ("shaped", "maxmargin"))
+    assert (best.best, best.incomparable) == (True, False)
+    assert (apart.best, apart.tied, apart.incomparable) == (False, False, True)
+    control = entry_of(results, "control_true", "pi_R")
+    assert (control.best, control.incomparable) == (False, False)
+
+
+def test_a_board_has_one_best_of_each_policy_that_has_a_score() -> None:
+    equal = make_results(("cartpole",))
+    for result in equal:
+        if result.cell.method in ("shaped", "maxmargin"):
+            result.rows[:] = [dataclasses.replace(row, return_mean=400.0) for row in result.rows]
+    entries = leaderboard(scored_rows(equal))
+    assert {(e.policy, e.method) for e in entries if e.best} == {("pi_star", "bc"), ("pi_R", "maxmargin")}
+
+
 def test_the_share_of_bad_runs_is_told() -> None:
     results = make_results()
     (shaped,) = (x for x in overall(scored_rows(results)) if (x.method, x.policy) == ("shaped", "pi_R"))

@@ -178,3 +178,24 @@ def test_a_payment_sees_the_steps_into_absorption_and_in_it(fragile: EnvSpec, pr
     paid = agent._replay.rewards[: agent._replay.size()].ravel().astype(float)
     assert len(np.unique(paid.round(5))) == len(np.unique(raw))
     assert np.corrcoef(raw, paid)[0, 1] > 0.999
+
+
+def test_a_payment_that_reuses_its_buffer_and_writes_into_steps_changes_nothing(steady: EnvSpec) -> None:
+    env = training_env(steady, "absorbing")
+    env.reset()
+    buffer = np.empty(COPIES)
+
+    def pay(steps: Transitions) -> Array:
+        buffer[:] = steps.act[:, 0]
+        steps.act[:], steps.obs[:], steps.next_obs[:] = 0, 0, 0
+        return buffer
+
+    env.reward = pay
+    env.step(np.full((COPIES, 1), 0.5))
+    first, true = env.latest
+    assert (first.act == 0.5).all()
+    assert first.next_obs.any()
+    second = dataclasses.replace(first, act=-first.act)
+    one, other = env.normalise((first, true), (second, true))
+    assert np.array_equal(one, -other)
+    assert (one > 0).all()

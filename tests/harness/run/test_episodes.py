@@ -15,11 +15,13 @@ from harness.judge.results import Cell, CellResult, Conditions, compared_in, fil
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS, Record
+from harness.run import stages
 from harness.run.cells import prepare, run_cell
 from harness.run.compared import write_compared
 from harness.run.episodes import LEAST_WEIGHT, advantages, play
+from harness.run.experts import Shared
 from harness.run.watched import Watched, chosen
-from methods.base import Array
+from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
@@ -60,6 +62,69 @@ def test_what_a_policy_did_can_be_played_again_whatever_it_is_like(lanes: int) -
         assert np.array_equal(again.obs, episode.obs)
         assert np.array_equal(again.rewards, episode.rewards)
         assert again.ending == episode.ending
+
+
+class Reusing:
+    """A policy that hands out its own buffer, and writes into what it is given."""
+
+    def __init__(self, answers: dict[int, Array]) -> None:
+        self.rng, self.answers = np.random.default_rng(0), answers
+
+    def __call__(self, obs: Array) -> Array:
+        buffer = self.answers.setdefault(len(obs), np.empty((len(obs), SPEC.act_size)))
+        buffer[:] = SPEC.random_actions(len(obs), self.rng)
+        obs[:] = 0
+        return buffer[:]
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_a_policy_that_hands_out_its_own_buffer_is_recorded_as_it_acted(lanes: int) -> None:
+    watched = Watched(Reusing({}))
+    episodes = Simulator(SPEC, lanes).run(watched, range(4))
+    actions = watched.actions([len(episode.act) for episode in episodes])
+    assert len(np.unique(actions[0])) == len(actions[0]) > 5
+    for episode, again in zip(episodes, play(SPEC, range(4), actions), strict=True):
+        assert np.array_equal(again.rewards, episode.rewards)
+        assert np.array_equal(again.obs, episode.obs)
+        assert np.array_equal(again.act, episode.act)
+
+
+def test_first_actions_leave_a_policys_array_as_it_is() -> None:
+    constant = np.broadcast_to(np.full(SPEC.act_size, 0.1), (3, SPEC.act_size))
+    first = [np.full((2, SPEC.act_size), -1.0)] * 3
+    found = Simulator(SPEC).run(lambda obs: constant[: len(obs)], range(3), first)
+    assert all((one.act[:2] == -1).all() and (one.act[2:] == 0.1).all() for one in found)
+
+
+def test_an_episode_that_plays_otherwise_is_told_and_not_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    acts = Watched.actions
+    flipped = lambda self, lengths: [-one for one in acts(self, lengths)]  # noqa: E731
+    monkeypatch.setattr(Watched, "actions", flipped)
+    result = ran("bc", tmp_path)
+    assert result.recordings == {}
+    assert len(result.warnings) == 2
+    assert "pi_star: evaluation episode" in result.warnings[0]
+    assert "when its actions were played again" in result.warnings[0]
+    assert math.isfinite(result.rows[0].return_mean)
+
+
+def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Spoiling:
+        def fit(self, demos: Episodes, world: object, rng: object) -> Learned:
+            for array in (*demos.obs, *demos.act):
+                assert not array.flags.writeable
+                array.flags.writeable = True
+                array[:] = 0
+            return Learned(lambda obs: np.zeros((len(obs), SPEC.act_size)), None)
+
+    task = stages.Task(Cell("cartpole", "bc", 0), SMOKE, Shared(shared()))
+    demos = stages.demonstrations(task)
+    before = [array.copy() for array in (*demos.obs, *demos.act)]
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Spoiling())
+    stages.learned_by(task, "bc", demos, task.world())
+    assert all(map(np.array_equal, (*demos.obs, *demos.act), before))
 
 
 @pytest.mark.parametrize(

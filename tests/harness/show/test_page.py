@@ -175,6 +175,22 @@ def test_the_leaderboard_is_saved_as_it_is_filtered(page: Any, kind: str, tmp_pa
     assert {row["Env steps"] for row in rows} == {"15000"}
 
 
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1+1", "@A1", "\tx", "'=1"])
+def test_a_text_that_a_spreadsheet_would_compute_is_marked_where_it_is_saved(page: Any, text: str) -> None:
+    saved = page.evaluate(
+        """text => {
+            const table = document.querySelector("#lines table").cloneNode(true);
+            const note = table.querySelector("td.note");
+            note.textContent = text;
+            return csv(table);
+        }""",
+        text,
+    )
+    (row, *others) = csv.DictReader(io.StringIO(saved))
+    assert row["Note"] == f"'{text}"
+    assert [float(other["Behind the best"]) for other in others if other["Behind the best"]]
+
+
 def test_curves_are_saved_with_a_line_for_each_point(page: Any, tmp_path: Path) -> None:
     with page.expect_download() as saved:
         page.locator("#learning [data-file]").first.click()

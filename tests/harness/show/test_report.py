@@ -15,9 +15,11 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from scipy.stats import norm
 
+import irl_bench
 from harness.judge.across_tasks import indistinct, overall
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import (
@@ -31,7 +33,7 @@ from harness.judge.results import (
     Shown,
 )
 from harness.run.reporting import write_report
-from harness.show import curves, figures
+from harness.show import curves, figures, spreadsheet
 from harness.show.boards import Board
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
 
@@ -281,6 +283,79 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
         "0.1.0 (abc)",
         "1a2b3c4d:0",
     )
+
+
+def test_one_rule_tells_who_is_best_wherever_it_is_told(tmp_path: Path) -> None:
+    kept = {"shaped": 0, "maxmargin": 1}
+    results = [r for r in make_results(("cartpole",)) if kept.get(r.cell.method, r.cell.seed) == r.cell.seed]
+    write_report(tmp_path, REQUEST, results)
+    (line,) = [
+        line
+        for line in (tmp_path / "leaderboard.md").read_text().splitlines()
+        if line.startswith("| maxmargin | pi_R | 0.") and "seed in common" in line
+    ]
+    assert "the best" not in line
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("<b>★</b>") == 3  # the legend, and one of each policy
+    tile = "maxmargin, π_R, cartpole: 0.68 [0.68, 0.68], 1 of 1 seeds; interval over episodes; no seed"
+    assert tile in page
+    assert "(1 with no seed in common)" in page
+
+
+def test_the_command_is_told_once(report: Path) -> None:
+    page = (report / "report.html").read_text()
+    assert "<code>command: irl-bench run --methods" in page
+    assert "command: command:" not in page
+
+
+def test_numbers_beyond_all_bounds_are_short_everywhere(tmp_path: Path) -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if result.cell.method == "shaped":
+            result.rows[:] = [replace(row, return_mean=-1e99, own_return=1e99) for row in result.rows]
+            result.details["size"] = -1e99
+            result.curves["pi_R_chosen"] = [(5000.0, 1e99)]
+            result.curves["pi_R_true"] = [(5000.0, 1e99)]
+    write_report(tmp_path, REQUEST, results)
+    for name in ("leaderboard.md", "report.html"):
+        text = (tmp_path / name).read_text()
+        assert "-1e+99" in text
+        assert not re.search(r"\d{3}(,?\d{3}){10}", re.sub('id="files".*', "", text)), name
+
+
+def test_texts_that_a_spreadsheet_would_compute_are_marked_and_read_back(tmp_path: Path) -> None:
+    texts = ["=1+1", "+1", "-1", "@A1", "\tx", "\rx", "'=1", "''-1", "\uff1d1", "'", "plain -1", "'s"]
+    file = tmp_path / "a.csv"
+    table = pd.DataFrame({"text": texts, "number": [-float(i) for i in range(len(texts))]})
+    file.write_text(spreadsheet.as_csv(table), newline="")
+    with file.open(newline="") as raw:
+        lines = list(csv.DictReader(raw))
+    assert not [line["text"] for line in lines if line["text"][0] in "=+-@\t\r\uff1d"]
+    assert [line["number"] for line in lines] == [str(-float(i)) for i in range(len(texts))]
+    with file.open("rb") as binary:
+        again = spreadsheet.read_csv(binary, {"text": str})
+    assert [*again.text] == texts
+    assert [*again.number] == [*table.number]
+
+
+def test_no_column_of_texts_holds_a_formula(tmp_path: Path) -> None:
+    evil = '=HYPERLINK("http://x";1)'
+    results = [
+        replace(
+            r,
+            origin={"irl-bench": evil},
+            finished=evil,
+            rows=[replace(row, expert="@x", source="-1+1", reason=evil, status="skipped") for row in r.rows],
+        )
+        for r in make_results(("cartpole",))
+    ]
+    write_report(tmp_path, REQUEST, results)
+    for name in ("scores.csv", "leaderboard.csv"):
+        cells = {value for row in read_csv(tmp_path / name) for value in row.values()}
+        assert not [cell for cell in cells if cell[:1] in tuple("=+-@")]
+    found = irl_bench.load(tmp_path).scores
+    assert {*found.program, *found.finished, *found.reason} == {evil}
+    assert {*found.expert, *found.source} == {"@x", "-1+1"}
 
 
 def test_details_of_fits_are_told(tmp_path: Path) -> None:

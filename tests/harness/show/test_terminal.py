@@ -96,6 +96,23 @@ def test_what_is_not_told_apart_from_the_best_is_named() -> None:
     assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97], not told apart: shaped"
 
 
+def test_who_shares_no_seed_with_the_best_is_named_apart() -> None:
+    kept = {"shaped": 0, "maxmargin": 1}
+    results = [r for r in make_results(("cartpole",)) if kept.get(r.cell.method, r.cell.seed) == r.cell.seed]
+    assert found(results)["pi_R"] == (
+        "cartpole: shaped 0.88 [0.87, 0.88] (1 of 3 seeds), no seed in common: maxmargin"
+    )
+    (line,) = [line for line in terminal.tables(ONE, results) if line.split()[:2] == ["maxmargin", "pi_R"]]
+    assert "no seed in common" in line
+    assert "the best" not in line
+
+
+def test_a_number_beyond_all_bounds_is_short() -> None:
+    results = changed(make_results(("cartpole",)), "shaped", return_mean=1e99)
+    assert "shaped 2.083e+96" in found(results)["pi_R"]
+    assert max(map(len, terminal.tables(ONE, results))) <= 100
+
+
 def test_a_best_of_fewer_seeds_says_so() -> None:
     results = make_results(("cartpole",))
     for result in results:
