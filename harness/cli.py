@@ -102,6 +102,7 @@ def _list(named: Sequence[str]) -> int:
     from harness.run import plugins
 
     plugins.add(named)
+    plugins.load((), (*PLUGINS["env"],))  # what is named, and so is refused here as by `run`
     troubles = plugins.add_installed()
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
     theirs = PLUGINS["method"] | PLUGINS["env"]
