@@ -14,7 +14,18 @@ from itertools import chain
 from pathlib import Path
 
 from harness.arguments import parser
-from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
+from harness.registry import (
+    ASKING,
+    BUILT_IN,
+    ENVS,
+    GROUPS,
+    METHODS,
+    PLUGINS,
+    SPECS,
+    VARIANTS,
+    BadInput,
+    choose,
+)
 from harness.run.signals import ignore_stops, importing
 
 
@@ -165,7 +176,7 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
                 say(f"FAILED  {name}: it can be made without arguments: {type(error).__name__}: {error}")
                 failed = True
                 continue
-            found = testing.methods.checks(method)
+            found = testing.methods.checks(method, name in ASKING)
         else:
             found = testing.envs.checks(SPECS[name])
         for check in found:
