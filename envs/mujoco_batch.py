@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
+from envs.copies import gathered
 from envs.spec import Array, scaled
 
 
@@ -27,11 +28,11 @@ class MujocoBatch:
     def reset(self, place: int, seed: int) -> Array:
         return np.asarray(self._envs[place].reset(seed=seed)[0], np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(
+        self, places: Sequence[int], act: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
         native = self._scaled.action(act.astype(np.float32))
-        steps = [self._envs[place].step(action) for place, action in zip(places, native, strict=True)]
-        obs, rewards, terminated, _, _ = zip(*steps, strict=True)
-        return np.array(obs, np.float64), np.array(rewards, np.float64), np.array(terminated, bool)
+        return gathered(self._envs[place].step(action) for place, action in zip(places, native, strict=True))
 
     def why_ended(self, place: int) -> str:
         return self._why_ended(self._envs[place])

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple, Protocol
@@ -12,7 +13,9 @@ from typing import Any, NamedTuple, Protocol
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RescaleAction, TimeLimit
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
+from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -23,6 +26,10 @@ Array = NDArray[np.float64]
 BUDGETS = ("smoke", "quick", "full")
 RANDOM_STEPS = 1000
 """Steps of random actions by which a typical size of observations is told."""
+LARGEST = 1e100
+"""The largest reward that counts as finite: sums of these are."""
+INSTANCES = 3
+"""Instances of a task of others that are made to see whether they agree."""
 ROUNDING = 1e-9  # how far from 1 probabilities may sum
 
 
@@ -126,8 +133,11 @@ class Batch(Protocol):
     def reset(self, place: int, seed: int) -> Array:
         """(O,): the first observation of the copy's next episode."""
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Steps the copies by actions (B, A): observations (B, O), rewards (B,), whether each terminated."""
+    def step(
+        self, places: Sequence[int], act: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_]] | tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Steps the copies by actions (B, A): observations (B, O), rewards (B,), whether each terminated and,
+        where the task itself truncates episodes, whether it truncated each."""
 
     def why_ended(self, place: int) -> str:
         """Why the copy's episode just terminated."""
@@ -157,9 +167,9 @@ class EnvSpec:
     """One task: the environment itself and everything about it that a benchmark must know.
 
     The environment has flat float observations, terminates as its authors meant it to, and truncates at
-    `horizon`. Its actions are in [-1, 1]^A or, in a discrete one, 0 to A-1; everywhere else these are (B, A)
-    too, one entry for each, of which the largest acts. Raises ValueError where a field contradicts another
-    or the environment.
+    `horizon` at the latest. Its actions are in [-1, 1]^A or, in a discrete one, 0 to A-1; everywhere else
+    these are (B, A) too, one entry for each, of which the largest acts. Raises ValueError where a field
+    contradicts another or the environment.
     """
 
     name: str
@@ -171,7 +181,7 @@ class EnvSpec:
     obs_scale: tuple[float, ...]
     """A typical size of each observation while the task goes well; RL divides by it."""
     horizon: int
-    """Steps after which an episode is truncated."""
+    """Steps after which an episode is truncated, unless the task itself truncates it before."""
     obs_names: tuple[Quantity, ...] = ()
     """What each observation is, by a name of its own; default: 'obs 0', 'obs 1', ..."""
     act_names: tuple[Quantity, ...] = ()
@@ -220,8 +230,10 @@ class EnvSpec:
     def __post_init__(self) -> None:
         if not 0 < self.gamma < 1:
             raise ValueError(f"{self.name}: gamma must lie in (0, 1), not {self.gamma}")
-        if len(self.obs_scale) != self.obs_size or min(self.obs_scale) <= 0:
-            raise ValueError(f"{self.name}: obs_scale must hold a positive number for each observation")
+        if len(self.obs_scale) != self.obs_size or not all(0 < size < math.inf for size in self.obs_scale):
+            raise ValueError(
+                f"{self.name}: obs_scale must hold a positive, finite number for each observation"
+            )
         for kind, given, size in (
             ("obs", self.obs_names, self.obs_size),
             ("act", self.act_names, self.act_size),
@@ -242,7 +254,11 @@ class EnvSpec:
     def make(self) -> gym.Env:
         """A new instance, checked against the sizes above."""
         env = self.wrap(gym.make(self.env_id, **self.kwargs))
+        if isinstance(env.action_space, spaces.Discrete) and env.action_space.start != 0:
+            env = scaled(env)
         obs, act = env.observation_space, env.action_space
+        if isinstance(act, spaces.Box) and act.dtype.kind != "f":
+            raise ValueError(f"{self.name}: actions must be choices or real numbers, not whole ones, {act}")
         actions = (
             isinstance(act, spaces.Discrete) and act.n == self.act_size
             if self.discrete
@@ -250,8 +266,7 @@ class EnvSpec:
         )
         if obs.shape != (self.obs_size,) or not actions:
             raise ValueError(f"{self.name}: spaces {obs}, {act} contradict the spec's sizes or bounds")
-        limits = [wrapper.spec for wrapper in _wrappers(env) if isinstance(wrapper, TimeLimit)]
-        if min((limit.max_episode_steps or 0 for limit in limits if limit), default=0) != self.horizon:
+        if _limit(env) != self.horizon:
             raise ValueError(
                 f"{self.name}: the environment is not truncated at the spec's {self.horizon} steps"
             )
@@ -305,22 +320,26 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1], and
     MuJoCo's tasks get a batch. fields: of `EnvSpec`, what is known better.
 
-    Raises ValueError for observations that are not flat, actions that are neither choices nor bounded, and
-    where there is no time limit.
+    Raises ValueError for observations that are not flat or not finite, actions that are neither choices nor
+    bounded real numbers, rewards that are no number, and where there is no time limit or not always the same.
     """
     from gymnasium.envs.mujoco import MujocoEnv
 
     from envs.mujoco_batch import MujocoBatch
 
     made_with = fields.get("kwargs", {})
-    env = gym.make(env_id, **made_with)
-    obs, act = env.observation_space, env.action_space
+    env, *others = (gym.make(env_id, **made_with) for _ in range(INSTANCES))
+    obs, act, limit = env.observation_space, env.action_space, _limit(env)
     if not isinstance(obs, spaces.Box) or obs.shape is None or len(obs.shape) != 1:
         raise ValueError(f"{env_id}: observations must be a flat box, not {obs}")
-    if env.spec is None or env.spec.max_episode_steps is None:
+    if limit is None:
         raise ValueError(f"{env_id}: it has no time limit")
+    if other := [its for its in map(_limit, others) if its != limit]:
+        raise ValueError(f"{env_id}: its time limit is {limit} in one instance and {other[0]} in another")
     if isinstance(act, spaces.Discrete):
         found: dict[str, Any] = {"act_size": int(act.n), "discrete": True, "rl": DQN()}
+    elif isinstance(act, spaces.Box) and act.dtype.kind != "f":
+        raise ValueError(f"{env_id}: actions must be choices or real numbers, not whole ones, {act}")
     elif isinstance(act, spaces.Box) and len(act.shape) == 1 and act.is_bounded():
         found = {"act_size": act.shape[0], "wrap": scaled}
         usual = {TimeLimit, OrderEnforcing, PassiveEnvChecker}  # of `gym.make`
@@ -331,24 +350,108 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         env = scaled(env)
     else:
         raise ValueError(f"{env_id}: actions must be choices or a bounded box, not {act}")
-    env.action_space.seed(0)
-    seen = [env.reset(seed=0)[0]]
-    for _ in range(RANDOM_STEPS):
-        after, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        seen.append(env.reset()[0] if terminated or truncated else after)
     found["obs_size"] = obs.shape[0]
-    found["obs_scale"] = tuple(float(x) or 1.0 for x in np.sqrt(np.square(seen).mean(axis=0)))
-    found["horizon"] = env.spec.max_episode_steps if env.spec else 0
+    found["obs_scale"] = _typical(_random_observations(env, env_id))
+    found["horizon"] = limit
     found["summary"] = f"Gymnasium's {env_id}"
     return EnvSpec(name, env_id, **(found | fields))
 
 
-def scaled(env: gym.Env) -> RescaleAction[Any, Any, Any]:
-    """With actions in [-1, 1], in 32 bits."""
-    return RescaleAction(env, np.float32(-1), np.float32(1))
+def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
+    """Return observations (N, O) of random actions. Raises ValueError as `check_numbers` does."""
+    env.action_space.seed(0)
+    seen, length = list[NDArray[Any]](), 0
+
+    def see(obs: Any, reward: object) -> None:
+        seen.append(np.array(obs))  # a copy, for some environments write the next one into the same array
+        rows = np.array(seen[-1:], np.float64)
+        check_numbers(env_id, env.observation_space.shape[0], rows, numbers([reward]), [length])  # type: ignore[index]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Gymnasium's, of what is refused here in one line
+        see(env.reset(seed=0)[0], 0.0)
+        for _ in range(RANDOM_STEPS):
+            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            length += 1
+            see(obs, reward)
+            if terminated or truncated:
+                length = 0
+                seen.pop()
+                see(env.reset()[0], 0.0)
+    return np.array(seen)
 
 
-def _wrappers(env: gym.Env) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
+def _typical(obs: NDArray[Any]) -> tuple[float, ...]:
+    """Return the root mean square of each column (N, O), its largest size where squares are beyond what its
+    type holds, and 1 where all are 0."""
+    obs = obs.astype(np.result_type(obs, np.float32), copy=False)
+    with np.errstate(over="ignore", under="ignore"):
+        roots = np.sqrt(np.square(obs).mean(axis=0))
+    usual = (roots > 0) & (roots < np.inf)
+    return tuple(float(x) or 1.0 for x in np.where(usual, roots, np.abs(obs).max(axis=0)))
+
+
+def numbers(rewards: Iterable[object]) -> Array:
+    """Return (B,), of rewards that are numbers or arrays of one. Raises ValueError for others."""
+    arrays = [np.asarray(reward) for reward in rewards]
+    for array in arrays:
+        if array.size != 1 or array.dtype.kind not in "fiub":
+            raise ValueError(f"the reward of a step must be one number, not {array!r:.80}")
+    return np.array([array.item() for array in arrays], np.float64)
+
+
+def check_numbers(task: str, size: int, obs: Array, rewards: Array, steps: Sequence[int]) -> None:
+    """Raise ValueError unless observations are (B, size), rewards are (B,), and all are finite. steps: how
+    many each episode has taken."""
+    if obs.shape[1:] != (size,):
+        raise ValueError(f"{task} gives an observation of the shape {obs.shape[1:]}, not ({size},)")
+    if rewards.shape != obs.shape[:1]:
+        raise ValueError(f"{task} gives rewards of the shape {rewards.shape} for {len(obs)} steps")
+    if not np.isfinite(obs).all():
+        row, entry = np.argwhere(~np.isfinite(obs))[0]
+        raise ValueError(f"{task} gives {obs[row, entry]} as observation {entry} after step {steps[row]}")
+    if not (np.abs(rewards) <= LARGEST).all():
+        (row,) = np.argwhere(~(np.abs(rewards) <= LARGEST))[0]
+        raise ValueError(f"{task} gives {rewards[row]} as reward of step {steps[row]}")
+
+
+class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
+    """An environment with actions in [-1, 1], in 32 bits, or choices from 0 on. An action whose two bounds
+    are the same has that value, whatever is done."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self)
+        gym.ActionWrapper.__init__(self, env)
+        space = env.action_space
+        if isinstance(space, spaces.Discrete):
+            first = int(space.start)
+            self._native: Callable[[Any], Any] = lambda choice: np.int64(choice + first)
+            self.action_space = spaces.Discrete(int(space.n))
+            return
+        assert isinstance(space, spaces.Box)
+        wide, free = np.promote_types(space.dtype, np.float32), space.low < space.high
+        low, high = np.where(free, space.low, 0).astype(wide), np.where(free, space.high, 1).astype(wide)
+        _, _, unscaled = rescale_box(spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1))
+        # Rounding must not lead out of the bounds, which some environments check.
+        self._native = lambda act: np.clip(unscaled(act).astype(space.dtype), space.low, space.high)
+        self.action_space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
+
+    def action(self, action: Any) -> Any:
+        return self._native(action)
+
+
+def scaled(env: gym.Env[Any, Any]) -> Scaled:
+    """With actions in [-1, 1], in 32 bits, or choices from 0 on."""
+    return Scaled(env)
+
+
+def _limit(env: gym.Env[Any, Any]) -> int | None:
+    """Return the steps after which the environment's wrappers truncate an episode, None where none does."""
+    limits = [its._max_episode_steps for its in _wrappers(env) if isinstance(its, TimeLimit)]
+    return min(limits, default=None)
+
+
+def _wrappers(env: gym.Env[Any, Any]) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
     """From the outermost on."""
     while isinstance(env, gym.Wrapper):
         yield env

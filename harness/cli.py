@@ -14,7 +14,18 @@ from itertools import chain
 from pathlib import Path
 
 from harness.arguments import parser
-from harness.registry import BUILT_IN, ENVS, GROUPS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, choose
+from harness.registry import (
+    ASKING,
+    BUILT_IN,
+    ENVS,
+    GROUPS,
+    METHODS,
+    PLUGINS,
+    SPECS,
+    VARIANTS,
+    BadInput,
+    choose,
+)
 from harness.run.signals import ignore_stops, importing
 
 
@@ -102,6 +113,7 @@ def _list(named: Sequence[str]) -> int:
     from harness.run import plugins
 
     plugins.add(named)
+    plugins.load((), (*PLUGINS["env"],))  # what is named, and so is refused here as by `run`
     troubles = plugins.add_installed()
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
     theirs = PLUGINS["method"] | PLUGINS["env"]
@@ -164,7 +176,7 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
                 say(f"FAILED  {name}: it can be made without arguments: {type(error).__name__}: {error}")
                 failed = True
                 continue
-            found = testing.methods.checks(method)
+            found = testing.methods.checks(method, name in ASKING)
         else:
             found = testing.envs.checks(SPECS[name])
         for check in found:

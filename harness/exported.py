@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
+from envs.spec import numbers
 from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
@@ -103,16 +104,18 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        self._obs, info = self.env.reset(seed=seed, options=options)
-        return self._obs, info
+        obs, info = self.env.reset(seed=seed, options=options)
+        self._obs = np.array(obs, np.float64)  # a copy, for some environments write the next one into theirs
+        return obs, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         before = self._obs
-        self._obs, true, terminated, truncated, info = self.env.step(action)
+        obs, true, terminated, truncated, info = self.env.step(action)
+        self._obs = np.array(obs, np.float64)
         act = np.eye(self._spec.act_size)[int(action)] if self._spec.discrete else np.asarray(action)
         rows = [np.asarray(row, np.float64)[None] for row in (before, act, self._obs)]
         paid = float(self.reward(*rows)[0]) - (self.reward.absorbing if self.offset else 0.0)
-        return self._obs, paid, terminated, truncated, {**info, "true_reward": float(true)}
+        return obs, paid, terminated, truncated, {**info, "true_reward": float(numbers([true])[0])}
 
 
 def export(

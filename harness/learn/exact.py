@@ -21,12 +21,13 @@ class ExactSolver:
     def __init__(self, tabular: Tabular, gamma: float, rng: np.random.Generator) -> None:
         self.tabular, self.gamma, self.rng = tabular, gamma, rng
         self._reward: Reward | None = None
+        self._has_learned = False
 
     def learn(self, steps: int, reward: Reward | Payment | None) -> None:
         """Takes the reward to heart; `steps` do not matter. Raises ValueError for a `Payment`."""
         if reward is not None and not isinstance(reward, Reward):
             raise ValueError("where the model is known, an agent learns under rewards alone")
-        self._reward = reward
+        self._reward, self._has_learned = reward, True
 
     def best(self, reward: Reward | None) -> Solution:
         """A policy that is optimal under the reward, None being the true one. Which of several, chance says,
@@ -49,7 +50,10 @@ class ExactSolver:
 
     @property
     def policy(self) -> Policy:
-        """Optimal under the reward of the last `learn`."""
+        """Optimal under the reward of the last `learn`. Raises ValueError where nothing was learned yet: the
+        policy of no reward would be the expert's."""
+        if not self._has_learned:
+            raise ValueError("an agent that has not learned yet has no policy")
         return self.best(self._reward).policy
 
     @property

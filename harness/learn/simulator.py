@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 
-import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from envs import EnvSpec, Shape
-from envs.spec import Batch
+from envs.copies import Copies
 from methods.base import Array, Policy, Transitions
 
 NO_NUMBERS = {"drawings": "It draws pictures."}
@@ -35,18 +34,13 @@ class Trajectory:
         return Transitions(self.obs[:-1], self.act, self.obs[1:], np.zeros_like(into), into)
 
 
-def copies_of(spec: EnvSpec, count: int) -> Batch:
-    """So many copies of an environment, together where they can be."""
-    return spec.batch(count) if spec.batch else _Copies(spec)
-
-
 class Simulator:
     """Steps up to `lanes` copies of an environment side by side."""
 
     def __init__(self, spec: EnvSpec, lanes: int = 100) -> None:
         self.spec = spec
         self.lanes = lanes
-        self._batch = copies_of(spec, lanes)
+        self._batch = Copies(spec, lanes)
 
     def run(
         self,
@@ -106,9 +100,9 @@ class Simulator:
                 for i in np.flatnonzero(now < begun[episodes]):
                     act[places[i], now[i]] = first[episodes[i]][now[i]]
             stepped = self._batch.step(places.tolist(), act[places, now])
-            obs[places, now + 1], rewards[places, now], terminated = stepped
+            obs[places, now + 1], rewards[places, now], terminated, truncated = stepped
             length[places] += 1
-            for i in np.flatnonzero(terminated | (now + 1 == last[episodes])):
+            for i in np.flatnonzero(terminated | truncated | (now + 1 == last[episodes])):
                 place, end = int(places[i]), int(now[i]) + 1
                 ending = self._batch.why_ended(place) if terminated[i] else "time limit"
                 done[playing.pop(place)] = Trajectory(
@@ -133,32 +127,8 @@ def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:
     """The scene after the reset and after each of the episode's actions (T, A)."""
     env = spec.make()
     env.reset(seed=seed)
-    frames = [spec.draw(env)]
+    frames = [deepcopy(spec.draw(env))]  # for some tasks draw the next one into the same arrays
     for action in act:
         env.step(spec.native(action))
-        frames.append(spec.draw(env))
+        frames.append(deepcopy(spec.draw(env)))
     return frames
-
-
-class _Copies:
-    """Environments that are stepped one by one, made when they are needed."""
-
-    def __init__(self, spec: EnvSpec) -> None:
-        self._spec = spec
-        self._envs: dict[int, gym.Env] = {}
-
-    def reset(self, place: int, seed: int) -> Array:
-        if place not in self._envs:
-            self._envs[place] = self._spec.make()
-        return np.asarray(self._envs[place].reset(seed=seed)[0], np.float64)
-
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        steps = [
-            self._envs[place].step(self._spec.native(action))
-            for place, action in zip(places, act, strict=True)
-        ]
-        obs, rewards, terminated, _, _ = zip(*steps, strict=True)
-        return np.array(obs, np.float64), np.array(rewards, np.float64), np.array(terminated, bool)
-
-    def why_ended(self, place: int) -> str:
-        return self._spec.why_ended(self._envs[place])

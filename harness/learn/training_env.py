@@ -25,14 +25,13 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
+from envs.copies import Copies
+from envs.spec import LARGEST
 from harness.learn.seeds import training_seeds
-from harness.learn.simulator import copies_of
 from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Reward, Transitions
 from methods.rewards import Constant
 
 NOT_ABSORBED = -1
-LARGEST = 1e100
-"""The largest reward that counts as finite: sums of these are."""
 REWARD_SIZE = 0.1
 """Mean absolute reward after scaling."""
 
@@ -52,7 +51,7 @@ class TrainingEnv(VecEnv):
         super().__init__(copies, spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32), actions)
         self.reward: Reward | Payment | None = None
         self.spec = spec
-        self._batch = copies_of(spec, copies)
+        self._batch = Copies(spec, copies)
         self._obs_scale = np.array(spec.obs_scale)
         self._state = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
@@ -145,10 +144,11 @@ class TrainingEnv(VecEnv):
         spec, obs = self.spec, self._obs
         act = np.eye(spec.act_size)[self._actions] if spec.discrete else self._actions.astype(np.float64)
         alive = self._absorbed_for == NOT_ABSORBED
-        next_obs, true, terminated = obs.copy(), np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        next_obs, true = obs.copy(), np.zeros(self.num_envs)
+        terminated, cut = np.zeros((2, self.num_envs), bool)
         if alive.any():
             stepped = self._batch.step(np.flatnonzero(alive).tolist(), act[alive])
-            next_obs[alive], true[alive], terminated[alive] = stepped
+            next_obs[alive], true[alive], terminated[alive], cut[alive] = stepped
         self.latest = Transitions(obs, act, next_obs, ~alive, terminated | ~alive), true
         raw = self.raw_rewards(*self.latest)
         self._obs = next_obs
@@ -156,8 +156,8 @@ class TrainingEnv(VecEnv):
         self._absorbed_for[~alive] += 1
         ended = terminated & (not self._state)
         self._absorbed_for[terminated & ~ended] = 0
-        at_horizon = alive & ~terminated & (self._age == spec.horizon)
-        truncated = at_horizon | (self._absorbed_for == ABSORBING_STEPS)
+        at_limit = alive & ~terminated & (cut | (self._age == spec.horizon))
+        truncated = at_limit | (self._absorbed_for == ABSORBING_STEPS)
         done = ended | truncated
         seen = self._seen()
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]

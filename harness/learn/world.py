@@ -104,12 +104,14 @@ class WorldAgent:
         self._world, self._solver = world, solver
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
+        _check_told(reward)
         before = self._solver.env_steps
         self._solver.learn(steps, reward)
         self._world.env_steps += self._solver.env_steps - before
         self._world.rl_solves += 1
 
     def best(self, reward: Reward) -> Policy:
+        _check_told(reward)
         solution = self._solver.best(reward)
         self._world.check_steps += solution.check_steps
         return solution.policy
@@ -125,6 +127,12 @@ class WorldAgent:
     def replay(self) -> Transitions:
         seen = self._solver.replay()
         return Transitions(*(column.copy() for column in vars(seen).values()))
+
+
+def _check_told(reward: object) -> None:
+    """Raise TypeError for None, which stands for the true reward where solvers are used without a world."""
+    if not callable(reward):
+        raise TypeError(f"an agent learns under a reward or a payment, not {reward!r:.60}")
 
 
 def solver_for(

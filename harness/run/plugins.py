@@ -151,12 +151,16 @@ def unpack() -> None:
 
 
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:
-    """Imports those of these that are plug-ins'. Raises BadInput where one is broken."""
+    """Imports those of these that are plug-ins', and tries tasks out. Raises BadInput where one is broken."""
     for kind, names in (("method", methods), ("env", envs)):
         for name in names:
             if name in PLUGINS[kind]:
                 with _its_troubles(f"the {kind} {name} cannot be loaded"):
                     _check(kind, name, load_method(name) if kind == "method" else SPECS[name])
+                    if kind == "env":
+                        from envs.copies import try_out
+
+                        try_out(SPECS[name])
 
 
 def sources(target: str) -> Sources:

@@ -7,9 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from envs.gridworld import objectworld
+from envs.gridworld import SPEC, objectworld
+from envs.learners import DDPG
+from envs.spec import EnvSpec
+from harness.registry import ASKING, load_method
 from harness.testing.contract import Check, expect
-from harness.testing.worlds import FakeWorld, FiniteWorld
+from harness.testing.worlds import FakeWorld
 from methods.base import Array, Episodes, Learned, Method, Reward
 
 OBS = np.random.default_rng(7).normal(size=(40, 3)) * 3
@@ -17,20 +20,23 @@ ACT = np.random.default_rng(8).uniform(-1, 1, (40, 2))
 HYPER = "a method's fields are its hyper-parameters"
 
 
-def checks(method: Method) -> list[Check]:
-    """What it must satisfy; each is to be called. In worlds that answer at once, with observations (3,) and
-    actions (2,), or 4 by 4 states with 5 choices."""
+def checks(method: Method, asks: bool | None = None) -> list[Check]:
+    """What it must satisfy; each is to be called. In a world that answers at once, with observations (3,) and
+    actions (2,), and a real one of 4 by 4 states with 5 choices. asks: whether it may ask the expert; by
+    default where it is a built-in method that may."""
+    if asks is None:
+        asks = type(method) in map(load_method, ASKING)
     lasting, terminating = _demonstrations(10), _demonstrations(3)
     return [
         Check("it is a frozen dataclass", partial(_is_frozen, method)),
-        Check("fit returns a policy and a reward", partial(_answers, method, lasting)),
-        Check("so it does where demonstrations terminate", partial(_answers, method, terminating)),
-        Check("so it does of every other step", partial(_answers, method, lasting.every(2, _rng(0)))),
-        Check("so it does of one step", partial(_answers, method, _one_step(False))),
-        Check("so it does of one step that terminates", partial(_answers, method, _one_step(True))),
-        Check("nothing but its generator decides", partial(_is_reproducible, method, lasting)),
-        Check("it leaves demonstrations as they are", partial(_leaves, method, lasting)),
-        Check("it fits where the model is known", partial(_knows, method)),
+        Check("fit returns a policy and a reward", partial(_answers, method, asks, lasting)),
+        Check("so it does where demonstrations terminate", partial(_answers, method, asks, terminating)),
+        Check("so it does of every other step", partial(_answers, method, asks, lasting.every(2, _rng(0)))),
+        Check("so it does of one step", partial(_answers, method, asks, _one_step(False))),
+        Check("so it does of one step that terminates", partial(_answers, method, asks, _one_step(True))),
+        Check("nothing but its generator decides", partial(_is_reproducible, method, asks, lasting)),
+        Check("it leaves demonstrations as they are", partial(_leaves, method, asks, lasting)),
+        Check("it fits where the model is known", partial(_knows, method, asks)),
     ]
 
 
@@ -104,24 +110,28 @@ def _is_frozen(method: Method) -> None:
     expect(frozen, f"{kind.__name__} must be frozen, @dataclass(frozen=True): {HYPER}, and do not change")
 
 
-def _answers(method: Method, demos: Episodes) -> None:
-    check_learned(method.fit(demos, FakeWorld(), _rng(0)))
+def _fitted(method: Method, asks: bool, demos: Episodes) -> Learned:
+    return method.fit(demos, FakeWorld(asked=asks, unit=DDPG().unit), _rng(0))
 
 
-def _outcome(method: Method, demos: Episodes) -> list[Array]:
-    learned = method.fit(demos, FakeWorld(), _rng(0))
+def _answers(method: Method, asks: bool, demos: Episodes) -> None:
+    check_learned(_fitted(method, asks, demos))
+
+
+def _outcome(method: Method, asks: bool, demos: Episodes) -> list[Array]:
+    learned = _fitted(method, asks, demos)
     found = [learned.policy(OBS), *map(np.array, learned.curves.values())]
     if learned.reward is not None:
         found += [learned.reward(OBS, ACT, OBS), np.array(learned.reward.absorbing)]
     return found
 
 
-def _is_reproducible(method: Method, demos: Episodes) -> None:
+def _is_reproducible(method: Method, asks: bool, demos: Episodes) -> None:
     before = np.random.get_state()  # noqa: NPY002
     try:
-        one = _outcome(method, demos)
+        one = _outcome(method, asks, demos)
         np.random.seed(5)  # noqa: NPY002
-        other = _outcome(method, demos)
+        other = _outcome(method, asks, demos)
     finally:
         np.random.set_state(before)  # noqa: NPY002
     expect(
@@ -130,18 +140,39 @@ def _is_reproducible(method: Method, demos: Episodes) -> None:
     )
 
 
-def _leaves(method: Method, demos: Episodes) -> None:
+def _leaves(method: Method, asks: bool, demos: Episodes) -> None:
     before = [array.copy() for array in (*demos.obs, *demos.act)]
-    method.fit(demos, FakeWorld(), _rng(0)).policy(OBS)
+    _fitted(method, asks, demos).policy(OBS)
     after = (*demos.obs, *demos.act)
     expect(all(map(np.array_equal, before, after)), "fit changed the demonstrations, which others get too")
     expect(not any(array.flags.writeable for array in after), "fit made the demonstrations writeable")
 
 
-def _knows(method: Method) -> None:
+def known_task() -> EnvSpec:
+    """Return a small task whose model is known."""
+    tabular, horizon = objectworld(4, 3, 2, 0.3, _rng(0)), 10
+    return dataclasses.replace(
+        SPEC,
+        name="objectworld_4",
+        kwargs={"tabular": tabular, "max_episode_steps": horizon},
+        tabular=tabular,
+        horizon=horizon,
+        gamma=0.9,
+        phi=lambda obs, act: tabular.features[tabular.states(obs)],
+    )
+
+
+def _knows(method: Method, asks: bool) -> None:
+    from harness.learn.exact import ExactSolver  # slow to import, as all that can learn by reinforcement
+    from harness.learn.world import TaskWorld
+
+    spec = known_task()
+    assert spec.tabular is not None
+    expert = ExactSolver(spec.tabular, spec.gamma, _rng(3)).best(None).policy
+
     def fit() -> Learned:
-        world = FiniteWorld(objectworld(4, 3, 2, 0.3, _rng(0)))
-        return method.fit(world.rollout(world.optimal(), 4, _rng(1)), world, _rng(0))
+        world = TaskWorld(spec, "absorbing", "sbx", expert if asks else None)
+        return method.fit(world.rollout(expert, 4, _rng(1)), world, _rng(0))
 
     rng = _rng(2)
     obs, act = rng.normal(size=(40, 6)), np.eye(5)[rng.integers(5, size=40)]

@@ -1,5 +1,5 @@
 """Worlds that answer at once, one without dynamics and one whose model is known: for what methods compute
-themselves."""
+themselves. Where `harness.learn.world.TaskWorld` raises, they do."""
 
 from __future__ import annotations
 
@@ -23,7 +23,57 @@ from methods.stochastic import SquashedGaussian
 from methods.tabular import greedy, value_iteration
 
 
-class FakeWorld:
+class _Account:
+    """What worlds count and refuse, as `TaskWorld` does. asked: whether the expert may be asked. unit: steps
+    that a solve is a multiple of."""
+
+    obs_size: int
+    act_size: int
+    discrete: bool
+    model: Model | None
+
+    def __init__(self, asked: bool, unit: int) -> None:
+        self.asked, self.unit = asked, unit
+        self.env_steps = self.check_steps = self.rl_solves = self.answers = 0
+        self.solves: list[tuple[Reward | Payment, int, bool]] = []
+        """Reward, steps, and whether an agent went on from before."""
+        self.given: list[dict[str, Any]] = []
+        """What each agent was asked for with."""
+
+    def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
+        self.given.append(given)
+        return FakeAgent(self, rng, **given)
+
+    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+        agent = self.agent(rng)
+        agent.learn(steps, reward)
+        return agent.best(reward)
+
+    def ask(self, obs: Array) -> Array:
+        if not self.asked:
+            raise ValueError("only methods that are marked as asking the expert may ask it")
+        self.answers += len(obs)
+        return self.expert(obs)
+
+    def expert(self, obs: Array) -> Array:
+        raise NotImplementedError
+
+    def executed(self, act: Array, count: int) -> Array:
+        """Return a policy's actions for that many observations. Raises ValueError for no such actions."""
+        if act.shape != (count, self.act_size):
+            raise ValueError(f"actions must have the shape ({count}, {self.act_size}), not {act.shape}")
+        if not (np.isfinite(act).all() if self.discrete else (np.abs(act) <= 1).all()):
+            raise ValueError("actions must be finite and, where they are no choices, lie in [-1, 1]")
+        return np.eye(self.act_size)[act.argmax(axis=1)] if self.discrete else act
+
+    def solved(self, reward: Any, rng: np.random.Generator) -> Policy:
+        raise NotImplementedError
+
+    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+        raise NotImplementedError
+
+
+class FakeWorld(_Account):
     """Observations are uniform noise (3,), actions (2,); `solve` picks the best of some constant policies.
 
     Every episode lasts `lifetime` steps, and terminates if that is less than the horizon.
@@ -32,12 +82,9 @@ class FakeWorld:
     obs_size, act_size, horizon, gamma, discrete = 3, 2, 10, 0.9, False
     model: Model | None = None
 
-    def __init__(self, lifetime: int = 10) -> None:
+    def __init__(self, lifetime: int = 10, asked: bool = True, unit: int = 1) -> None:
+        super().__init__(asked, unit)
         self.lifetime = lifetime
-        self.solves: list[tuple[Reward | Payment, int, bool]] = []
-        """Reward, steps, and whether an agent went on from before."""
-        self.given: list[dict[str, Any]] = []
-        """What each agent was asked for with."""
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -47,17 +94,12 @@ class FakeWorld:
 
     def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
-        return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
+        act = tuple(self.executed(policy(o[:-1]), self.lifetime) for o in obs)
+        self.env_steps += episodes * self.lifetime
+        return Episodes(obs, act, (self.lifetime < self.horizon,) * episodes)
 
-    def ask(self, obs: Array) -> Array:
+    def expert(self, obs: Array) -> Array:
         return np.clip(obs[:, :2], -1, 1)
-
-    def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
-        self.given.append(given)
-        return FakeAgent(self, rng)
-
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
-        return FakeAgent(self, rng).after(steps, reward)
 
     def solved(self, reward: Reward | Payment, rng: np.random.Generator) -> Policy:
         """The best constant action of many; under a payment the first."""
@@ -71,43 +113,111 @@ class FakeWorld:
 
 
 class FakeAgent:
-    """Of a world that says what is best."""
+    """An agent of a world that says what is best."""
 
-    def __init__(self, world: Any, rng: np.random.Generator) -> None:
-        self.world, self.rng, self.warm = world, rng, False
+    def __init__(
+        self,
+        world: Any,
+        rng: np.random.Generator,
+        *,
+        soft: bool = False,
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
+    ) -> None:
+        self.world, self.rng, self.soft, self.demonstrations = world, rng, soft, demonstrations
+        self.reward: Reward | Payment | None = None
+        if world.model is not None and (init is not None or demonstrations is not None):
+            raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
+        if init is not None:
+            self._check_init(init)
+
+    def _check_init(self, init: Policy | StochasticPolicy) -> None:
+        """Raise ValueError unless an actor could be that policy, whatever its hidden layers."""
+        stochastic = self.soft and isinstance(init, SquashedGaussian)
+        net = init.network if isinstance(init, SquashedGaussian) and self.soft else init
+        if not isinstance(net, Network):
+            raise ValueError(f"an agent cannot begin with a {type(init).__name__}")
+        sizes = len(net.weights[0]), len(net.biases[-1])
+        if sizes != (self.world.obs_size, self.world.act_size * (1 + stochastic)) or net.tanh == stochastic:
+            raise ValueError("an agent cannot begin with a policy of other sizes, or another end")
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
-        self.world.solves.append((reward, steps, self.warm))
-        self.reward, self.warm = reward, True
+        _check_told(reward)
+        if self.world.model is not None:
+            if not isinstance(reward, Reward):
+                raise ValueError("where the model is known, an agent learns under rewards alone")
+        else:
+            if steps < 2 * self.world.unit or steps % self.world.unit:
+                raise ValueError(
+                    f"a solve takes a multiple of {self.world.unit} steps, twice as many at least"
+                )
+            if self.demonstrations is not None and not self.demonstrations.whole:
+                raise ValueError("an agent learns from demonstrations of which every step is shown")
+            self._check_paid(reward)
+            self.world.env_steps += steps
+        self.world.rl_solves += 1
+        self.world.solves.append((reward, steps, self.reward is not None))
+        self.reward = reward
+
+    def _check_paid(self, reward: Reward | Payment) -> None:
+        """Raise FloatingPointError unless the reward gives one finite number for each step."""
+        obs = np.random.default_rng(0).uniform(-1, 1, (5, self.world.obs_size))
+        act, living = np.zeros((5, self.world.act_size)), np.zeros(5, bool)
+        if isinstance(reward, Reward):
+            paid = reward(obs, act, obs) - reward.absorbing
+        else:
+            paid = reward(Transitions(obs, act, obs, living, living))
+        if np.shape(paid) != (5,) or not np.isfinite(paid).all():
+            raise FloatingPointError("the reward must give one finite number for each step")
 
     @property
     def policy(self) -> Policy:
+        self._check_learned()
         found: Policy = self.world.solved(self.reward, self.rng)
         return found
 
     def best(self, reward: Reward) -> Policy:
+        _check_told(reward)
+        if self.world.model is None:
+            self._check_learned()
+            self._check_paid(reward)
         found: Policy = self.world.solved(reward, self.rng)
         return found
 
     @property
     def behaviour(self) -> StochasticPolicy:
         """Normal actions about 0, squashed, whatever is learned."""
+        self._check_learned()
+        if self.world.model is not None or not self.soft:
+            raise ValueError("only an agent that learns by soft actor-critic has a stochastic policy")
         size = self.world.obs_size, 2 * self.world.act_size
         still = Network(np.zeros(size[0]), np.ones(size[0]), (np.zeros(size),), (np.zeros(size[1]),))
         return SquashedGaussian(still)
 
     def replay(self) -> Transitions:
         """Some episodes of its policy, and `ABSORBING_STEPS` after each that terminated."""
+        self._check_learned()
+        if self.world.model is not None:
+            raise ValueError("where the model is known, nothing is seen")
+        counted = self.world.env_steps
         episodes = self.world.rollout(self.policy, 5, self.rng)
+        self.world.env_steps = counted
         steps = Transitions.of(episodes)
         stay = ABSORBING_STEPS * sum(episodes.terminated)
         there = np.arange(len(steps) + stay) >= len(steps)
         obs, act, after = (np.pad(c, ((0, stay), (0, 0))) for c in (steps.obs, steps.act, steps.next_obs))
-        return Transitions(obs, act, after, there, there)
+        into = there.copy()
+        into[episodes.lengths.cumsum()[list(episodes.terminated)] - 1] = True
+        return Transitions(obs, act, after, there, into)
 
-    def after(self, steps: int, reward: Reward) -> Policy:
-        self.learn(steps, reward)
-        return self.best(reward)
+    def _check_learned(self) -> None:
+        if self.reward is None:
+            raise ValueError("an agent that has not learned yet has seen nothing and has no policy")
+
+
+def _check_told(reward: object) -> None:
+    if not callable(reward):
+        raise TypeError(f"an agent learns under a reward or a payment, not {reward!r:.60}")
 
 
 class NoEnvironment:
@@ -119,16 +229,16 @@ class NoEnvironment:
         return rng.uniform(-1, 1, (count, 2))
 
 
-class FiniteWorld:
+class FiniteWorld(_Account):
     """A `Tabular` solved exactly by rewards of states and actions, and sampled."""
 
     discrete = True
 
-    def __init__(self, tabular: Tabular, horizon: int = 10, gamma: float = 0.9) -> None:
+    def __init__(self, tabular: Tabular, horizon: int = 10, gamma: float = 0.9, asked: bool = True) -> None:
+        super().__init__(asked, unit=1)
         self.tabular, self.horizon, self.gamma = tabular, horizon, gamma
         self.model: Model | None = tabular.model
         self.obs_size, self.act_size = tabular.obs.shape[1], tabular.P.shape[1]
-        self.solves: list[tuple[Reward, int, bool]] = []
         self.found: list[Array] = []
         """What was solved, as (S, A)."""
 
@@ -143,20 +253,15 @@ class FiniteWorld:
         reached = model.P.cumsum(axis=2) / model.P.sum(axis=2, keepdims=True)
         states, choices = [rng.choice(len(model.start), episodes, p=model.start)], list[Array]()
         for _ in range(self.horizon):
-            choices.append(policy(model.obs[states[-1]]))
+            choices.append(self.executed(policy(model.obs[states[-1]]), episodes))
             rows = reached[states[-1], choices[-1].argmax(axis=1)]
             states.append((rng.random((episodes, 1)) < rows).argmax(axis=1))
         obs, act = model.obs[np.stack(states, axis=1)], np.stack(choices, axis=1)
+        self.env_steps += episodes * self.horizon
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
 
-    def ask(self, obs: Array) -> Array:
+    def expert(self, obs: Array) -> Array:
         return self.optimal()(obs)
-
-    def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
-        return FakeAgent(self, rng)
-
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
-        return FakeAgent(self, rng).after(steps, reward)
 
     def solved(self, reward: Reward, rng: np.random.Generator) -> Policy:
         obs = np.repeat(self.tabular.obs, self.act_size, axis=0)

@@ -1,0 +1,106 @@
+"""Copies of a task that step together, and what no task may give."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.spec import INSTANCES, Array, Batch, EnvSpec, check_numbers, numbers
+
+TRIED = 100
+"""Steps for which a task is tried."""
+
+
+class Copies:
+    """Copies of a task in lockstep, by its batch or one by one, numbered from 0. Each is reset before it is
+    stepped. Both methods raise ValueError, naming task, step and entry, for what is no finite number."""
+
+    def __init__(self, spec: EnvSpec, count: int) -> None:
+        self._spec = spec
+        self._batch: Batch = spec.batch(count) if spec.batch else _OneByOne(spec)
+        self._steps = np.zeros(count, np.int64)
+
+    def reset(self, place: int, seed: int) -> Array:
+        """Return the first observation (O,) of the copy's next episode."""
+        obs = np.asarray(self._batch.reset(place, seed), np.float64)
+        self._steps[place] = 0
+        self._check([place], obs[None], np.zeros(1))
+        return obs
+
+    def step(
+        self, places: Sequence[int], act: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), whether each
+        terminated, and whether the task itself truncated it."""
+        seen, paid, terminated, *truncated = self._batch.step(places, act)
+        obs, rewards = np.asarray(seen, np.float64), np.asarray(paid, np.float64)
+        self._steps[places] += 1
+        self._check(places, obs, rewards)
+        return obs, rewards, terminated, truncated[0] if truncated else np.zeros_like(terminated)
+
+    def why_ended(self, place: int) -> str:
+        """Return why the copy's episode just terminated."""
+        return self._batch.why_ended(place)
+
+    def _check(self, places: Sequence[int], obs: Array, rewards: Array) -> None:
+        spec, steps = self._spec, self._steps[places].tolist()
+        check_numbers(f"the task {spec.name}", spec.obs_size, obs, rewards, steps)
+
+
+def alone(spec: EnvSpec, count: int = 1) -> Copies:
+    """Return copies that are stepped one by one."""
+    return Copies(dataclasses.replace(spec, batch=None), count)
+
+
+def try_out(spec: EnvSpec) -> None:
+    """Step a task with random actions. Raises ValueError for what no task may give, and whatever making and
+    stepping it raises."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Gymnasium's, of what is refused here in one line
+        for _ in range(INSTANCES):
+            spec.make()
+        copies, length = Copies(spec, 1), 0
+        copies.reset(0, 0)
+        for seed, act in enumerate(spec.random_actions(TRIED, np.random.default_rng(0)), 1):
+            _, _, terminated, truncated = copies.step([0], act[None])
+            length += 1
+            if terminated[0] or truncated[0] or length == spec.horizon:
+                copies.reset(0, seed)
+                length = 0
+
+
+class _OneByOne:
+    """Environments that are stepped one by one, made when they are needed."""
+
+    def __init__(self, spec: EnvSpec) -> None:
+        self._spec = spec
+        self._envs: dict[int, gym.Env] = {}
+
+    def reset(self, place: int, seed: int) -> Array:
+        if place not in self._envs:
+            self._envs[place] = self._spec.make()
+        return np.asarray(self._envs[place].reset(seed=seed)[0], np.float64)
+
+    def step(
+        self, places: Sequence[int], act: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        return gathered(
+            self._envs[place].step(self._spec.native(action))
+            for place, action in zip(places, act, strict=True)
+        )
+
+    def why_ended(self, place: int) -> str:
+        return self._spec.why_ended(self._envs[place])
+
+
+def gathered(steps: Iterable[Any]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return what `Copies.step` does, of what Gymnasium's `step` gave for each copy."""
+    obs, rewards, terminated, truncated, _ = zip(*steps, strict=True)
+    ended, cut = (np.array([bool(flag) for flag in flags]) for flags in (terminated, truncated))
+    return np.array(obs, np.float64), numbers(rewards), ended, cut
