@@ -263,8 +263,8 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         "--record",
         default="both",
         choices=RECORDS,
-        help="which evaluation episodes of each policy of seed 0: the median, the worst, both or all; 'none' "
-        "keeps no artifacts either",
+        help="which evaluation episodes of each policy of seed 0: the median, the worst, both, all or "
+        "none; what was learned is kept in any case",
     )
     add(
         "--json-progress",

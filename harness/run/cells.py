@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
-    LEARNED,
     REFERENCE,
     UNSHOWN,
     Cell,
@@ -35,9 +34,10 @@ def run_cell(
     inputs: Mapping[str, bytes],
     tell: Callable[[str], None] = lambda doing: None,
 ) -> tuple[CellResult, dict[str, bytes]]:
-    """Everything of one cell, and the files that it adds to the run, by their path there; where nothing is to
-    be kept of what it learned, that as `LEARNED`. inputs: of `prepare`. tell: called with what is being done.
-    Raises what its method raises."""
+    """Return everything of one cell, and the files that it adds to the run, by their path there.
+
+    inputs: from `prepare`. tell: called with what is being done. Raises what its method raises.
+    """
     told = _Told(tell)
     task = Task(cell, conditions, Shared(inputs), tell=told)
     made = policies(task)
@@ -52,8 +52,7 @@ def run_cell(
     }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     learned, lost = learned_file(task, made)
-    keeps = conditions.record != "none"
-    artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
+    artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
     rows = [row(task, one, scored.get(one.name)) for one in made]
     if nobody:
@@ -69,8 +68,7 @@ def run_cell(
         ],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
-        warnings=[w for one in made for w in one.warnings]
-        + [*filter(None, missed), *(lost if keeps else ())],
+        warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
         below_bar=any(missed),
@@ -79,7 +77,7 @@ def run_cell(
     )
     folders = {"recordings": recordings, "artifacts": artifacts}
     files = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
-    return result, files if keeps or not learned else files | {LEARNED: learned}
+    return result, files
 
 
 class _Told:

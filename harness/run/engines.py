@@ -18,7 +18,6 @@ from typing import Protocol, Self, cast
 import numpy as np
 
 from harness.judge.results import (
-    LEARNED,
     REFERENCE,
     Cell,
     CellResult,
@@ -47,9 +46,8 @@ class Work(Protocol):
     def run_cell(
         self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
     ) -> tuple[CellResult, dict[str, bytes]]:
-        """Its result, and the files that it adds to the run, by their path there; what it learned may be
-        among them as `LEARNED`, for the cells that go on from it alone. tell: called now and then
-        with what is being done."""
+        """Return its result, and the files that it adds to the run, by their path there. tell: called now
+        and then with what is being done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +181,7 @@ def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol:
         raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
     if (policies := tuple(row.policy for row in result.rows)) != policies_of(cell):
         raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
-    if result.files != {name: sha256_of(data) for name, data in files.items() if name != LEARNED}:
+    if result.files != {name: sha256_of(data) for name, data in files.items()}:
         raise ValueError("its files are not those that its result names")
     if others := sorted(result.files.keys() - files_of(cell)):
         raise ValueError(f"{others[0]} is no file of {cell.name}")
