@@ -29,12 +29,10 @@ from harness.judge.results import (
 from harness.run import plugins
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
-from harness.run.files import sha256_of
+from harness.run.files import LARGEST_OF_CELL, sha256_of
 from harness.run.keys import cell_keys, machine
 
 WORK = "harness.run.cells"
-LARGEST_FILES = 1 << 28
-"""Bytes of all files of a cell, at most."""
 
 
 class Work(Protocol):
@@ -96,7 +94,8 @@ class Engine(Protocol):
         """Begins a job."""
 
     def finished(self) -> list[tuple[Job, Outcome]]:
-        """Those that ended and were not told yet; waits for one, a second at most."""
+        """Return those that ended and were not told yet; wait for one, a second at most. Raises Unfinished,
+        as `start` does, where nothing can be computed any more."""
 
     def doing(self, name: str) -> str:
         """What the job of that name is doing, in a few words; '' where it is not known."""
@@ -185,8 +184,8 @@ def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol:
         raise ValueError("its files are not those that its result names")
     if others := sorted(result.files.keys() - files_of(cell)):
         raise ValueError(f"{others[0]} is no file of {cell.name}")
-    if sum(map(len, files.values())) > LARGEST_FILES:
-        raise ValueError(f"its files are larger than {LARGEST_FILES >> 20} MiB")
+    if sum(map(len, files.values())) > LARGEST_OF_CELL:
+        raise ValueError(f"its files are larger than {LARGEST_OF_CELL >> 20} MiB")
     for row in result.rows:
         if row.protocol != protocol:
             raise ValueError(f"{row.policy}: of protocol {row.protocol}, not {protocol}")
