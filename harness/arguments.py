@@ -29,9 +29,9 @@ NARROWEST = 1e-9
 """Smallest width that --action-bounds takes."""
 LONGEST = 10**6
 """Largest number of seconds that --cell-timeout takes."""
-EXIT_CODES = """Exit codes: 0 done; 1 a cell or a check failed, a file is damaged, a bar of `bench` or
-of an expert is missed, or what was printed is lost; 2 bad input, or a file that cannot be
-read or written; 130 stopped, such as by Ctrl-C."""
+EXIT_CODES = """Exit codes: 0 done; 1 a cell or a check failed, a Ray cluster was lost, a file is
+damaged, a bar of `bench` or of an expert is missed, or what was printed is lost; 2 bad
+input, too little memory, or a file that cannot be read or written; 130 stopped, such as by Ctrl-C."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -263,8 +263,8 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         "--record",
         default="both",
         choices=RECORDS,
-        help="which evaluation episodes of each policy of seed 0: the median, the worst, both or all; 'none' "
-        "keeps no artifacts either",
+        help="which evaluation episodes of each policy of seed 0: the median, the worst, both, all or "
+        "none; what was learned is kept in any case",
     )
     add(
         "--json-progress",

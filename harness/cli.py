@@ -24,9 +24,18 @@ from harness.registry import (
     SPECS,
     VARIANTS,
     BadInput,
+    Unfinished,
     choose,
 )
 from harness.run.signals import ignore_stops, importing
+
+NO_MEMORY = ("failed to map segment", "Cannot allocate memory")
+"""Parts of messages of errors that mean it."""
+COMPUTING = ("run", "reproduce", "report", "check", "bench", "experts")
+LEAST_TO_COMPUTE, LEAST_TO_READ = 4_500_000, 1_500_000
+"""KB of address space: `run` took 4.2 million on two cores, `demos` 1.2 million."""
+LEAST_DATA = 500_000
+"""KB of data: of `run`, which failed with 300,000 and went well with 600,000."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,12 +43,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
         return _dispatch(argv)
-    except (BadInput, OSError, ImportError) as error:
+    except (BadInput, OSError, ImportError, MemoryError) as error:
         said = str(error)
         if isinstance(error, OSError) and error.strerror and error.filename is not None:
             said = f"{error.filename}: {error.strerror}"
+        if isinstance(error, MemoryError) or any(sign in said for sign in NO_MEMORY):
+            limits = "".join(f" (ulimit -{letter} {most})" for letter, most in _limits().items())
+            said = f"out of memory{limits}: {said}".removesuffix(": ")
         print(f"irl-bench: error: {_plain(' '.join(said.split()))}", file=sys.stderr)
         return 2
+    except Unfinished as error:
+        print(f"irl-bench: {_plain(str(error))}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         ignore_stops()
         again = _plain(shlex.join([*_program(), *argv]))
@@ -47,6 +62,27 @@ def main(argv: Sequence[str] | None = None) -> int:
         resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
+
+
+def _limits() -> dict[str, int]:
+    """Return the limits of this process's memory in KB, by ulimit's letters; none where there is no limit."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return {}
+    kinds = {"v": resource.RLIMIT_AS, "d": resource.RLIMIT_DATA}
+    limits = {letter: resource.getrlimit(kind)[0] for letter, kind in kinds.items()}
+    return {letter: most >> 10 for letter, most in limits.items() if most != resource.RLIM_INFINITY}
+
+
+def _check_memory(command: str) -> None:
+    """Raise BadInput where a limit is lower than what libraries ask for: some end the process at that."""
+    least = {"v": LEAST_TO_COMPUTE if command in COMPUTING else LEAST_TO_READ, "d": LEAST_DATA}
+    for letter, most in _limits().items():
+        if most < least[letter]:
+            raise BadInput(
+                f"`{command}` needs {least[letter]:,} KB of memory, and `ulimit -{letter}` allows {most:,} KB"
+            )
 
 
 def _program() -> list[str]:
@@ -70,6 +106,7 @@ def _dispatch(argv: list[str]) -> int:
     _check_python()
     if args.command == "verify":
         return _verify(args.directory)
+    _check_memory(args.command)
     if args.command == "bench":
         return _bench(args.part, args.json)
     if args.command == "check":

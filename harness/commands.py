@@ -25,6 +25,7 @@ from harness.registry import (
     SPECS,
     VARIANTS,
     BadInput,
+    Unfinished,
     choose,
 )
 from harness.run import baseline, keys, plugins, scratch
@@ -93,10 +94,17 @@ def run(args: argparse.Namespace) -> int:
     ):
         if beside:
             run.keep_beside(beside)
-        results = _compute(run, request, args, engine, programs)
+        finished = True
+        try:
+            results = _compute(run, request, args, engine, programs)
+        except Unfinished as error:
+            tell(str(error))
+            results, finished = run.load()[0], False
+            if not results:
+                return 1
         whole = outcome.report(run, list(results.values()), anew=False, programs=programs)
         failed = outcome.tell_troubles([results[cell] for cell in request.cells if cell in results])
-    return int(failed or not whole)
+    return int(failed or not whole or not finished)
 
 
 def reproduce(args: argparse.Namespace) -> int:

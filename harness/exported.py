@@ -150,7 +150,8 @@ def export(
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
     if not results[cell].artifacts:
         failed = [row.reason for row in results[cell].rows if row.status == "failed"]
-        unrecorded = ["it was run with --record none"] if run.request.conditions.record == "none" else []
+        earlier = ["an earlier version ran it with --record none"]
+        unrecorded = earlier if run.request.conditions.record == "none" else []
         why = "; ".join([*failed[:1], *results[cell].warnings] or unrecorded or ["it learned nothing"])
         raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
     learned = read_artifact(directory / artifact_of(cell))

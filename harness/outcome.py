@@ -48,7 +48,8 @@ def report(
     damaged = run.damaged_files(results) | run.swapped(results)
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
-        compared = write_compared(run.path, results, run.is_as_written)
+        recorded = results if run.request.conditions.record != "none" else []
+        compared = write_compared(run.path, recorded, run.is_as_written)
         run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
     shown = [*results, *beside]
     for line in terminal.tables(run.request, shown) if tables else []:

@@ -47,6 +47,13 @@ class BadInput(Exception):
         super().__init__(f"{text} (docs/{page}.md)" if page else text)
 
 
+class Unfinished(Exception):
+    """An end of a run before it was done, which its text tells in one line; what is finished is kept."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(f"{why}; what is finished is kept, and the same command goes on")
+
+
 class Entry(NamedTuple):
     """Where a method or an environment's `EnvSpec` is ('module:name') and what it is, in one line.
 

@@ -13,15 +13,13 @@ from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import BadInput
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import printable
-from harness.run.files import opened
+from harness.run.files import LARGEST_OF_CELL, read
 from methods.base import Policy, Reward
 
 FORMAT = 2
 KIND = "safetensors"
 NOT_KEPT = "is not kept (docs/plugins.md)"
 """How a warning begins, after the names of a cell and what it learned, that says why that is in no file."""
-LARGEST = 1 << 28
-"""Bytes of a file that is read, at most."""
 
 
 def artifact(
@@ -43,11 +41,7 @@ def read_artifact(path: Path) -> dict[str, Any]:
     """Policies and rewards by name: 'pi_star', 'reward', None where the method learns none, and 'pi_R', or
     'expert', as far as there are any. Raises BadInput where the file is none, or damaged."""
     try:
-        with opened(path) as file:
-            data = file.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise ValueError(f"it is larger than {LARGEST >> 20} MiB")
-        return learned_in(data)
+        return learned_in(read(path, LARGEST_OF_CELL))
     except (OSError, ValueError, MemoryError) as error:
         raise BadInput(f"{path} holds nothing that was learned: {printable(str(error))}") from error
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
-    LEARNED,
     REFERENCE,
     UNSHOWN,
     Cell,
@@ -35,9 +34,10 @@ def run_cell(
     inputs: Mapping[str, bytes],
     tell: Callable[[str], None] = lambda doing: None,
 ) -> tuple[CellResult, dict[str, bytes]]:
-    """Everything of one cell, and the files that it adds to the run, by their path there; where nothing is to
-    be kept of what it learned, that as `LEARNED`. inputs: of `prepare`. tell: called with what is being done.
-    Raises what its method raises."""
+    """Return everything of one cell, and the files that it adds to the run, by their path there.
+
+    inputs: from `prepare`. tell: called with what is being done. Raises what its method raises.
+    """
     told = _Told(tell)
     task = Task(cell, conditions, Shared(inputs), tell=told)
     made = policies(task)
@@ -52,8 +52,7 @@ def run_cell(
     }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     learned, lost = learned_file(task, made)
-    keeps = conditions.record != "none"
-    artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
+    artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
     rows = [row(task, one, scored.get(one.name)) for one in made]
     if nobody:
@@ -71,8 +70,7 @@ def run_cell(
         ],
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
-        warnings=[w for one in made for w in one.warnings]
-        + [*filter(None, missed), *(lost if keeps else ()), *troubles],
+        warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost, *troubles],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
         below_bar=any(missed),
@@ -81,7 +79,7 @@ def run_cell(
     )
     folders = {"recordings": recordings, "artifacts": artifacts}
     kept = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
-    return result, kept if keeps or not learned else kept | {LEARNED: learned}
+    return result, kept
 
 
 class _Told:

@@ -5,7 +5,8 @@ Only the driver, this process, reads or writes the run's directory. The program,
 travel as the tasks' working directory, what cells share travels through Ray's object store, and results and
 recordings come back as bytes. No other file system is shared.
 
-Ray itself repeats no task. The driver repeats those whose node was lost.
+Ray itself repeats no task. The driver repeats those whose node was lost. Where the cluster's head is lost, or
+the Ray process of this machine, Ray would end the driver, so the driver looks after both and ends the run.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,13 +22,14 @@ from types import TracebackType
 from typing import Any, Self
 
 from harness.judge.results import LEARNED
-from harness.registry import BadInput
-from harness.run import given, node, plugins
+from harness.registry import BadInput, Unfinished
+from harness.run import given, node, orphans, plugins
 from harness.run.engines import WORK, Job, Outcome, describe
 from harness.run.environment import CHOSEN, numeric
 from harness.run.processes import write_program
 from harness.run.progress import tell
 from harness.run.scratch import scratch_folder
+from harness.run.signals import STOPS, handlers_kept
 
 LOOK_EVERY = 1.0
 """Seconds between looks for tasks that ended."""
@@ -36,8 +39,11 @@ ANSWERS = 10.0
 """Seconds that a cluster's head has for an answer."""
 STALLED = 600.0
 """Seconds without any result after which the user is told."""
-SILENT = {"RAY_USAGE_STATS_ENABLED": "0"}
-"""Ray sends nothing home."""
+SILENCE = 5.0, 60.0
+"""Seconds without an answer after which the head is lost: where nothing listens there, and where something
+does."""
+DRIVERS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_gcs_rpc_server_reconnect_timeout_s": str(10**6)}
+"""Ray sends nothing home, and does not end this process where the head is lost."""
 LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 """A cluster that is started here listens on 127.0.0.1 alone."""
 
@@ -74,7 +80,7 @@ class Ray:
                 page="cluster",
             )
         local = not address or host in ("127.0.0.1", "localhost")
-        os.environ |= SILENT | (LOOPBACK if local else {})  # which Ray reads as it is imported
+        os.environ |= DRIVERS | (LOOPBACK if local else {})  # which Ray reads as it is imported
         self._ray = _imported()
         if host:
             _check_reachable(host, port)
@@ -84,14 +90,37 @@ class Ray:
         self._running: dict[Any, _Task] = {}
         self._shared: dict[tuple[str, int], dict[str, Any]] = {}
         """References to what cells of an environment and a seed share."""
+        self._refused: list[tuple[Job, Outcome]] = []
+        """Jobs that could not be begun."""
+        self._left = threading.Event()
 
     @property
     def workers(self) -> int:
         return self._workers or self._cpus
 
     def _count(self) -> None:
-        """The CPUs that there are now."""
+        """Count the CPUs that there are now, which the head tells."""
         self._cpus = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self._answered = time.monotonic()
+
+    def _keep_counting(self) -> None:
+        # In a thread of its own, for Ray waits without an end for a head that is lost.
+        while not self._left.wait(LOOK_EVERY):
+            with contextlib.suppress(Exception):
+                self._count()
+
+    def _check_there(self) -> None:
+        """Raise Unfinished where the cluster's head, or the Ray process of this machine, is lost."""
+        # Of the latter Ray's next `put` would end this process.
+        silent = time.monotonic() - self._answered
+        refused, none = SILENCE
+        if not _answers(self._node):
+            lost = f"Ray's process of this machine, at {self._node}, is gone"
+        elif silent > none or (silent > refused and not _answers(self._head)):
+            lost = f"the head of the Ray cluster at {self._head} is lost"
+        else:
+            return
+        raise Unfinished(f"{lost}; cells that were being computed: {len(self._running)}")
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
@@ -108,8 +137,12 @@ class Ray:
                 options["address"] = self._address
             else:
                 options |= {"address": "local", "include_dashboard": False, "num_cpus": self._workers}
+                # What is started here ends with the run, though its parents may have ended before.
+                stack.enter_context(orphans.taken_in())
+                stack.callback(orphans.end_all)
             try:
-                self._ray.init(**options)
+                with handlers_kept(*STOPS):
+                    self._ray.init(**options)
             except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
                 why = " ".join(str(error).split())
                 raise BadInput(f"no Ray cluster {self._address}: {why}", page="cluster") from error
@@ -118,6 +151,12 @@ class Ray:
             self._begin: Callable[..., Any] = remote(node.compute_there).remote
             self._last = time.monotonic()
             self._count()
+            here = self._ray.get_runtime_context()
+            own = next(one for one in self._ray.nodes() if one["NodeID"] == here.get_node_id())
+            self._node = f"{own['NodeManagerAddress']}:{own['NodeManagerPort']}"
+            self._head = here.gcs_address
+            threading.Thread(target=self._keep_counting, daemon=True).start()
+            stack.callback(self._left.set)
             self._stack = stack.pop_all()
         return self
 
@@ -132,12 +171,16 @@ class Ray:
         self._stack.__exit__(kind, error, trace)
 
     def start(self, job: Job) -> None:
+        self._check_there()
         self._launch(_Task(job))
 
     def doing(self, name: str) -> str:
         return ""
 
     def finished(self) -> list[tuple[Job, Outcome]]:
+        if self._refused:
+            ended, self._refused = self._refused, []
+            return ended
         done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
         if done:
             done, _ = self._ray.wait([*self._running], num_returns=len(self._running), timeout=0)
@@ -148,7 +191,7 @@ class Ray:
                 f"nothing has come back from the cluster for {STALLED / 60:.0f} minutes; "
                 f"{len(self._running)} cells are there, and `ray status` says what it does"
             )
-        self._count()
+        self._check_there()
         ended = []
         for reference in done:
             task = self._running.pop(reference)
@@ -161,6 +204,12 @@ class Ray:
         return ended
 
     def _launch(self, task: _Task) -> None:
+        try:
+            self._send(task)
+        except self._ray.exceptions.RayError as error:  # such as of an object store that is full
+            self._refused.append((task.job, Outcome(error=describe(error))))
+
+    def _send(self, task: _Task) -> None:
         job = task.job
         shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
         alone = {name: data for name, data in job.inputs.items() if name == LEARNED}
@@ -193,6 +242,15 @@ class Ray:
         except errors.RayError as error:
             return Outcome(error=describe(error))
         return outcome
+
+
+def _answers(address: str) -> bool:
+    """Return whether somebody listens at this address, 'HOST:PORT'."""
+    host, _, port = address.rpartition(":")
+    with contextlib.suppress(OSError):
+        socket.create_connection((host, int(port)), ANSWERS).close()
+        return True
+    return False
 
 
 def _check_reachable(host: str, port: str) -> None:

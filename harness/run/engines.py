@@ -18,7 +18,6 @@ from typing import Protocol, Self, cast
 import numpy as np
 
 from harness.judge.results import (
-    LEARNED,
     REFERENCE,
     Cell,
     CellResult,
@@ -30,12 +29,10 @@ from harness.judge.results import (
 from harness.run import plugins
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import of_this_process
-from harness.run.files import sha256_of
+from harness.run.files import LARGEST_OF_CELL, sha256_of
 from harness.run.keys import cell_keys, machine
 
 WORK = "harness.run.cells"
-LARGEST_FILES = 1 << 28
-"""Bytes of all files of a cell, at most."""
 
 
 class Work(Protocol):
@@ -47,9 +44,8 @@ class Work(Protocol):
     def run_cell(
         self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
     ) -> tuple[CellResult, dict[str, bytes]]:
-        """Its result, and the files that it adds to the run, by their path there; what it learned may be
-        among them as `LEARNED`, for the cells that go on from it alone. tell: called now and then
-        with what is being done."""
+        """Return its result, and the files that it adds to the run, by their path there. tell: called now
+        and then with what is being done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +94,8 @@ class Engine(Protocol):
         """Begins a job."""
 
     def finished(self) -> list[tuple[Job, Outcome]]:
-        """Those that ended and were not told yet; waits for one, a second at most."""
+        """Return those that ended and were not told yet; wait for one, a second at most. Raises Unfinished,
+        as `start` does, where nothing can be computed any more."""
 
     def doing(self, name: str) -> str:
         """What the job of that name is doing, in a few words; '' where it is not known."""
@@ -183,12 +180,12 @@ def _check(result: CellResult, files: Mapping[str, bytes], cell: Cell, protocol:
         raise ValueError(f"asked for {cell.name}, got {len(result.rows)} rows of {result.cell.name}")
     if (policies := tuple(row.policy for row in result.rows)) != policies_of(cell):
         raise ValueError(f"asked for {', '.join(policies_of(cell))}, got {', '.join(policies)}")
-    if result.files != {name: sha256_of(data) for name, data in files.items() if name != LEARNED}:
+    if result.files != {name: sha256_of(data) for name, data in files.items()}:
         raise ValueError("its files are not those that its result names")
     if others := sorted(result.files.keys() - files_of(cell)):
         raise ValueError(f"{others[0]} is no file of {cell.name}")
-    if sum(map(len, files.values())) > LARGEST_FILES:
-        raise ValueError(f"its files are larger than {LARGEST_FILES >> 20} MiB")
+    if sum(map(len, files.values())) > LARGEST_OF_CELL:
+        raise ValueError(f"its files are larger than {LARGEST_OF_CELL >> 20} MiB")
     for row in result.rows:
         if row.protocol != protocol:
             raise ValueError(f"{row.policy}: of protocol {row.protocol}, not {protocol}")

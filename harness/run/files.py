@@ -18,8 +18,12 @@ from filelock import lock_descriptor
 
 LARGEST = 1 << 24
 """Bytes of a file that is read whole, at most."""
+LARGEST_OF_CELL = 1 << 28
+"""Bytes of all files that a cell adds to its run, at most."""
 LARGEST_HASHED = 1 << 30
 """Bytes of a file whose checksum is wanted, at most."""
+BLOCK = 1 << 16
+"""Bytes of a file that are read next where it is larger than was told, or more if it has more by then."""
 _ODD = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 """Flags for opening: a link is refused, and a pipe without a writer does not block."""
 
@@ -117,9 +121,14 @@ def share_lock(handle: int) -> bool:
 
 
 def read(path: Path, most: int = LARGEST) -> bytes:
-    """What is in the regular file at `path`. Raises OSError as `opened` does, and for more."""
+    """Return what is in the regular file at `path`. Raises OSError as `opened` does, and for more."""
     with opened(path) as file:
-        data = file.read(most + 1)
+        # Memory for as much as there is: a read of `most` asks for all of that.
+        size = min(os.fstat(file.fileno()).st_size, most)
+        data = file.read(size + 1)
+        while size < len(data) <= most:  # It has grown, or its size was not told.
+            size = len(data)
+            data += file.read(min(max(size, BLOCK), most + 1 - size))
     if len(data) > most:
         raise _too_large(path, most)
     return data

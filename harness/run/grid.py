@@ -121,8 +121,6 @@ class Schedule:
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
         self.bytes = self.preparing = 0
         """Of all inputs; and how many groups' are being made."""
-        self.learned: dict[Group, dict[Cell, bytes]] = {}
-        """What cells learned that others go on from, as far as it is not kept."""
         self.started: dict[str, float] = {}
         """When each job that runs began, in seconds of `time.monotonic`."""
         self.lost: list[Job] = []
@@ -175,8 +173,7 @@ class Schedule:
             (cell,) = job.cells
             shared, source = self.inputs[_group(job)], before(cell)
             inputs = {name: data for name, data in shared.items() if needs(cell, name)}
-            unkept = self.learned.get(_group(job), {})
-            if source and (learned := unkept.get(source) or self.grid.sink.learned(source)):
+            if source and (learned := self.grid.sink.learned(source)):
                 inputs[LEARNED] = learned
             job = replace(job, inputs=inputs)
         self.grid.engine.start(job)
@@ -216,20 +213,17 @@ class Schedule:
     def _keep(self, job: Job, outcome: Outcome, seconds: float) -> None:
         (cell,) = job.cells
         error = outcome.error
-        files = dict(outcome.files)
-        if (learned := files.pop(LEARNED, b"")) and self.later[cell]:
-            self.learned.setdefault(_group(job), {})[cell] = learned
         if not error:
             result = decode(outcome.result)
             own = result.files.keys() <= files_of(cell)
-            if result.cell != cell or not own or result.files.keys() != files.keys():
+            if result.cell != cell or not own or result.files.keys() != outcome.files.keys():
                 error = "what came back is not the cell's"
         if error:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
             self.progress.finished(job, "failed", error)
         else:
             start = max(0.0, seconds - sum(result.seconds.values()))
-            self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), files)
+            self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
             returns = {str(row.policy): row.return_mean for row in result.rows if row.status == "ok"}
             if returns:
                 self.progress.finished(job, "ok", returns=returns)
@@ -240,7 +234,6 @@ class Schedule:
         self.left[_group(job)] -= 1
         if not self.left[_group(job)]:
             self.bytes -= _size(self.inputs.pop(_group(job), {}))
-            self.learned.pop(_group(job), None)
 
 
 def _group(job: Job) -> Group:

@@ -1,25 +1,32 @@
-"""Signals that stop a run: the first one stops it cleanly, what follows does not disturb that."""
+"""Signals that stop a run: the first one stops it cleanly, and later ones do not disturb that."""
 
 from __future__ import annotations
 
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
 NO_NUMBERS = "It ends a run cleanly."
 
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OTHERS = {
+    *("SIGKILL", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGCONT"),
+    *("SIGCHLD", "SIGURG", "SIGWINCH", "SIGINFO", "SIGPIPE", "SIGXFSZ"),
+    *("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT", "SIGTRAP", "SIGSYS"),
+}
+"""Signals that cannot be caught or suspend, are ignored, or tell of a fault of this process."""
+STOPS = tuple(sorted(signal.valid_signals() - {getattr(signal, name, None) for name in _OTHERS}))
+"""Signals that would end this process amid its work."""
 
 
 def stop_cleanly() -> None:
-    """Makes being terminated, or losing the terminal, raise KeyboardInterrupt like Ctrl-C, once; what is
-    ignored, as under nohup, stays so."""
+    """Make all `STOPS` raise KeyboardInterrupt like Ctrl-C, once. A signal that is ignored, as under nohup,
+    or has a handler of its own, stays as it is."""
     for number in STOPS:
-        if signal.getsignal(number) != signal.SIG_IGN:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _stop)
 
 
@@ -28,11 +35,17 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
+def _ours(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
+    """Return those of these signals whose handlers can be set here, and set again afterwards."""
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    return [number for number in numbers if signal.getsignal(number) is not None]  # else it is not Python's
+
+
 def ignore_stops() -> None:
-    """From now on none of these signals does anything."""
-    if threading.current_thread() is threading.main_thread():
-        for number in STOPS:
-            signal.signal(number, signal.SIG_IGN)
+    """Have these signals do nothing from now on, but for those with a handler that is not Python's."""
+    for number in _ours(STOPS):
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
@@ -54,14 +67,23 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def deaf_to(*numbers: signal.Signals) -> Iterator[None]:
-    """These signals are ignored until the context ends."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+def handlers_kept(*numbers: signal.Signals) -> Iterator[None]:
+    """Set these signals' handlers, whatever they are by then, as they were before the context."""
+    before = {number: signal.getsignal(number) for number in _ours(numbers)}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def deaf_to(*numbers: signal.Signals) -> Iterator[None]:
+    """These signals are ignored until the context ends."""
+    with handlers_kept(*numbers):
+        for number in _ours(numbers):
+            signal.signal(number, signal.SIG_IGN)
+        yield
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from types import MappingProxyType
 from harness.judge.results import PROGRAM_NAME, REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode
-from harness.run.files import append, read, sha256, write_atomic
+from harness.run.files import LARGEST_OF_CELL, append, read, sha256, write_atomic
 from harness.run.keys import origin, report_key, task_of, task_version
 from harness.run.request import BASELINE, FOLDERS, LOCK, REQUEST, as_text, existing
 from harness.run.sums import SUMS, as_lines, in_words, listed_in, named, readable, seal_of, why_damaged
@@ -92,7 +92,7 @@ class RunDirectory:
         with suppress(OSError, ValueError):
             stored = self._load(self.path / "cells" / f"{cell.name}.json")
             if stored.artifacts:
-                return read(self.path / artifact_of(cell))
+                return read(self.path / artifact_of(cell), LARGEST_OF_CELL)
         return b""
 
     def log(self, printed: bytes) -> None:

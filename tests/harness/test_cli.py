@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import itertools
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from harness import cli, registry
+from harness.judge.results import Conditions, Request
+from harness.run.request import write_request
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
 
@@ -49,6 +52,61 @@ def test_the_registry_tells_the_truth() -> None:
             method(**settings_for(name, env, budget))
     with pytest.raises(registry.BadInput, match="did you mean 'maxmargin'"):
         registry.load_method("maxmagin")
+
+
+@pytest.mark.parametrize(
+    ("limit", "command", "said"),
+    [
+        ("-v 600000", "run --methods bc --envs gridworld --out", "`run` needs 4,500,000 KB of memory"),
+        ("-v 2000000", "report", "`report` needs 4,500,000 KB of memory"),
+        ("-v 300000", "compare . ", "`compare` needs 1,500,000 KB of memory"),
+        ("-d 300000", "run --methods bc --envs gridworld --out", "`run` needs 500,000 KB of memory"),
+    ],
+)
+def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
+    limit: str, command: str, said: str, tmp_path: Path
+) -> None:
+    conditions = Conditions("smoke", "absorbing", "sbx")
+    write_request(tmp_path, Request(("bc",), ("gridworld",), (0,), conditions))
+    line = f'ulimit {limit}; exec {sys.executable} -m harness {command} "$0"'
+    done = subprocess.run(
+        ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert said in done.stdout + done.stderr
+    assert (done.stdout + done.stderr).count("\n") == 1
+    assert done.returncode == 2
+    assert os.listdir(tmp_path) == ["run.json"]
+
+
+def test_a_list_of_checksums_is_read_in_little_memory(tmp_path: Path) -> None:
+    write_request(tmp_path, Request(("bc",), ("gridworld",), (0,), Conditions("smoke", "absorbing", "sbx")))
+    (tmp_path / "SHA256SUMS").write_text(f"{64 * '0'}  scores.csv\n", encoding="ascii")
+    line = f'ulimit -v 200000; exec {sys.executable} -m harness verify "$0"'
+    done = subprocess.run(
+        ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+    assert f"{tmp_path / 'scores.csv'}: missing" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "out of memory"),
+        (ImportError("a.so: failed to map segment from shared object"), "out of memory: a.so: failed to map"),
+    ],
+)
+def test_out_of_memory_is_one_line(
+    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(directory: Path) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_verify", fail)
+    assert cli.main(["verify", "."]) == 2
+    _, err = capsys.readouterr()
+    assert err.startswith(f"irl-bench: error: {said}")
+    assert err.count("\n") == 1
 
 
 def test_variants_run_when_named_and_not_in_all() -> None:

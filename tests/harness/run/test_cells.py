@@ -16,6 +16,7 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Row,
+    artifact_of,
     failed_rows,
     policies_of,
 )
@@ -92,18 +93,21 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     assert np.array_equal(again.policy(obs), learned["pi_R"](obs))
 
 
-def test_nothing_is_recorded_where_that_was_asked(tmp_path: Path) -> None:
+def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> None:
     conditions, told = dataclasses.replace(SMOKE, record="none"), list[str]()
     result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
     assert result.rows[0].status == "ok"
     assert [phase_of(said).name for said in told] == ["demonstrate", "fit", "score", "record"]
     assert phase_of(told[-1]).returns == {"pi_star": pytest.approx(result.rows[0].return_mean, abs=0.06)}
-    assert result.files == {}
-    assert files.keys() == {LEARNED}
-    run(BC, tmp_path)
-    kept = read_artifact(tmp_path / f"artifacts/{BC.name}.safetensors")
+    assert result.recordings == {}
+    assert files.keys() == result.files.keys() == {artifact_of(BC)}
+    recorded = run(BC, tmp_path)
+    assert [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows] == [
+        dataclasses.replace(row, fit_seconds=0.0) for row in recorded.rows
+    ]
+    kept = read_artifact(tmp_path / artifact_of(BC))
     obs = np.random.default_rng(0).standard_normal((20, 4))
-    assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
+    assert np.array_equal(learned_in(files[artifact_of(BC)])["pi_star"](obs), kept["pi_star"](obs))
 
 
 def test_the_reference_scores_the_expert_and_a_random_policy(

@@ -2,20 +2,27 @@
 machine."""
 
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
 
-from harness.judge.results import Cell, CellResult
+from harness.judge.results import Cell, CellResult, Conditions
 from harness.local_cluster import LocalCluster, local_cluster
+from harness.registry import Unfinished
+from harness.run import cluster as ray_engine
 from harness.run.codec import decode
+from harness.run.engines import Job
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
 TESTS = Path(__file__).parents[1]
@@ -159,3 +166,119 @@ def test_an_address_without_a_cluster_is_refused_in_a_line(address: str, said: s
     assert printed.endswith("(docs/cluster.md)\n")
     assert printed.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_a_lost_head_ends_the_run_with_a_line_its_report_and_nothing_left(tmp_path: Path) -> None:
+    run = start(tmp_path / "run", "--methods", "hangs", "--engine", "ray", "--workers", "2")
+    wait_for(lambda: len(stored(tmp_path / "run")) == 1)
+    descendants = psutil.Process(run.pid).children(recursive=True)
+    (head,) = [process for process in descendants if process.name() == "gcs_server"]
+    head.kill()
+    code, printed = finish(run)
+    assert code == 1, printed
+    line = r"^the head of the Ray cluster at .* is lost; .*the same command goes on$"
+    assert len(re.findall(line, printed, re.M)) == 1
+    assert "not computed yet, or gone: cartpole__hangs__seed0" in printed
+    assert "Traceback" not in printed
+    assert (tmp_path / "run" / "scores.csv").exists()
+    _, alive = psutil.wait_procs(descendants, timeout=5)
+    assert not alive
+
+
+class FakeRay:
+    """As much of Ray as a driver uses, of a head and a node that are sockets."""
+
+    class exceptions:
+        class RayError(Exception): ...
+
+        class ObjectStoreFullError(RayError): ...
+
+    def __init__(self) -> None:
+        self.head, self.node = (socket.create_server(("127.0.0.1", 0)) for _ in range(2))
+        self.answers, self.room, self.put_at_all = threading.Event(), True, 0
+        self.answers.set()
+
+    def init(self, **options: object) -> None: ...
+
+    def shutdown(self) -> None:
+        self.answers.set()
+
+    def cluster_resources(self) -> dict[str, float]:
+        self.answers.wait()
+        return {"CPU": 2.0}
+
+    def get_runtime_context(self) -> SimpleNamespace:
+        address = f"127.0.0.1:{self.head.getsockname()[1]}"
+        return SimpleNamespace(gcs_address=address, get_node_id=lambda: "here")
+
+    def nodes(self) -> list[dict[str, object]]:
+        there = {"NodeManagerAddress": "127.0.0.1", "NodeManagerPort": self.node.getsockname()[1]}
+        return [{"NodeID": "here", **there}]
+
+    def remote(self, **options: object) -> Callable[..., SimpleNamespace]:
+        return lambda function: SimpleNamespace(remote=lambda *arguments: object())
+
+    def put(self, data: bytes) -> object:
+        self.put_at_all += 1
+        if not self.room:
+            raise self.exceptions.ObjectStoreFullError("no room")
+        return object()
+
+    def wait(self, references: list[object], **options: object) -> tuple[list[object], list[object]]:
+        time.sleep(0.02)
+        return [], references
+
+    def cancel(self, reference: object, force: bool) -> None: ...
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
+    """Ray's stand-in, and short patience."""
+    ray = FakeRay()
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    monkeypatch.setattr(ray_engine, "_imported", lambda: ray)
+    monkeypatch.setattr(ray_engine, "write_program", lambda folder: folder.mkdir())
+    monkeypatch.setattr(ray_engine, "LOOK_EVERY", 0.01)
+    monkeypatch.setattr(ray_engine, "SILENCE", (0.1, 0.5))
+    yield ray
+    ray.head.close()
+    ray.node.close()
+
+
+def job(method: str) -> Job:
+    conditions = Conditions("smoke", "absorbing", "sbx")
+    return Job((Cell("cartpole", method, 0),), False, conditions, "", {"shared": b"x"})
+
+
+@pytest.mark.parametrize("listens", [False, True])
+def test_a_head_without_an_answer_is_lost(fake: FakeRay, listens: bool) -> None:
+    with ray_engine.Ray("", 1) as engine:
+        engine.start(job("bc"))
+        assert engine.finished() == []
+        fake.answers.clear()
+        if not listens:
+            fake.head.close()
+        began = time.monotonic()
+        with pytest.raises(Unfinished, match=r"the head of the Ray cluster at .* is lost"):
+            list(iter(engine.finished, None))
+        assert (time.monotonic() - began > 0.4) == listens
+
+
+def test_nothing_is_handed_to_a_node_that_is_gone(fake: FakeRay) -> None:
+    with ray_engine.Ray("", 1) as engine:
+        fake.node.close()
+        with pytest.raises(Unfinished, match="Ray's process of this machine"):
+            engine.start(job("bc"))
+    assert not fake.put_at_all
+
+
+def test_a_job_that_the_object_store_has_no_room_for_fails_and_others_go_on(fake: FakeRay) -> None:
+    with ray_engine.Ray("", 1) as engine:
+        fake.room = False
+        engine.start(job("bc"))
+        fake.room = True
+        engine.start(job("gail"))
+        ((failed, outcome),) = engine.finished()
+        assert (failed.name, outcome.lost) == (job("bc").name, False)
+        assert outcome.error.startswith("ObjectStoreFullError: no room")
+        assert engine.finished() == []

@@ -104,21 +104,6 @@ def test_what_goes_on_from_another_cell_waits_for_it_and_is_given_what_it_learne
     assert len(kept.results) == len(cells)
 
 
-def test_what_is_learned_and_not_kept_is_handed_on(tmp_path: Path) -> None:
-    cells = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("bc", "control_clone")]
-
-    def unkept(job: Job) -> Outcome:
-        (cell,) = job.cells
-        return Outcome(encode(dataclasses.replace(result(cell), artifacts={})), {LEARNED: cell.name.encode()})
-
-    engine, found = run(tmp_path, unkept, cells)
-    given = {job.cells[0]: job.inputs.get(LEARNED) for job in engine.given if not job.shared}
-    assert given == {
-        cell: cells[cell.seed * 2].name.encode() if cell.method == "control_clone" else None for cell in cells
-    }
-    assert (found.files, len(found.results)) == ({}, len(cells))
-
-
 @pytest.mark.parametrize(
     "wrong",
     [

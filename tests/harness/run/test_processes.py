@@ -56,7 +56,29 @@ def interruptible() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", STOPS)
+def test_whatever_would_end_a_run_stops_it_cleanly_once() -> None:
+    ending = {signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGXCPU}
+    assert ending <= {*STOPS}
+    for number in STOPS:
+        for other in STOPS:
+            signal.signal(other, signal.SIG_DFL)
+        stop_cleanly()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        signal.raise_signal(number)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_handler_of_another_program_stays() -> None:
+    came: list[int] = []
+    signal.signal(signal.SIGUSR2, lambda number, frame: came.append(number))
+    stop_cleanly()
+    signal.raise_signal(signal.SIGUSR2)
+    assert came == [signal.SIGUSR2]
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1])
 def test_a_stop_amid_the_start_of_a_process_is_no_traceback(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -71,13 +71,13 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return scores(directory / "run")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGUSR1, signal.SIGKILL])
 def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
     tmp_path: Path, unbroken: dict[str, str], number: int
 ) -> None:
     process = start(tmp_path)
     stopped = time.monotonic()
-    if number == signal.SIGINT:
+    if number != signal.SIGKILL:
         os.killpg(process.pid, number)  # as a terminal does: to everything in the foreground
     else:
         process.send_signal(number)
