@@ -179,11 +179,15 @@ def _verify(directory: Path) -> int:
     from harness.run.progress import say
 
     with open_to_verify(directory) as run:
-        damaged = run.damaged()
+        damaged, uncovered = run.damaged(), run.uncovered()
     for path, reason in sorted(damaged.items()):
         say(f"{path}: {reason}")
+    uncovered = [path for path in uncovered if path not in damaged]
+    for path in uncovered:
+        say(f"{path}: covered by no checksum")
     if not damaged:
-        say(f"{directory}: every file is as it was written")
+        which = "every file that has a checksum" if uncovered else "every file"
+        say(f"{directory}: {which} is as it was written")
     return int(bool(damaged))
 
 

@@ -6,10 +6,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from harness import outcome
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import baseline, keys, plugins
+from harness.run.files import new_folder
 from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
 from harness.show.compare import Run as Comparable
@@ -62,16 +64,17 @@ def view(args: argparse.Namespace) -> int:
     """Shows a run's recordings, or writes a folder that plays them."""
     from harness.show import view as viewing
 
-    with open_to_verify(args.directory) as run:
-        envs = run.request.envs
-    found = viewing.recordings(args.directory, envs, args.env, args.method, args.compare)
-    if args.export:
-        folder = viewing.export(found, args.export)
-        say(
-            f"{folder}: {len(found)} recordings; to play them: python -m http.server -d {folder} -b 127.0.0.1"
-        )
-        return 0
-    return viewing.serve(found, say) if args.web else viewing.show(found)
+    with TemporaryDirectory() as own:
+        with open_to_verify(args.directory) as run:
+            found = viewing.recordings(args.directory, run.request.envs, args.env, args.method, args.compare)
+            copies = [run.copy(file, Path(own)) for file in found]
+        if args.export:
+            with new_folder(args.export) as folder:
+                viewing.export(copies, folder)
+            plays = f"to play them: python -m http.server -d {args.export} -b 127.0.0.1"
+            say(f"{args.export}: {len(found)} recordings; {plays}")
+            return 0
+        return viewing.serve(copies, say) if args.web else viewing.show(copies)
 
 
 def compare(directory: Path, others: Sequence[Path]) -> int:

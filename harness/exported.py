@@ -10,7 +10,6 @@ Nothing is pickled. Outputs are those of the run, bit for bit.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,10 +25,10 @@ from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
-from harness.run.artifacts import NOT_KEPT, read_artifact
+from harness.run.artifacts import LARGEST, NOT_KEPT, read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
-from harness.run.codec import printable
-from harness.run.files import read, write_atomic
+from harness.run.codec import checksum, printable
+from harness.run.files import new_folder, read, sha256_of, write_atomic
 from harness.run.opening import open_to_verify
 from methods.base import Array, Policy, Reward
 
@@ -134,8 +133,8 @@ def export(
     """
     directory, env = Path(directory), plugins.task_or_name(env)
     with open_to_verify(directory) as run:
-        results, _ = run.load()
-        beside, _ = run.beside()
+        results, unusable = run.load()
+        beside, damaged = run.beside()
     asked = (env, method, seed, NOMINAL)
     cells = [cell for cell in results if (cell.env, cell.method, cell.seed, cell.dynamics) == asked]
     if not cells:
@@ -144,7 +143,8 @@ def export(
         seeds = sorted({cell.seed for cell in results if (cell.env, cell.method) == (env, method)})
         known = sorted({f"{cell.env} {cell.method}" for cell in results})
         has = f"seeds {', '.join(map(str, seeds))}" if seeds else ", ".join(known)[:300] or "no cell"
-        raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}")
+        unread = [f"; {file}: {why}" for file, why in (unusable | damaged).items()]
+        raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}{''.join(unread[:1])}")
     cell = cells[0]
     if env not in ENVS:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
@@ -154,12 +154,10 @@ def export(
         unrecorded = earlier if run.request.conditions.record == "none" else []
         why = "; ".join([*failed[:1], *results[cell].warnings] or unrecorded or ["it learned nothing"])
         raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
-    learned = read_artifact(directory / artifact_of(cell))
+    learned = read_artifact(directory / artifact_of(cell), results[cell])
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
     to = Path(to or f"{cell.name}__{policy}")
-    if os.path.lexists(to) and not (to.is_dir() and not os.listdir(to)):
-        raise BadInput(f"{to} is there already; give a new folder, or an empty one")
     reward = learned.get("reward")
     parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
     facts = _facts(cell, policy, reward, results[cell].key, results[cell].origin)
@@ -167,12 +165,15 @@ def export(
         lost = f"{cell.name}: reward {NOT_KEPT}"
         unkept = [warning for warning in results[cell].warnings if warning.startswith(lost)]
         facts["why_no_reward"] = unkept[0] if unkept else "the method learns none"
-    to.mkdir(parents=True, exist_ok=True)
-    for name, thing in parts.items():
-        arrays, facts[name] = to_arrays(thing, name)
-        if thing is not None:
-            write_atomic(to / f"{name}.safetensors", as_bytes(Kept(arrays, {})))
-    write_atomic(to / FACTS, json.dumps(facts, indent=1) + "\n")
+    facts["files"] = {}
+    with new_folder(to) as folder:
+        for name, thing in parts.items():
+            arrays, facts[name] = to_arrays(thing, name)
+            if thing is not None:
+                data = as_bytes(Kept(arrays, {}))
+                write_atomic(folder / f"{name}.safetensors", data)
+                facts["files"][f"{name}.safetensors"] = sha256_of(data)
+        write_atomic(folder / FACTS, json.dumps({"sha256": checksum(facts), **facts}, indent=1) + "\n")
     return to
 
 
@@ -181,6 +182,8 @@ def load_learned(folder: Path | str) -> Exported:
     folder = Path(folder)
     try:
         facts = json.loads(read(folder / FACTS))
+        if "sha256" in facts and facts.pop("sha256") != checksum(facts):
+            raise ValueError(f"{FACTS} is not as it was written")
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
         env = plugins.task_or_name(str(facts["env"]))
@@ -189,13 +192,21 @@ def load_learned(folder: Path | str) -> Exported:
         spec = SPECS[env]
         found = {}
         for name in PARTS:
-            arrays = {} if facts[name] is None else from_bytes(read(folder / f"{name}.safetensors")).arrays
+            arrays = {} if facts[name] is None else _arrays(folder, f"{name}.safetensors", facts)
             found[name] = from_arrays(arrays, facts[name])
         if not callable(found["policy"]) or not (found["reward"] is None or callable(found["reward"])):
             raise ValueError("it is neither a policy nor a reward")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"{folder} holds nothing that was exported: {printable(repr(error)[:200])}") from error
     return Exported(ExportedPolicy(found["policy"], spec), found["reward"], spec, facts)
+
+
+def _arrays(folder: Path, name: str, facts: Mapping[str, Any]) -> Mapping[str, NDArray[Any]]:
+    """Raises OSError or ValueError where the file is not the one that the facts are of."""
+    data = read(folder / name, LARGEST)
+    if "files" in facts and facts["files"][name] != sha256_of(data):
+        raise ValueError(f"{name} is not the one that was exported with it")
+    return from_bytes(data).arrays
 
 
 def make(env: str) -> gym.Env[Any, Any]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, SupportsIndex
+from typing import Any, BinaryIO, SupportsIndex
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,9 @@ from harness.judge.leaderboard import Entry
 from harness.judge.results import Row
 from harness.registry import BadInput
 from harness.run import plugins as plugged_in
+from harness.run.files import opened
+from harness.run.opening import open_to_verify
+from harness.run.request import REQUEST
 from harness.show.spreadsheet import read_csv
 
 DEFAULT = Path("results/latest")
@@ -84,14 +89,19 @@ def add_plugins(named: Sequence[Path | str]) -> None:
 
 
 def load(directory: Path | str) -> Frames:
-    """What a run's directory holds. Raises BadInput where that is no finished run."""
+    """What a run's directory holds. Raises BadInput where that is no finished run, or not as it was written;
+    tables that lie in a folder without a run are taken as they are."""
     folder = Path(directory)
+    files = [folder / f"{name}.csv" for name in ("scores", "leaderboard")]
     try:
-        return Frames(*(_table(folder / f"{name}.csv") for name in ("scores", "leaderboard")))
+        if not os.path.lexists(folder / REQUEST):
+            return Frames(*(_table(file, opened) for file in files))
+        with open_to_verify(folder) as run:
+            return Frames(*(_table(file, run.opened) for file in files))
     except (OSError, ValueError) as error:
         raise BadInput(f"{folder} holds no finished run: {error}") from error
 
 
-def _table(file: Path) -> pd.DataFrame:
-    with file.open("rb") as binary:
+def _table(file: Path, opened: Callable[[Path], AbstractContextManager[BinaryIO]]) -> pd.DataFrame:
+    with opened(file) as binary:
         return read_csv(binary, TEXTS)

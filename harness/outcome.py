@@ -45,7 +45,7 @@ def report(
 
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
-    damaged = run.damaged_files(results) | run.swapped(results)
+    damaged = run.damaged_files(results)
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
         recorded = results if run.request.conditions.record != "none" else []

@@ -8,12 +8,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from harness.judge.results import Cell, Conditions
+from harness.judge.results import Cell, CellResult, Conditions, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import BadInput
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import printable
-from harness.run.files import LARGEST_OF_CELL, read
+from harness.run.files import LARGEST_OF_CELL, read, sha256_of
 from methods.base import Policy, Reward
 
 FORMAT = 2
@@ -37,19 +37,26 @@ def artifact(
     return (as_bytes(Kept(arrays, facts)) if parts else b""), troubles
 
 
-def read_artifact(path: Path) -> dict[str, Any]:
+def read_artifact(path: Path, stored: CellResult | None = None) -> dict[str, Any]:
     """Policies and rewards by name: 'pi_star', 'reward', None where the method learns none, and 'pi_R', or
-    'expert', as far as there are any. Raises BadInput where the file is none, or damaged."""
+    'expert', as far as there are any. Raises BadInput where the file is none, or damaged, or not the one that
+    was stored with the cell `stored`."""
     try:
-        return learned_in(read(path, LARGEST_OF_CELL))
+        data = read(path, LARGEST_OF_CELL)
+        if stored and sha256_of(data) != stored.files.get(artifact_of(stored.cell)):
+            raise ValueError("its checksum is not the one that its cell has")
+        return learned_in(data, stored.cell if stored else None)
     except (OSError, ValueError, MemoryError) as error:
         raise BadInput(f"{path} holds nothing that was learned: {printable(str(error))}") from error
 
 
-def learned_in(data: bytes) -> dict[str, Any]:
-    """The same, of what such a file holds. Raises ValueError where it is none, or damaged."""
+def learned_in(data: bytes, cell: Cell | None = None) -> dict[str, Any]:
+    """The same, of what such a file holds. Raises ValueError where it is none, or damaged, or another's than
+    the cell's."""
     found = from_bytes(data)
     try:
+        if cell and found.facts["cell"] != asdict(cell):
+            raise ValueError("it is of another cell")
         if found.facts["format"] != FORMAT:
             raise ValueError(f"it has another format than {FORMAT}")
         learned = {name: from_arrays(found.arrays, part) for name, part in found.facts["learned"].items()}

@@ -77,7 +77,7 @@ def _played(directory: Path, env: str, results: Sequence[CellResult]) -> list[An
 
 def _policies(directory: Path, result: CellResult) -> list[tuple[str, Policy]]:
     try:
-        found = read_artifact(directory / artifact_of(result.cell))
+        found = read_artifact(directory / artifact_of(result.cell), result)
     except BadInput:  # damaged, which `verify` says
         return []
     return [(name, found[name]) for name in POLICIES if found.get(name) is not None]

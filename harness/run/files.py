@@ -7,14 +7,17 @@ import hashlib
 import os
 import re
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import FileIO
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from filelock import lock_descriptor
+
+from harness.registry import BadInput
 
 LARGEST = 1 << 24
 """Bytes of a file that is read whole, at most."""
@@ -82,6 +85,71 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
+def opened_below(folder: Path, name: str, most: int = LARGEST_HASHED) -> Iterator[BinaryIO]:
+    """Open the regular file `name`, a path of names below `folder`, to be read.
+
+    Raises OSError as `opened` does, for a link anywhere below `folder`, for a path that leaves it, and for
+    more than `most` bytes. A hard link is a file like any other.
+    """
+    path, parts = folder / name, PurePosixPath(name).parts
+    if not parts or {"..", "/"} & {*parts}:
+        raise OSError(errno.EINVAL, "it leads out of its folder", str(path))
+    with ExitStack() as stack:
+        place: int | None = None
+        if os.open in os.supports_dir_fd:
+            for step in (str(folder), *parts[:-1]):
+                flags = os.O_RDONLY | os.O_DIRECTORY | (0 if place is None else os.O_NOFOLLOW)
+                try:
+                    place = os.open(step, flags, dir_fd=place)
+                except NotADirectoryError as error:
+                    raise OSError(errno.ELOOP, "it lies behind a link", str(path)) from error
+                except ValueError as error:  # of a name that no file can have
+                    raise OSError(errno.EINVAL, str(error), repr(str(path))) from error
+                stack.callback(os.close, place)
+        elif any(folder.joinpath(*parts[:count]).is_symlink() for count in range(1, len(parts))):
+            raise OSError(errno.ELOOP, "it lies behind a link", str(path))
+        handle = _open(path, os.O_RDONLY, place)
+        file = stack.enter_context(open(handle, "rb"))
+        if os.fstat(handle).st_size > most:
+            raise _too_large(path, most)
+        yield file
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Make a folder to write into, which is at `path` once the context ends; nothing is left on an exception.
+
+    Raises BadInput where `path` is a link, or anything but an empty folder.
+    """
+    there = os.path.lexists(path)
+    if path.is_symlink() or (there and not (path.is_dir() and not os.listdir(path))):
+        raise BadInput(f"{path} is there already; give a new folder, or an empty one")
+    path = path.absolute()
+    above = [] if there else [folder for folder in path.parents if not os.path.lexists(folder)]
+    temporary = (path if there else path.parent) / f".irl-bench.{secrets.token_hex(8)}.tmp"
+    moved: list[Path] = []
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if there:
+            for item in sorted(temporary.iterdir()):
+                moved.append(item.rename(path / item.name))
+            temporary.rmdir()
+        else:
+            temporary.rename(path)
+    except BaseException:
+        for item in (temporary, *moved):
+            if item.is_dir():
+                shutil.rmtree(item, ignore_errors=True)
+            else:
+                item.unlink(missing_ok=True)
+        for folder in above:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@contextmanager
 def appending(path: Path) -> Iterator[FileIO]:
     """The regular file at `path`, made if it is not there, to be written to at its end, each write at once.
     Raises OSError as `opened` does, and for a file that has other names besides."""
@@ -140,7 +208,12 @@ def sha256(path: Path) -> str:
     with opened(path) as file:
         if os.fstat(file.fileno()).st_size > LARGEST_HASHED:
             raise _too_large(path, LARGEST_HASHED)
-        return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it has readinto
+        return digest_of(file)
+
+
+def digest_of(file: BinaryIO) -> str:
+    """The SHA-256 of the rest of an open file, in hexadecimal."""
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it has readinto
 
 
 def sha256_of(data: bytes) -> str:
@@ -159,9 +232,10 @@ def _too_large(path: Path, most: int) -> OSError:
     return OSError(errno.EFBIG, f"it is larger than {most >> 20} MiB", str(path))
 
 
-def _open(path: Path, flags: int) -> int:
+def _open(path: Path, flags: int, place: int | None = None) -> int:
+    """place: the open folder in which the file is looked up by its name."""
     try:
-        handle = os.open(path, flags | _ODD, 0o666)
+        handle = os.open(path if place is None else path.name, flags | _ODD, 0o666, dir_fd=place)
     except ValueError as error:  # of a name that no file can have
         raise OSError(errno.EINVAL, str(error), repr(str(path))) from error
     except OSError as error:

@@ -7,18 +7,30 @@ import errno
 import functools
 import os
 import re
+import shutil
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
+from typing import BinaryIO
 
 from harness.judge.results import PROGRAM_NAME, REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
 from harness.run.codec import decode, encode
-from harness.run.files import LARGEST_OF_CELL, append, read, sha256, write_atomic
+from harness.run.files import (
+    LARGEST,
+    LARGEST_OF_CELL,
+    append,
+    digest_of,
+    opened_below,
+    read,
+    sha256,
+    sha256_of,
+    write_atomic,
+)
 from harness.run.keys import origin, report_key, task_of, task_version
 from harness.run.request import BASELINE, FOLDERS, LOCK, REQUEST, as_text, existing
 from harness.run.sums import SUMS, as_lines, in_words, listed_in, named, readable, seal_of, why_damaged
@@ -30,6 +42,8 @@ REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REP
 """Beside figures, what is rebuilt from cells."""
 OF_CELLS = ("cells/", f"{BASELINE}/", "recordings/", "artifacts/")
 """How the names of files begin that a cell wrote."""
+Check = Callable[[str, str], None]
+"""What raises ValueError for the name and the digest of a file that is not as it was written."""
 OTHER_VERSION = "computed by another version of the program, its packages or its experts"
 CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
 """Names of files that hold a cell."""
@@ -51,6 +65,7 @@ class RunDirectory:
     ) -> None:
         self.path, self.request, self.lock, self.keys = path, request, lock, keys
         self._version_of = functools.cache(task_version)
+        self._checker_once = functools.cache(self._checker)
 
     def check(self) -> None:
         """Raises OSError where the path leads no more to what was opened: moved, deleted, in another's hands,
@@ -90,10 +105,29 @@ class RunDirectory:
     def learned(self, cell: Cell) -> bytes:
         """The artifact of a cell that counts for this run; empty where there is none, or it is damaged."""
         with suppress(OSError, ValueError):
-            stored = self._load(self.path / "cells" / f"{cell.name}.json")
+            stored = self._load(self.path / "cells" / f"{cell.name}.json", lambda name, digest: None)
             if stored.artifacts:
                 return read(self.path / artifact_of(cell), LARGEST_OF_CELL)
         return b""
+
+    @contextmanager
+    def opened(self, file: Path) -> Iterator[BinaryIO]:
+        """Open a file of the run to read what was written there. Raises BadInput where `verify` would name
+        it."""
+        name = file.relative_to(self.path).as_posix()
+        try:
+            with opened_below(self.path, name) as stream:
+                self._checker_once(self._mends)(name, digest_of(stream))
+                stream.seek(0)
+                yield stream
+        except (ValueError, OSError) as error:
+            raise BadInput(f"{file}: {in_words(error)}") from error
+
+    def copy(self, file: Path, folder: Path) -> Path:
+        """Copy a file that `opened` opens into the folder; return the copy's path."""
+        with self.opened(file) as stream, (folder / file.name).open("xb") as copied:
+            shutil.copyfileobj(stream, copied)
+        return folder / file.name
 
     def log(self, printed: bytes) -> None:
         """Adds to what jobs printed. Raises OSError where it cannot be written."""
@@ -101,11 +135,16 @@ class RunDirectory:
 
     def load(self) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
         """Every stored cell, sorted, and why the files that hold no cell for this run do not."""
+        return self._loaded(self._mends)
+
+    def _loaded(self, mends: bool) -> tuple[dict[Cell, CellResult], dict[Path, str]]:
+        """As `load`. mends: of `_checker`."""
         results: dict[Cell, CellResult] = {}
         unusable: dict[Path, str] = {}
+        check = self._checker(mends)
         for path in self._cell_files():
             try:
-                result = self._load(path)
+                result = self._load(path, check)
                 results[result.cell] = result
             except (ValueError, OSError) as error:
                 unusable[path] = in_words(error)
@@ -125,6 +164,10 @@ class RunDirectory:
             lines[name] = sha256(self.path / name)
             lines |= result.files
         lines |= {f.relative_to(self.path).as_posix(): sha256(f) for f in [*files, *self._baseline_files()]}
+        for name, digest in self._listed().items():
+            drawn = name.startswith("figures/") and _is_ours(name) and name not in lines
+            if drawn and not why_damaged(self.path / name, digest):  # by an earlier report
+                (self.path / name).unlink()
         listed = as_lines((digest, name) for name, digest in sorted(lines.items()))
         write_atomic(self.path / REPORT_KEY, f"{self._key_of_report(results)}\n{seal_of(listed.encode())}\n")
         write_atomic(self.path / SUMS, listed + as_lines([(sha256(self.path / REPORT_KEY), REPORT_KEY)]))
@@ -157,6 +200,8 @@ class RunDirectory:
         texts = {f"{result.cell.name}.json": encode(result) for result in results}
         for name, text in texts.items():
             write_atomic(folder / name, text)
+        noted = ((sha256(folder / name), f"{BASELINE}/{name}") for name in texts)
+        append(self.path / SUMS, as_lines(noted).encode())
         for file in self._baseline_files():
             if file.name not in texts:
                 file.unlink()
@@ -164,10 +209,11 @@ class RunDirectory:
     def beside(self) -> tuple[list[CellResult], dict[Path, str]]:
         """The cells of other runs that it is shown beside, and why files that should hold one do not. A cell
         that the run has itself by now is none."""
-        found, unusable = [], {}
+        found, unusable, check = [], {}, self._checker(self._mends)
         for path in self._baseline_files():
             try:
-                result = decode(read(path))
+                result, *noted = self._decoded(path)
+                check(*noted)
             except (ValueError, OSError) as error:
                 unusable[path] = in_words(error)
                 continue
@@ -179,13 +225,6 @@ class RunDirectory:
         """The cells among these that the run has not itself."""
         own = {path.stem for path in self._cell_files()}
         return [result.cell for result in results if result.cell.name not in own]
-
-    def swapped(self, results: Iterable[CellResult]) -> dict[Path, str]:
-        """Cells among these whose files are not those that were noted when they were stored."""
-        noted = self._listed()
-        names = {f"cells/{result.cell.name}.json" for result in results} & noted.keys()
-        damages = {self.path / name: why_damaged(self.path / name, noted[name]) for name in sorted(names)}
-        return {path: damage for path, damage in damages.items() if damage}
 
     def forgotten(self, results: Iterable[CellResult]) -> list[str]:
         """The names of cells that were stored here, are not among these, and have no file any more."""
@@ -206,7 +245,7 @@ class RunDirectory:
 
     def damaged(self) -> dict[Path, str]:
         """What is not as it was written, and why. What the run did not write is nobody's damage."""
-        results, damaged = self.load()
+        results, damaged = self._loaded(mends=True)
         damaged |= self.damaged_files(results.values())
         if read(self.path / REQUEST) != as_text(self.request).encode():
             damaged[self.path / REQUEST] = "it is not as it was written"
@@ -234,11 +273,20 @@ class RunDirectory:
     def damaged_files(self, results: Iterable[CellResult]) -> dict[Path, str]:
         """Those of the results' recordings and artifacts that are not as they were written, and why."""
         return {
-            self.path / name: f"{name} is missing or damaged"
+            self.path / name: damage
             for result in results
             for name, digest in result.files.items()
-            if why_damaged(self.path / name, digest)
+            if (damage := why_damaged(self.path / name, digest))
         }
+
+    def uncovered(self) -> list[Path]:
+        """Files of the kinds that a run writes, but not in its list of checksums: perhaps a user's own."""
+        noted, found = self._listed(), []
+        for folder, kind in FOLDERS.items():
+            names = os.listdir(self.path / folder) if (self.path / folder).is_dir() else []
+            ours = re.compile(rf"[^.].*\.{kind}")
+            found += [f"{folder}/{name}" for name in names if ours.fullmatch(name)]
+        return [self.path / name for name in sorted({*found} - noted.keys())]
 
     def _baseline_files(self) -> list[Path]:
         return sorted((self.path / BASELINE).glob("*.json"))
@@ -254,9 +302,43 @@ class RunDirectory:
         ours = tuple(f"{env}{end}" for env in self.request.envs for end in ("__", "."))
         return sorted(folder / n for n in names if CELL_FILE.fullmatch(n) and n.startswith(ours))
 
-    def _load(self, path: Path) -> CellResult:
-        """Raises ValueError or OSError where the file holds no cell of this run."""
-        result = decode(read(path))
+    @property
+    def _mends(self) -> bool:
+        """Whether the list of checksums is written anew by who opened the directory."""
+        return self.lock is not None or bool(self.keys)
+
+    def _checker(self, mends: bool) -> Check:
+        """Return what raises ValueError for the name and digest of a file that is not as it was noted.
+
+        mends: whether a file that is not in the list, or a list that is damaged, will do.
+        """
+        try:
+            listed, broken = (self._listed() if mends else self._noted()), ""
+        except (OSError, ValueError) as error:
+            listed, broken = {}, f"{SUMS}: {in_words(error)}"
+
+        def check(name: str, digest: str) -> None:
+            if broken:
+                raise ValueError(broken)
+            if name not in listed and not mends:
+                raise ValueError(f"{SUMS} does not list it")
+            if listed.get(name, digest) != digest:
+                raise ValueError("its checksum does not match")
+
+        return check
+
+    def _decoded(self, path: Path) -> tuple[CellResult, str, str]:
+        """Return the cell in a file, and the file's name and digest. Raises ValueError or OSError where it
+        holds none."""
+        name = path.relative_to(self.path).as_posix()
+        with opened_below(self.path, name, LARGEST) as file:
+            data = file.read()
+        return decode(data), name, sha256_of(data)
+
+    def _load(self, path: Path, check: Check) -> CellResult:
+        """check: of `_checker`. Raises ValueError or OSError where the file holds no cell of this run, or not
+        the one that was noted."""
+        result, *noted = self._decoded(path)
         if path.stem != result.cell.name:
             raise ValueError(f"holds the cell {result.cell.name}")
         if not self.request.asks_for(result.cell):
@@ -266,7 +348,8 @@ class RunDirectory:
         if self.keys and result.key != self.keys[result.cell]:
             raise ValueError(OTHER_VERSION)
         if self.keys and (damaged := self.damaged_files([result])):
-            raise ValueError(next(iter(damaged.values())))
+            raise ValueError(f"{min(damaged).relative_to(self.path)} is missing or damaged")
+        check(*noted)
         return result
 
     def _noted(self) -> dict[str, str]:

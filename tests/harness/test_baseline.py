@@ -17,7 +17,9 @@ from harness.registry import BadInput
 from harness.run import baseline, keys, store
 from harness.run.codec import checksum
 from harness.run.environment import numeric
+from harness.run.files import append, sha256
 from harness.run.opening import open_for_run
+from harness.run.sums import SUMS, as_lines
 from harness.show import compare
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 
@@ -45,12 +47,13 @@ def computed(seeds: tuple[int, ...], score: float = 470.0, method: str = "gail")
 
 
 def edited(board: Path, change: Callable[[dict], None], cells: str = "*") -> None:
-    """What the board's cells hold is changed, and they say so."""
+    """What the board's cells hold is changed, and they and the list of checksums say so."""
     for file in board.glob(f"*/cells/{cells}.json"):
         stored = json.loads(file.read_text())
         change(stored["result"])
         stored["sha256"] = checksum(stored["result"])
         file.write_text(json.dumps(stored))
+        append(file.parents[1] / SUMS, as_lines([(sha256(file), f"cells/{file.name}")]).encode())
 
 
 def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> None:

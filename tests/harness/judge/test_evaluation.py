@@ -67,6 +67,6 @@ def test_a_reward_that_writes_into_what_it_is_given_changes_nothing(steady: EnvS
 
     (episode,) = Simulator(steady).run(lambda obs: obs[:, :1] * 0.5, [0])
     before = episode.obs.copy()
-    assert total(Writing(0.0), episode.obs, episode.act) == pytest.approx(before[-1, 0] - before[0, 0])
+    assert total(Writing(0.0, 0.0), episode.obs, episode.act) == pytest.approx(before[-1, 0] - before[0, 0])
     assert np.array_equal(episode.obs, before)
     assert episode.act.any()

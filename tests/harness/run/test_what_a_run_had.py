@@ -127,7 +127,8 @@ def test_a_report_without_a_recording_says_so(
     recording = run / "recordings" / RECORDING
     recording.write_text("{") if gone == "damaged" else recording.unlink()
     assert main(["report", str(run)]) == 1
-    assert f"{RECORDING} is missing or damaged" in capsys.readouterr().err
+    why = "missing" if gone == "deleted" else "its checksum does not match"
+    assert f"{RECORDING}: {why}\n" in capsys.readouterr().err
     assert main(["verify", str(run)]) == 1
 
 
@@ -263,8 +264,11 @@ def test_a_torn_last_line_of_the_list_is_mended_by_the_next_writer(run: Path) ->
 
 def test_a_swapped_cell_is_told_by_report(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     strange(run, return_mean=999.0)
-    assert main(["report", str(run)]) == 1
-    assert "cartpole__bc__seed0.json: its checksum does not match" in capsys.readouterr().err
+    for command in (["report"], ["compare", str(run)], ["report"]):
+        assert main([*command, str(run)]) == 2  # it is the only cell
+        said = capsys.readouterr().err
+        assert "cartpole__bc__seed0.json: its checksum does not match" in said
+        assert "holds no finished cell" in said
 
 
 def test_two_may_verify_at_once(run: Path) -> None:
