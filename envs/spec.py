@@ -272,6 +272,13 @@ class EnvSpec:
             )
         return env
 
+    @property
+    def first_choice(self) -> int:
+        """The number by which the task itself calls the first choice; 0 where actions are none."""
+        env = self.make()
+        native = env.env.action_space if isinstance(env, Scaled) else env.action_space
+        return int(native.start) if isinstance(native, spaces.Discrete) else 0
+
     def variant(self, name: str) -> EnvSpec:
         """One of `variants` as a task of its own, whose experts nothing is known of. Raises ValueError for an
         unknown name."""
