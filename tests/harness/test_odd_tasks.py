@@ -230,6 +230,7 @@ def test_what_is_observed_is_copied(task: Callable[..., str]) -> None:
     for spec in (own, reused):
         (episode,) = Simulator(spec).run(lambda obs: np.zeros((len(obs), 2)), [0])
         assert episode.obs[:, 0].tolist() == [*range(LIMIT + 1)]
+        assert [check.outcome() for check in checks(spec) if check.outcome()[0] == "FAILED"] == []
 
     def draw(env: gym.Env) -> dict[str, Shape]:
         return {"its": Shape(inner(env).buffer[None], (0, 0, 0))}
