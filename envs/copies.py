@@ -19,7 +19,7 @@ TRIED = 100
 
 class Copies:
     """Copies of a task in lockstep, by its batch or one by one, numbered from 0. Each is reset before it is
-    stepped. Both methods raise ValueError, naming task, step and entry, for what is no finite number."""
+    stepped. `reset` and `step` raise ValueError, naming task, step and entry, unless all is finite."""
 
     def __init__(self, spec: EnvSpec, count: int) -> None:
         self._spec = spec

@@ -272,6 +272,13 @@ class EnvSpec:
             )
         return env
 
+    @property
+    def first_choice(self) -> int:
+        """The number by which the task itself calls the first choice; 0 where actions are none."""
+        env = self.make()
+        native = env.env.action_space if isinstance(env, Scaled) else env.action_space
+        return int(native.start) if isinstance(native, spaces.Discrete) else 0
+
     def variant(self, name: str) -> EnvSpec:
         """One of `variants` as a task of its own, whose experts nothing is known of. Raises ValueError for an
         unknown name."""
@@ -320,8 +327,8 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1], and
     MuJoCo's tasks get a batch. fields: of `EnvSpec`, what is known better.
 
-    Raises ValueError for observations that are not flat or not finite, actions that are neither choices nor
-    bounded real numbers, rewards that are no number, and where there is no time limit or not always the same.
+    Raises ValueError unless observations are flat, actions are choices or bounded real numbers, and what it
+    gives is finite. It also does where there is no time limit, or another in each instance.
     """
     from gymnasium.envs.mujoco import MujocoEnv
 

@@ -255,6 +255,11 @@ def _numbers(rows: NDArray[Any], size: int, what: str, episode: int) -> Array:
 def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: int) -> Array:
     """(T, A), as `Episodes` has them."""
     if spec.discrete and rows.ndim == 1:
+        if first := spec.first_choice:
+            raise ValueError(
+                f"choices of this task begin at {first}; give them in rows, one 1 among 0s, for a file does "
+                "not tell where its numbers begin"
+            )
         if rows.dtype.kind not in "iu" or not (len(rows) and 0 <= rows.min() <= rows.max() < spec.act_size):
             raise ValueError(f"episode {episode}: choices must be whole numbers below {spec.act_size}")
         return np.asarray(np.eye(spec.act_size)[rows])

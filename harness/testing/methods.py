@@ -21,9 +21,11 @@ HYPER = "a method's fields are its hyper-parameters"
 
 
 def checks(method: Method, asks: bool | None = None) -> list[Check]:
-    """What it must satisfy; each is to be called. In a world that answers at once, with observations (3,) and
-    actions (2,), and a real one of 4 by 4 states with 5 choices. asks: whether it may ask the expert; by
-    default where it is a built-in method that may."""
+    """Return what it must satisfy; each is to be called. They use a world that answers at once, with
+    observations (3,) and actions (2,), and a real one of 4 by 4 states with 5 choices.
+
+    asks: whether it may ask the expert. By default it may where it is a built-in method that may.
+    """
     if asks is None:
         asks = type(method) in map(load_method, ASKING)
     lasting, terminating = _demonstrations(10), _demonstrations(3)

@@ -24,8 +24,8 @@ from methods.tabular import greedy, value_iteration
 
 
 class _Account:
-    """What worlds count and refuse, as `TaskWorld` does. asked: whether the expert may be asked. unit: steps
-    that a solve is a multiple of."""
+    """An account of what a world is asked for, as `TaskWorld` keeps it. asked: whether the expert may be
+    asked. unit: steps that a solve is a multiple of."""
 
     obs_size: int
     act_size: int
@@ -38,7 +38,7 @@ class _Account:
         self.solves: list[tuple[Reward | Payment, int, bool]] = []
         """Reward, steps, and whether an agent went on from before."""
         self.given: list[dict[str, Any]] = []
-        """What each agent was asked for with."""
+        """The options of each agent, in their order."""
 
     def agent(self, rng: np.random.Generator, **given: Any) -> FakeAgent:
         self.given.append(given)

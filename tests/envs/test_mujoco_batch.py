@@ -1,13 +1,18 @@
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
+from gymnasium.envs.registration import EnvSpec as Registered
 from gymnasium.wrappers import TransformReward
 
 from envs import from_gymnasium
 from envs.mujoco_batch import MujocoBatch, twin
+from harness.learn.simulator import Simulator
+from harness.testing.envs import checks
 from harness.testing.lockstep import assert_together_as_alone
 
 
@@ -33,6 +38,31 @@ def test_mujocos_tasks_in_lockstep_are_bit_for_bit_gymnasiums(env_id: str, ends:
     spec = from_gymnasium(env_id, "x", why_ended=lambda env: f"at {env.unwrapped.data.time}")
     assert isinstance(spec.batch(1), MujocoBatch)
     assert bool(assert_together_as_alone(spec, 300)) == ends
+
+
+class Cut(InvertedPendulumEnv):
+    """It truncates its episodes itself."""
+
+    steps = 0
+
+    def reset_model(self) -> Any:
+        self.steps = 0
+        return super().reset_model()
+
+    def step(self, action: Any) -> tuple:
+        self.steps += 1
+        obs, reward, terminated, _, info = super().step(action)
+        return obs, np.array([reward]), terminated, self.steps == 5, info
+
+
+def test_it_truncates_where_the_task_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    registered = Registered("Cut-v0", Cut, max_episode_steps=100, disable_env_checker=True)
+    monkeypatch.setitem(gym.registry, "Cut-v0", registered)
+    spec = from_gymnasium("Cut-v0", "x")
+    assert isinstance(spec.batch(1), MujocoBatch)
+    episodes = Simulator(spec, lanes=2).run(lambda obs: np.zeros((len(obs), 1)), range(3))
+    assert {(len(e.act), e.terminated, e.ending) for e in episodes} == {(5, False, "time limit")}
+    assert all(check.outcome()[0] == "ok" for check in checks(spec) if "together" in check.title)
 
 
 def test_what_it_is_made_with_reaches_the_batch_of_a_variant_too() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -19,8 +20,11 @@ from gymnasium.wrappers import TimeLimit
 from envs import EnvSpec, Shape, from_gymnasium
 from envs.copies import Copies, alone, try_out
 from envs.spec import scaled
+from harness.demonstrations import read
+from harness.exported import Exported, ExportedPolicy, LearnedReward
 from harness.learn.simulator import Simulator, drawings
 from harness.learn.training_env import TrainingEnv
+from harness.registry import BadInput
 from harness.testing.envs import checks
 from methods.base import Array
 
@@ -121,6 +125,21 @@ def test_choices_begin_where_the_task_says(task: Callable[..., str], start: int)
         assert inner(env).told == [start, start + 1, start + 2]
 
 
+def test_a_files_numbers_of_choices_that_do_not_begin_at_0_are_refused(
+    task: Callable[..., str], tmp_path: Path
+) -> None:
+    """It may mean 1 and 2, or the second and the third."""
+    obs, ends = np.zeros((3, 2)), {"lengths": np.array([2]), "terminated": np.array([True])}
+    for start, act, fits in ((0, [1, 2], True), (1, [1, 2], False), (1, np.eye(3)[[1, 2]], True)):
+        spec = from_gymnasium(task(act=spaces.Discrete(3, start=start)), "odd")
+        np.savez(tmp_path / "shown.npz", obs=obs, act=np.array(act), **ends)
+        if fits:
+            assert read(tmp_path / "shown.npz", spec).episodes.act[0].argmax(axis=1).tolist() == [1, 2]
+        else:
+            with pytest.raises(BadInput, match="choices of this task begin at 1"):
+                read(tmp_path / "shown.npz", spec)
+
+
 def limited(steps: int) -> gym.Env:
     return TimeLimit(Odd(), steps)
 
@@ -211,12 +230,29 @@ def test_what_is_observed_is_copied(task: Callable[..., str]) -> None:
     for spec in (own, reused):
         (episode,) = Simulator(spec).run(lambda obs: np.zeros((len(obs), 2)), [0])
         assert episode.obs[:, 0].tolist() == [*range(LIMIT + 1)]
+        assert [check.outcome() for check in checks(spec) if check.outcome()[0] == "FAILED"] == []
 
     def draw(env: gym.Env) -> dict[str, Shape]:
         return {"its": Shape(inner(env).buffer[None], (0, 0, 0))}
 
     frames = drawings(dataclasses.replace(own, draw=draw), 0, np.zeros((3, 2)))
     assert [frame["its"].points[0, 0] for frame in frames] == [0, 1, 2, 3]
+
+
+def test_a_learned_reward_sees_where_a_step_began(task: Callable[..., str]) -> None:
+    class Steps:
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            return next_obs[:, 0] - obs[:, 0]
+
+    spec = from_gymnasium(task(reuse=True, pay=of_one), "odd")
+    learned = Exported(ExportedPolicy(lambda obs: np.zeros((len(obs), 2)), spec), Steps(), spec, {})
+    env = LearnedReward(spec.make(), learned)
+    env.reset(seed=0)
+    for _ in range(3):
+        _, paid, _, _, info = env.step(np.zeros(2, np.float32))
+        assert (paid, info["true_reward"]) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -238,8 +274,8 @@ def now_and_then(env: Odd) -> Any:
 @pytest.mark.parametrize("pay", [of_one, now_and_then, lambda env: np.int64(1), lambda env: True])
 def test_a_reward_of_one_entry_is_a_number(task: Callable[..., str], pay: Callable[[Odd], Any]) -> None:
     spec = from_gymnasium(task(pay=pay), "odd")
-    (episode,) = Simulator(spec).run(lambda obs: np.zeros((len(obs), 2)), [0])
-    assert episode.rewards.tolist() == [1.0] * LIMIT
+    for episode in Simulator(spec).run(lambda obs: np.zeros((len(obs), 2)), range(3)):
+        assert episode.rewards.tolist() == [1.0] * LIMIT
     assert [check.outcome() for check in checks(spec) if check.outcome()[0] == "FAILED"] == []
 
 
