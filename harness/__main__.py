@@ -48,7 +48,10 @@ def _start() -> int:
     sys.stdout.flush()
     if why := streams.output_was_lost():
         print(f"irl-bench: error: standard output was cut short: {why}", file=sys.stderr)
-        return code or 1
+        code = code or 1
+    if "ray" in sys.modules:  # Its threads may wait without an end for a head that is lost.
+        sys.stderr.flush()
+        os._exit(code)
     return code
 
 

@@ -85,6 +85,14 @@ def _check_memory(command: str) -> None:
             )
 
 
+def _check_folder() -> None:
+    """Raise BadInput where the current folder is gone, amid which some libraries end the process."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise BadInput(f"the current folder is gone ({error.strerror}); run it from another one") from error
+
+
 def _program() -> list[str]:
     """What the user typed, or may type, to start this program."""
     name = sys.argv[0]
@@ -107,6 +115,7 @@ def _dispatch(argv: list[str]) -> int:
     if args.command == "verify":
         return _verify(args.directory)
     _check_memory(args.command)
+    _check_folder()
     if args.command == "bench":
         return _bench(args.part, args.json)
     if args.command == "check":

@@ -39,6 +39,8 @@ ANSWERS = 10.0
 """Seconds that a cluster's head has for an answer."""
 STALLED = 600.0
 """Seconds without any result after which the user is told."""
+ENDING = 20.0
+"""Seconds that Ray has to leave the cluster, for which it waits without an end where the head is silent."""
 SILENCE = 5.0, 60.0
 """Seconds without an answer after which the head is lost: where nothing listens there, and where something
 does."""
@@ -92,7 +94,7 @@ class Ray:
         """References to what cells of an environment and a seed share."""
         self._refused: list[tuple[Job, Outcome]] = []
         """Jobs that could not be begun."""
-        self._left = threading.Event()
+        self._left, self._lost = threading.Event(), False
 
     @property
     def workers(self) -> int:
@@ -120,6 +122,7 @@ class Ray:
             lost = f"the head of the Ray cluster at {self._head} is lost"
         else:
             return
+        self._lost = True
         raise Unfinished(f"{lost}; cells that were being computed: {len(self._running)}")
 
     def __enter__(self) -> Self:
@@ -146,7 +149,7 @@ class Ray:
             except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
                 why = " ".join(str(error).split())
                 raise BadInput(f"no Ray cluster {self._address}: {why}", page="cluster") from error
-            stack.callback(self._ray.shutdown)
+            stack.callback(self._shut_down)
             remote = self._ray.remote(num_cpus=1, max_retries=0)
             self._begin: Callable[..., Any] = remote(node.compute_there).remote
             self._last = time.monotonic()
@@ -169,6 +172,14 @@ class Ray:
         self._running.clear()
         self._shared.clear()
         self._stack.__exit__(kind, error, trace)
+
+    def _shut_down(self) -> None:
+        """Leave the cluster, and end one that was started here."""
+        if self._lost:  # Ray would wait for those that are silent, but not for the dead.
+            orphans.end_all()
+        leaving = threading.Thread(target=self._ray.shutdown, daemon=True)
+        leaving.start()
+        leaving.join(ENDING)
 
     def start(self, job: Job) -> None:
         self._check_there()

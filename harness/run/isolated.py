@@ -109,7 +109,7 @@ class Isolated:
             code = error.exitcode
             if code is not None and code < 0:
                 name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-                hint = " (out of memory?)" if -code == signal.SIGKILL else ""
+                hint = " (out of memory?)" if name == "SIGKILL" else ""
                 return Outcome(error=f"its process was killed by {name}{hint}")
             reason = f"its process ended without a result, exit code {code}"
             return Outcome(error=reason, lost=code == SERVER_DIED)

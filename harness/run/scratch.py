@@ -66,7 +66,7 @@ def remove_abandoned(parent: Path) -> None:
 def _remove_if_abandoned(folder: Path) -> None:
     """Raises OSError where it is not ours."""
     with opened(folder / MARKER) as marker:
-        ours = folder.lstat().st_uid == os.geteuid() and marker.read(1000) == _mark(folder)
+        ours = folder.lstat().st_uid == _user() and marker.read(1000) == _mark(folder)
         if ours and lock_descriptor(marker.fileno(), blocking=False):
             _delete(folder)
 
@@ -87,4 +87,8 @@ def _delete(folder: Path) -> None:
 def _mark(folder: Path) -> bytes:
     place = folder.stat()
     here = {"folder": folder.name, "device": place.st_dev, "inode": place.st_ino}
-    return json.dumps({"owner": os.geteuid(), **here}).encode()
+    return json.dumps({"owner": _user(), **here}).encode()
+
+
+def _user() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0  # as Windows says of every file

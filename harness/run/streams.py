@@ -64,7 +64,7 @@ def output_was_lost() -> str:
 
 
 def _lasting(handle: int, old: TextIO | None, errors: str) -> Lasting:
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):  # which Windows lacks before Python 3.12
         os.set_blocking(handle, True)
     encoding = getattr(old, "encoding", None) or "utf-8"
     if codecs.lookup(encoding).name in NO_TEXT:

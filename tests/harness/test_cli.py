@@ -109,6 +109,31 @@ def test_out_of_memory_is_one_line(
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        (["run", "--methods", "bc", "--out", "new"], 2),
+        (["report", "there"], 2),
+        (["check", "bc"], 2),
+        (["list"], 0),
+    ],
+)
+def test_in_a_folder_that_is_gone_commands_are_done_or_one_line(
+    command: list[str],
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(command) == code
+    _, err = capsys.readouterr()
+    assert err.count("\n") == (code == 2)
+    assert ("irl-bench: error: the current folder is gone" in err) == (code == 2)
+
+
 def test_variants_run_when_named_and_not_in_all() -> None:
     choose = functools.partial(registry.choose, "method", known=registry.METHODS, variants=registry.VARIANTS)
     assert choose("all") == tuple(registry.METHODS)
