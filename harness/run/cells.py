@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from harness.judge import effort
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
     LEARNED,
@@ -17,7 +18,7 @@ from harness.judge.results import (
     PolicyName,
     name_of,
 )
-from harness.run import given, without_expert
+from harness.run import given, plugins, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes
 from harness.run.experts import Shared
@@ -51,6 +52,7 @@ def run_cell(
         if one.policy
     }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
+    below = any(missed)
     learned, lost = learned_file(task, made)
     keeps = conditions.record != "none"
     artifacts = {f"{cell.name}.{KIND}": learned} if learned and keeps else {}
@@ -62,6 +64,10 @@ def run_cell(
     for one in made:
         if one.name in watched:
             recordings |= recorded(task, one, scored[one.name], watched[one.name])
+    more = plugins.times_as_many(cell.method, cell.env, conditions.budget)
+    if more > effort.MOST:
+        its = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"
+        missed.append(f"{cell.name}: its own settings ask for {its}: not compared like with like")
     result = CellResult(
         cell,
         rows=[
@@ -73,8 +79,9 @@ def run_cell(
         + [*filter(None, missed), *(lost if keeps else ())],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
-        below_bar=any(missed),
+        below_bar=below,
         details={name: value for one in made for name, value in one.details.items()},
+        like=list(plugins.like(cell.method)),
         seconds=task.seconds,
     )
     folders = {"recordings": recordings, "artifacts": artifacts}
