@@ -18,7 +18,7 @@ from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Condition
 from harness.registry import ENVS, METHODS, PLUGINS, VARIANTS, BadInput, Entry
 from harness.run import environment, plugins
 from harness.run.plugin_sources import Sources
-from methods.settings import settings_for
+from harness.run.plugins import settings_for
 
 STAGES, EXPERTS_MODULE = "harness.run.stages", "harness.run.experts"
 """What computes cells' numbers, and what they share."""
