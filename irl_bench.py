@@ -9,6 +9,8 @@ scores = irl_bench.load("results/reference/board/swingup_5").scores
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -75,6 +77,30 @@ __all__ = [
     "make",
     "run",
 ]
+
+
+def _begin() -> None:
+    """Make this program's packages be found before others of their names, such as those beside a script."""
+    here = os.path.dirname(os.path.realpath(__file__))
+    sys.path.insert(0, here)
+    try:
+        from harness.run import ours
+    except ImportError as error:
+        file = getattr(sys.modules.get("harness"), "__file__", None)
+        raise ImportError(f"{file} hides this program's package 'harness': rename it") from error
+    finally:
+        sys.path.remove(here)
+    ours.first()
+
+
+_begin()
+
+
+def start() -> int:
+    """Do what the command line asks for, and return the exit code. For a process of its own."""
+    from harness.__main__ import start
+
+    return start()
 
 
 def __getattr__(name: str) -> object:

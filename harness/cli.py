@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import os
 import shlex
@@ -12,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from harness.arguments import parser
 from harness.registry import (
@@ -26,7 +26,9 @@ from harness.registry import (
     BadInput,
     Unfinished,
     choose,
+    load_method,
 )
+from harness.run import ours, plugins
 from harness.run.signals import ignore_stops, importing
 
 NO_MEMORY = ("failed to map segment", "Cannot allocate memory")
@@ -42,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Does what `argv` (default: the command line) asks for; returns the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
+        ours.first()
         return _dispatch(argv)
     except (BadInput, OSError, ImportError, MemoryError) as error:
         said = str(error)
@@ -109,6 +112,11 @@ def _dispatch(argv: list[str]) -> int:
         args = parser().parse_args(argv)
     except SystemExit:  # --help, the only other way out of a parser whose error() raises
         return 0
+    with plugins.for_now():
+        return _do(args)
+
+
+def _do(args: argparse.Namespace) -> int:
     if args.command == "list":
         return _list(args.plugin)
     _check_python()
@@ -148,19 +156,11 @@ def _check_python() -> None:
         raise BadInput(
             "run Python without -E and -I: processes of cells are told by variables what to import"
         )
-    for name in ("envs", "methods"):
-        spec = importlib.util.find_spec(name)
-        found = Path(spec.origin) if spec and spec.origin else Path(name).absolute()
-        if found.resolve() != Path(__file__).resolve().parents[1] / name / "__init__.py":
-            raise BadInput(f"{found} hides this program's package {name!r}; run it from another folder")
 
 
 def _list(named: Sequence[str]) -> int:
-    from harness.run import plugins
-
-    plugins.add(named)
+    troubles = plugins.add(named)
     plugins.load((), (*PLUGINS["env"],))  # what is named, and so is refused here as by `run`
-    troubles = plugins.add_installed()
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
     theirs = PLUGINS["method"] | PLUGINS["env"]
     sections = {
@@ -201,29 +201,32 @@ def _verify(directory: Path) -> int:
 
 
 def _check(names: Sequence[str], named: Sequence[str]) -> int:
-    from harness.run import plugins
-    from harness.run.progress import say
+    from harness.run.processes import as_in_cells
 
-    plugins.add(named)
-    plugins.add_installed()
+    plugins.add(named, names)
     names = [plugins.task_or_name(name) for name in names]
     methods = (*METHODS, *VARIANTS)
     for name in names:
         if choose("method or env", name, (*methods, *ENVS)) != (name,):
             raise BadInput(f"give methods and envs one by one, with spaces between, not {name!r:.80}")
-    plugins.load([name for name in names if name in methods], [name for name in names if name in ENVS])
-    with importing():
-        from harness import testing
-        from harness.registry import load_method
-        from methods.settings import settings_for
+    with as_in_cells():
+        plugins.load([name for name in names if name in methods], [name for name in names if name in ENVS])
+        with importing():
+            from harness import testing
+        return _checked(names, testing)
+
+
+def _checked(names: Sequence[str], testing: Any) -> int:
+    """Says what each check came to; testing: the module `harness.testing`."""
+    from harness.run.progress import say
 
     failed = False
     for name in names:
-        if name in methods:
+        if name in METHODS or name in VARIANTS:
             try:
-                method = load_method(name)(**settings_for(name, "", "smoke"))
+                method = load_method(name)(**plugins.settings_for(name, "", "smoke"))
             except Exception as error:
-                say(f"FAILED  {name}: it can be made without arguments: {type(error).__name__}: {error}")
+                say(f"FAILED  {name}: it can be made without arguments: {plugins.in_words(error)}")
                 failed = True
                 continue
             found = testing.methods.checks(method, name in ASKING)
@@ -287,10 +290,7 @@ def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
 
 
 def _experts(args: argparse.Namespace) -> int:
-    from harness.run import plugins
-
-    plugins.add(args.plugin)
-    plugins.add_installed()
+    plugins.add(args.plugin, args.envs)
     asked = [plugins.task_or_name(name.strip()) for name in ",".join(args.envs).split(",")]
     envs = choose("env", ",".join(asked), BUILT_IN["env"], [*PLUGINS["env"]], groups=GROUPS)
     if theirs := [env for env in envs if env in PLUGINS["env"]]:
@@ -299,6 +299,8 @@ def _experts(args: argparse.Namespace) -> int:
                 f"{theirs[0]} has no shipped experts: `experts train {theirs[0]}`, by itself, makes its own"
             )
         _refuse(args, ("dir", "workers"), f"{theirs[0]} is trained one seed after the other, into the cache")
+        if len(plugins.modules([], theirs)) > 1:
+            raise BadInput(f"{theirs[0]} and others are of several plug-ins; train those of one at a time")
         plugins.load([], theirs)
         return _train_for_runs(theirs, args.seeds or range(5), args.budget or "full")
     if args.what == "train":

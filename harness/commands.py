@@ -20,6 +20,7 @@ from harness.registry import (
     BUILT_IN,
     ENVS,
     GROUPS,
+    GYMNASIUM_NAME,
     METHODS,
     PLUGINS,
     SPECS,
@@ -84,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         beside, left_out = baseline.comparable(args.baseline, request, engine.variables)
     for line in left_out:
         tell(f"left out of the baseline: {line}")
+    if args.engine == "inline":
+        _check_plugins_inline(args, request, engine, beside)
     if args.plan:
         return _plan(args, request, engine, beside)
     if given:
@@ -103,7 +106,8 @@ def run(args: argparse.Namespace) -> int:
             if not results:
                 return 1
         whole = outcome.report(run, list(results.values()), anew=False, programs=programs)
-        failed = outcome.tell_troubles([results[cell] for cell in request.cells if cell in results])
+        asked = [results[cell] for cell in request.cells if cell in results]
+        failed = outcome.tell_troubles(asked, request.conditions.budget, run.beside()[0])
     return int(failed or not whole or not finished)
 
 
@@ -132,7 +136,9 @@ def reproduce(args: argparse.Namespace) -> int:
         study.write_study(args.out, found)
         for line in ["", *study.found(found, args.out)]:
             say(wrapped(line))
-    return int(outcome.tell_troubles([result for results in found.values() for result in results]))
+    return int(
+        outcome.tell_troubles([result for results in found.values() for result in results], args.budget)
+    )
 
 
 def report(directory: Path, tables: bool) -> int:
@@ -144,7 +150,8 @@ def report(directory: Path, tables: bool) -> int:
         if not results and not run.beside()[0]:
             raise BadInput(f"{directory} holds no finished cell")
         whole = outcome.report(run, list(results.values()), anew=True, tables=tables)
-    failed = outcome.tell_troubles(list(results.values()))
+        beside, _ = run.beside()
+    failed = outcome.tell_troubles(list(results.values()), run.request.conditions.budget, beside)
     return int(failed or not whole or bool(unusable))
 
 
@@ -197,13 +204,12 @@ def _prepare() -> None:
 def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Methods and environments, those of plug-ins included, which are imported. Raises BadInput for what
     there is not, and where one is broken."""
-    plugins.add(args.plugin)
-    plugins.add_installed()
+    plugins.add(args.plugin, [args.methods, args.envs])
     envs = ",".join(plugins.task_or_name(name.strip()) for name in args.envs.split(","))
     methods = choose("method", args.methods, METHODS, VARIANTS, {"plugins": (*PLUGINS["method"],)})
     groups = {**GROUPS, "plugins": (*PLUGINS["env"],)}
     chosen = choose("env", envs, BUILT_IN["env"], (*PLUGINS["env"],), groups)
-    plugins.load(methods, chosen)
+    plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
     return methods, chosen
 
 
@@ -211,13 +217,14 @@ def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
     """Tasks of other dynamics, those of these names or all. Raises BadInput where there are none, or they
     cannot be told."""
     try:
-        found = [f"{env}.{name}" for env in envs for name in SPECS[env].variants]
+        known = {env: ENVS[env].variants if env in PLUGINS["env"] else SPECS[env].variants for env in envs}
+        found = [f"{env}.{name}" for env in envs for name in known[env]]
     except Exception as error:  # whatever is wrong with an environment's file
         raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
     if not found:
         raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
-    known = dict.fromkeys(variant.partition(".")[2] for variant in found)
-    chosen = choose("variant", names, known)
+    named = dict.fromkeys(variant.partition(".")[2] for variant in found)
+    chosen = choose("variant", names, named)
     if "all" not in map(str.strip, names.split(",")):
         for env in envs:
             if lacking := [name for name in chosen if f"{env}.{name}" not in found]:
@@ -229,7 +236,9 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
     from harness.run import engines, isolated
 
-    modules, fixed = [ENVS[env].target.partition(":")[0] for env in envs], _is_deterministic(args)
+    # Those of plug-ins are imported in their own cells alone, which all others would share.
+    modules = [ENVS[env].target.partition(":")[0] for env in envs if env in BUILT_IN["env"]]
+    fixed = _is_deterministic(args)
     if args.engine == "ray":
         from harness.run import cluster
 
@@ -263,6 +272,17 @@ def _check_all_inline(directory: Path, engine: Engine) -> None:
         raise BadInput(
             f"{directory} holds cells that were computed otherwise; give another --out", "commands"
         )
+
+
+def _check_plugins_inline(
+    args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]
+) -> None:
+    """Raise BadInput where plug-ins may change what cells compute that are not theirs, in this process."""
+    with open_to_plan(args.out, request, engine.variables) as run:
+        known, _ = run.load()
+    cells = _missing(request, known, [result.cell for result in baseline], args.retry_failed)
+    shared: list[tuple[Sequence[str], str]] = [((), env) for env in {cell.env for cell in cells}]
+    plugins.check_inline([*shared, *(((cell.method,), cell.env) for cell in cells)])
 
 
 def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]) -> int:

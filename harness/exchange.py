@@ -40,8 +40,7 @@ def demos(args: argparse.Namespace) -> int:
 
 def _one_env(args: argparse.Namespace) -> str:
     """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
-    plugins.add(args.plugin)
-    plugins.add_installed()
+    plugins.add(args.plugin, [args.env])
     env = plugins.task_or_name(args.env)
     if choose("env", env, ENVS) != (env,):
         raise BadInput(f"one env is needed, not {args.env!r:.80}")
@@ -53,8 +52,7 @@ def export(args: argparse.Namespace) -> int:
     """Writes a policy and its reward into a folder."""
     from harness import exported
 
-    plugins.add(args.plugin)
-    plugins.add_installed()
+    plugins.add(args.plugin, [args.env, args.method])
     folder = exported.export(args.directory, args.env, args.method, args.seed, args.policy, args.to)
     say(f"{folder}: {', '.join(sorted(file.name for file in folder.iterdir()))}")
     return 0

@@ -25,10 +25,10 @@ from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
-from harness.run.artifacts import LARGEST, NOT_KEPT, read_artifact
+from harness.run.artifacts import NOT_KEPT, read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import checksum, printable
-from harness.run.files import new_folder, read, sha256_of, write_atomic
+from harness.run.files import LARGEST_OF_CELL, new_folder, read, sha256_of, write_atomic
 from harness.run.opening import open_to_verify
 from methods.base import Array, Policy, Reward
 
@@ -203,7 +203,7 @@ def load_learned(folder: Path | str) -> Exported:
 
 def _arrays(folder: Path, name: str, facts: Mapping[str, Any]) -> Mapping[str, NDArray[Any]]:
     """Raises OSError or ValueError where the file is not the one that the facts are of."""
-    data = read(folder / name, LARGEST)
+    data = read(folder / name, LARGEST_OF_CELL)
     if "files" in facts and facts["files"][name] != sha256_of(data):
         raise ValueError(f"{name} is not the one that was exported with it")
     return from_bytes(data).arrays

@@ -18,6 +18,7 @@ from harness.arguments import parser
 from harness.judge.leaderboard import Entry
 from harness.judge.results import Row
 from harness.registry import BadInput
+from harness.run import ours
 from harness.run import plugins as plugged_in
 from harness.run.files import opened
 from harness.run.opening import open_to_verify
@@ -32,6 +33,12 @@ TEXTS: Mapping[str, type] = {
     **dict.fromkeys(("budget", "rl", "program", "finished"), str),
 }
 """Columns of texts, some of which could be taken for numbers."""
+_WANTED = {
+    "methods": "names: put your class into a file, with METHODS = {'its_name': it} there, and plugins=[FILE]",
+    "envs": "names: put your task into a file, with ENVS = {'its_name': it} there, and plugins=[FILE]",
+    "plugins": "files, or modules, by their names",
+    "options": "words of the command line",
+}
 
 
 @dataclass(frozen=True)
@@ -55,15 +62,20 @@ def run(
     """Computes what is asked for and not there yet, as `irl-bench run` does; all that is in `out` then.
 
     seeds: how many, from 0, or which. plugins: files or modules, as of `--plugin`. options: more of
-    `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why.
+    `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why. Plug-ins are known
+    in this call alone, but for those of `add_plugins`.
     Raises `harness.registry.BadInput` for what cannot be done.
     """
+    ours.first()
     lists: dict[str, Any] = {"methods": methods, "envs": envs, "plugins": plugins, "options": options}
     if not isinstance(seeds, SupportsIndex):
         lists["seeds"] = seeds
     for name, given in lists.items():
         if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
             raise BadInput(f"{name} must be a list, not {given!r:.40}")
+        for one in given if name != "seeds" else ():
+            if not isinstance(one, str | (Path if name == "plugins" else str)):
+                raise BadInput(f"{name} must be {_WANTED[name]}, not {one!r:.80}", page="plugins")
     if isinstance(seeds, SupportsIndex):
         which = str(operator.index(seeds))
     else:
@@ -78,13 +90,18 @@ def run(
         if getattr(alone, name) != getattr(none, name):
             raise BadInput(f"options cannot hold --{name}")
     words = ["run", *options, *its_own, *(f"--plugin={plugin}" for plugin in plugins)]
-    commands.run(parser().parse_args(words))
+    with plugged_in.for_now():
+        commands.run(parser().parse_args(words))
     return load(out)
 
 
 def add_plugins(named: Sequence[Path | str]) -> None:
-    """Makes known here what plug-ins name, files or modules as of `--plugin`, such as a task that something
-    exported is of. Raises BadInput for a broken one."""
+    """Make known what plug-ins name, files or modules as of `--plugin`, until this process ends.
+
+    `run` knows them then, and so does all that asks for a task, such as one that something exported is of.
+    Raises BadInput for a broken one.
+    """
+    ours.first()
     plugged_in.add([str(name) for name in named])
 
 

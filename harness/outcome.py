@@ -8,6 +8,7 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
+from harness.judge import effort
 from harness.judge.results import CellResult
 from harness.run.progress import say, tell
 from harness.run.store import RunDirectory
@@ -76,9 +77,13 @@ def _and_more(names: Sequence[str]) -> str:
     return f" and {len(names) - 1} more" if names[1:] else ""
 
 
-def tell_troubles(results: list[CellResult]) -> bool:
-    """Says on stderr what must not be overlooked, last. Returns whether any cell failed."""
-    for warning in dict.fromkeys(warning for result in results for warning in result.warnings):
+def tell_troubles(results: list[CellResult], budget: str, beside: Sequence[CellResult] = ()) -> bool:
+    """Says on stderr what must not be overlooked, last. Returns whether any cell failed.
+
+    beside: what these results are shown beside.
+    """
+    told = [warning for result in results for warning in result.warnings]
+    for warning in dict.fromkeys([*told, *effort.warnings([*results, *beside], budget)]):
         tell(f"WARNING: {warning}")
     failed = [result for result in results if has_failed(result)]
     for result in failed[:MOST_NAMED]:

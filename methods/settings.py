@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 NO_NUMBERS = "Keys are of the settings that it gives to a method."
@@ -14,6 +15,8 @@ GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
+BASES = {"methods.adversarial:Game": GAMES, "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED)}
+"""Methods that derive from classes that are no methods themselves."""
 MANY_STEPS = ("acrobot", "double_pendulum", "hopper", "walker2d")
 """Environments where RL is PPO, which takes many steps."""
 LARGE = ("halfcheetah", "hopper", "walker2d")
@@ -95,3 +98,9 @@ def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
         if method in methods and env in (envs or (env,)) and budget in (budgets or (budget,)):
             chosen |= settings
     return chosen
+
+
+def agreed(methods: Sequence[str], env: str, budget: str) -> dict[str, Any]:
+    """Return the hyper-parameters that all of these methods get alike in an environment at a budget."""
+    found = [settings_for(method, env, budget) for method in methods]
+    return {name: v for name, v in (found or [{}])[0].items() if all(its.get(name) == v for its in found)}

@@ -251,6 +251,8 @@ class CellResult:
     """Numbers that a method tells of its fit, by name."""
     seconds: Annotated[dict[Text, Seconds], Meta(max_length=20)] = field(default_factory=dict)
     """Wall time by stage, 'start' being all that is none; that one is given when it is stored."""
+    like: Annotated[list[Name], Meta(max_length=10)] = field(default_factory=list)
+    """Built-in methods whose class a plug-in's method has, or derives from; one is enough to compare with."""
     task_version: Text = ""
     """Of its task, the experts and how policies are scored (`harness.run.keys.task_version`); given when it
     is stored."""

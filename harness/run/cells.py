@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from harness.judge import effort
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
     REFERENCE,
@@ -16,7 +17,7 @@ from harness.judge.results import (
     PolicyName,
     name_of,
 )
-from harness.run import given, without_expert
+from harness.run import given, plugins, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes
 from harness.run.experts import Shared
@@ -51,6 +52,7 @@ def run_cell(
         if one.policy
     }
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
+    below = any(missed)
     learned, lost = learned_file(task, made)
     artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
@@ -63,6 +65,10 @@ def run_cell(
             files, false = recorded(task, one, scored[one.name], watched[one.name])
             recordings |= files
             troubles += false
+    more = plugins.times_as_many(cell.method, cell.env, conditions.budget)
+    if more > effort.MOST:
+        its = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"
+        missed.append(f"{cell.name}: its own settings ask for {its}: not compared like with like")
     result = CellResult(
         cell,
         rows=[
@@ -73,8 +79,9 @@ def run_cell(
         warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost, *troubles],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         artifacts={name: sha256_of(data) for name, data in artifacts.items()},
-        below_bar=any(missed),
+        below_bar=below,
         details={name: value for one in made for name, value in one.details.items()},
+        like=list(plugins.like(cell.method)),
         seconds=task.seconds,
     )
     folders = {"recordings": recordings, "artifacts": artifacts}

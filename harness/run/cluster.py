@@ -25,7 +25,7 @@ from harness.judge.results import LEARNED
 from harness.registry import BadInput, Unfinished
 from harness.run import given, node, orphans, plugins
 from harness.run.engines import WORK, Job, Outcome, describe
-from harness.run.environment import CHOSEN, numeric
+from harness.run.environment import CHOSEN, numeric, of_user
 from harness.run.processes import write_program
 from harness.run.progress import tell
 from harness.run.scratch import scratch_folder
@@ -129,10 +129,10 @@ class Ray:
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(scratch_folder()) / "program"
             write_program(folder)
-            told = plugins.packed(folder)
-            variables = {name: os.environ[name] for name in CHOSEN if name in os.environ}
+            self._packed = plugins.packed(folder)
+            variables = {name: os.environ[name] for name in CHOSEN if name in os.environ} | of_user()
             options: dict[str, Any] = {
-                "runtime_env": {"working_dir": str(folder), "env_vars": variables | told},
+                "runtime_env": {"working_dir": str(folder), "env_vars": variables},
                 "log_to_driver": False,
                 "logging_level": "error",
             }
@@ -227,7 +227,7 @@ class Ray:
         if job.shared and job.conditions.demonstrations:
             shared = {node.GIVEN: given.file_of(job.conditions.demonstrations).read_bytes()}
         references = self._references(job, shared)
-        sent = replace(job, inputs=alone)
+        sent = replace(job, inputs=alone, plugins=tuple(self._packed[one] for one in job.plugins))
         self._running[self._begin(sent, self._how, tuple(references), *references.values())] = task
 
     def _references(self, job: Job, shared: Mapping[str, bytes]) -> dict[str, Any]:

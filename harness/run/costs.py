@@ -10,10 +10,10 @@ from typing import Annotated
 import msgspec
 
 from harness.judge.results import ALL_SHOWN, Conditions
-from harness.registry import SPECS
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
 from harness.run.files import read, write_atomic
+from harness.run.plugins import rl_steps
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
 
@@ -72,7 +72,7 @@ class Costs:
         if env in self._usual and not job.shared:
             return self._usual[env]
         try:
-            steps = SPECS[env].rl_steps[self._budget]
+            steps = rl_steps(env)[self._budget]
         except Exception:  # whatever is wrong with an environment, its own cells tell
             return BEGINNING
         return BEGINNING + steps / STEPS_PER_SECOND * (0.1 if job.shared else 1.0)

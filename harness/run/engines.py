@@ -28,9 +28,10 @@ from harness.judge.results import (
 )
 from harness.run import plugins
 from harness.run.codec import decode, encode, printable
-from harness.run.environment import of_this_process
+from harness.run.environment import hint, of_this_process
 from harness.run.files import LARGEST_OF_CELL, sha256_of
 from harness.run.keys import cell_keys, machine
+from harness.run.plugins import Plugin
 
 WORK = "harness.run.cells"
 
@@ -51,13 +52,20 @@ class Work(Protocol):
 @dataclass(frozen=True, eq=False)
 class Job:
     """A cell to compute or, where `shared`, what these cells of one environment and seed share.
-    key: what it must be computed under. inputs: what the cell shares with others."""
+    key: what it must be computed under. plugins: those that define its method and task. inputs: what the cell
+    shares with others."""
 
     cells: tuple[Cell, ...]
     shared: bool
     conditions: Conditions
     key: str
+    plugins: tuple[Plugin, ...] = ()
     inputs: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The method that it needs, if it needs one."""
+        return () if self.shared else (self.cells[0].method,)
 
     @property
     def name(self) -> str:
@@ -122,6 +130,7 @@ class Inline:
     def start(self, job: Job) -> None:
         variables, folder = os.environ.copy(), Path.cwd()
         try:
+            plugins.check_alone(job.methods, [job.cells[0].env])
             outcome = compute(self._work, job)
         except (Exception, SystemExit, GeneratorExit) as error:
             traceback.print_exc(file=sys.stderr)
@@ -150,7 +159,7 @@ def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: Non
     """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, ComplexWarning where the
     imaginary part of a number would be dropped, and RuntimeError where it is not done under the job's key."""
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
-    plugins.in_cells([job.cells[0].env])
+    plugins.in_cells(job.plugins, job.methods, [job.cells[0].env])
     _check_key(job, variables)
     module = cast(Work, importlib.import_module(work))
     if job.shared:
@@ -205,4 +214,4 @@ def describe(error: BaseException) -> str:
         message = f"(its message raises {type(another).__name__})"
     message = " ".join(f"{type(error).__name__}: {message}".split())[:300]
     cause = "out of memory: " if isinstance(error, MemoryError) else ""
-    return printable(f"{cause}{message.rstrip(': ')}; in {where}")
+    return printable(f"{cause}{message.rstrip(': ')}; in {where}{hint(error)}")

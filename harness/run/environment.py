@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -20,6 +21,10 @@ PASSED = {
     *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "SYSTEMROOT", "TEMP", "TMP"),
 }
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
+FORMER = "IRL_BENCH_PLUGINS"
+"""A variable of earlier versions, which named files to be executed."""
+OWN = (CACHE_VARIABLE, PRELOAD_VARIABLE, FORMER)
+"""Variables of the last prefix that are not the user's."""
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
     *("NPY_DISABLE_CPU_FEATURES", "LD_PRELOAD"),
@@ -56,6 +61,7 @@ SAME_INSTRUCTIONS = {
     "XLA_FLAGS": f"{FIXED['XLA_FLAGS']} --xla_cpu_max_isa=AVX2",
 }
 """With these, libraries use the same instructions on all processors that have AVX2 and FMA3."""
+_LOOKING_UP = type(os.environ).__getitem__.__code__.co_filename
 TEXT = {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
@@ -89,13 +95,41 @@ def _is_numeric(name: str) -> bool:
     return name in CHOSEN or name in FIXED or name.startswith(NUMERIC_PREFIXES)
 
 
+def of_user() -> dict[str, str]:
+    """Return the variables that the user gives to plug-ins, which are part of the keys of their cells."""
+    theirs = {n for n in os.environ if n.startswith(PASSED_PREFIXES[-1]) and n not in OWN}
+    return {name: os.environ[name] for name in sorted(theirs)}
+
+
+def of_cells(deterministic: bool) -> dict[str, str]:
+    """Return the environment of processes that compute cells."""
+    passed = {
+        name: value
+        for name, value in os.environ.items()
+        if (name in PASSED or name.startswith(PASSED_PREFIXES)) and name != FORMER
+    }
+    return passed | numeric(deterministic) | TEXT
+
+
+def hint(error: BaseException | None) -> str:
+    """Return what helps where a variable of the environment was missing, '' for all other errors."""
+    seen = list[BaseException]()
+    while error is not None and error not in seen:
+        seen.append(error)
+        trace = traceback.extract_tb(error.__traceback__)
+        if isinstance(error, KeyError) and trace and trace[-1].filename == _LOOKING_UP:
+            names = ", ".join([*(f"{prefix}*" for prefix in PASSED_PREFIXES), *sorted(PASSED)])
+            return f"; of the environment's variables cells have only {names} (docs/plugins.md)"
+        error = error.__cause__ or error.__context__
+    return ""
+
+
 @contextlib.contextmanager
 def for_cells(deterministic: bool, more: Mapping[str, str]) -> Iterator[None]:
     """Makes the environment of this process, and of those that it starts, that of cells, with `more` besides,
     until the context ends."""
     before = os.environ.copy()
-    passed = {n: v for n, v in before.items() if n in PASSED or n.startswith(PASSED_PREFIXES)}
-    after = passed | numeric(deterministic) | TEXT | dict(more)
+    after = of_cells(deterministic) | dict(more)
     os.environ.clear()
     os.environ.update(after)
     try:

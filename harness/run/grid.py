@@ -26,8 +26,9 @@ from harness.judge.results import (
 )
 from harness.run.codec import decode
 from harness.run.costs import Costs
-from harness.run.engines import Engine, Job, Outcome
+from harness.run.engines import Engine, Inline, Job, Outcome
 from harness.run.keys import cell_keys
+from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
 
@@ -88,15 +89,28 @@ class Grid:
             groups.setdefault((cell.env, cell.seed), []).append(cell)
         references = {group: Cell(group[0], REFERENCE, group[1]) for group in groups}
         keys = cell_keys([*references.values(), *cells], self.conditions, self.engine.variables)
-        jobs = [Job(tuple(its), True, self.conditions, keys[references[g]]) for g, its in groups.items()]
-        jobs += [Job((cell,), False, self.conditions, keys[cell]) for cell in cells]
+        jobs = [
+            Job(tuple(its), True, self.conditions, keys[references[group]], needed([], [group[0]]))
+            for group, its in groups.items()
+        ]
+        jobs += [
+            Job((cell,), False, self.conditions, keys[cell], needed([cell.method], [cell.env]))
+            for cell in cells
+        ]
         expected = {job.name: costs.of(job) for job in jobs}
         ahead = dict(expected)  # with what waits for it
         for job in jobs:
             if not job.shared and (source := before(job.cells[0])) and source.name in ahead:
                 ahead[source.name] += expected[job.name]
         # Seed by seed, so that what cells share need not be there for all of them at once.
-        return sorted(jobs, key=lambda job: (job.cells[0].seed, not job.shared, -ahead[job.name]))
+        # In one process, before any plug-in is imported there that is not theirs.
+        inline = isinstance(self.engine, Inline)
+        plugged = {job.name: inline * len(modules(job.methods, [job.cells[0].env])) for job in jobs}
+
+        def order(job: Job) -> tuple[int, int, bool, float]:
+            return plugged[job.name], job.cells[0].seed, not job.shared, -ahead[job.name]
+
+        return sorted(jobs, key=order)
 
 
 class Schedule:

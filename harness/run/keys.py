@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 from harness.judge.results import CONTROL_METHODS, PROGRAM_NAME, Cell, Conditions, Shown
-from harness.registry import ENVS, METHODS, PLUGINS, SPECS, VARIANTS, BadInput, Entry
+from harness.registry import ENVS, METHODS, PLUGINS, VARIANTS, BadInput, Entry
 from harness.run import environment, packages, plugins
 from harness.run.plugin_sources import Sources
-from methods.settings import settings_for
+from harness.run.plugins import settings_for
 
 RUNNING = (
     *("harness.run.grid", "harness.run.store", "harness.run.cluster", "harness.run.node"),
@@ -283,7 +283,7 @@ def _of_others(kind: str, name: str) -> Sources:
         return Sources([], [])
     found = plugins.sources(known[name].target)
     if kind == "env":
-        needed = plugins.packages_of_task(SPECS[name].env_id)
+        needed = plugins.packages_of_task(name)
         found = dataclasses.replace(found, digests=[*found.digests, json.dumps(needed)])
     return found
 

@@ -36,7 +36,6 @@ class _Node:
 def compute_there(job: Job, how: How, names: Sequence[str], *inputs: bytes) -> Outcome:
     """Does a job in a process that this one starts. names: of the inputs."""
     if _Node.how != how:
-        plugins.unpack()
         _Node.stack.close()
         engine = Isolated(1, how.timeout, how.deterministic, how.modules, how.work)
         _Node.engine = _Node.stack.enter_context(engine)
@@ -46,7 +45,8 @@ def compute_there(job: Job, how: How, names: Sequence[str], *inputs: bytes) -> O
         file = given.file_of(job.conditions.demonstrations)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, demonstrations)
-    _Node.engine.start(replace(job, inputs={**sent, **job.inputs}))
+    here = plugins.unpacked(job.plugins)
+    _Node.engine.start(replace(job, inputs={**sent, **job.inputs}, plugins=here))
     while not (ended := _Node.engine.finished()):
         pass
     return ended[0][1]

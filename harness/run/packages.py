@@ -74,8 +74,14 @@ def imported(module: str) -> dict[str, str]:
                 if file.is_file():
                     package = name if file.parent == path else name.rpartition(".")[0]
                     waiting += _imports(file.read_bytes(), package)
-    known = importlib.metadata.packages_distributions()
+    known = distributions()
     return required(*sorted({name for top in tops for name in known.get(top, ())}))
+
+
+@functools.cache
+def distributions() -> dict[str, list[str]]:
+    """Return the names of distributions by module. They are asked once, for that takes a second."""
+    return dict(importlib.metadata.packages_distributions())
 
 
 def _imports(source: bytes, package: str) -> list[str]:

@@ -8,15 +8,20 @@ is not found, nor are data files.
 from __future__ import annotations
 
 import ast
+import functools
 import hashlib
 import importlib
 import importlib.metadata
 import importlib.util
+import os
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
+
+from harness.run.packages import distributions
 
 NO_NUMBERS = "Whatever it does shows in the keys themselves."
 
@@ -25,6 +30,8 @@ PUBLIC = "irl_bench"
 """The module that gives names of the program's modules."""
 PUBLIC_MODULES = ("envs", "methods")
 """Those of which a plug-in's numbers can come."""
+CODE = (".py", *EXTENSION_SUFFIXES)
+"""How the names of files end that Python imports."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class Sources:
 
 
 def sources_of(module: str) -> Sources:
-    """Of the module, which can be imported, and of what it imports."""
+    """Return the sources of the module, which can be imported, and of what it imports."""
     digests, program = dict[str, str](), set[str]()
     waiting, seen = [module], set[str]()
     while waiting:
@@ -49,8 +56,9 @@ def sources_of(module: str) -> Sources:
             program.update(_behind(name))
         elif top not in seen and top not in sys.stdlib_module_names:
             seen.add(top)
-            digests |= {said: said for said in _distributions(top)}
-            for file, said in _own_files(top):
+            installed, files = _found(top)
+            digests |= {said: said for said in (_versions(top) if installed else ())}
+            for file, said in files:
                 content = file.read_bytes()
                 digests[said] = f"{said} {hashlib.sha256(content).hexdigest()}"
                 waiting += _imports(content)
@@ -58,57 +66,96 @@ def sources_of(module: str) -> Sources:
 
 
 def _behind(name: str) -> Iterable[str]:
-    """Where names of the public module come from."""
+    """Return the modules that names of the public module come from."""
     where = importlib.import_module(PUBLIC).WHERE
     asked = name.split(".")[1:2]
     found = {where[one] for one in asked if one in where} or {*where.values()}
     return {module for module in found if module.partition(".")[0] in PUBLIC_MODULES}
 
 
-def _own_files(top: str) -> list[tuple[Path, str]]:
-    """Those of a module or package, with what they are called; none where it is installed, or built in."""
+def _found(top: str) -> tuple[bool, list[tuple[Path, str]]]:
+    """Return whether a module or package is installed, even in part, and its files that are not, with their
+    names. Of a package that is installed no file is looked at: there may be thousands."""
     loaded = sys.modules.get(top)
     folders = [Path(folder) for folder in getattr(loaded, "__path__", [])]
     origin = getattr(loaded, "__file__", None)
     if loaded is None:
-        try:
-            spec = importlib.util.find_spec(top)
-        except (ImportError, ValueError):
-            spec = None
+        spec = _spec(top)
         if spec is None:
-            return []
+            return False, []
         folders, origin = [Path(folder) for folder in spec.submodule_search_locations or ()], spec.origin
-    files = [(file, folder) for folder in folders for file in sorted(folder.rglob("*.py"))]
-    if not folders and origin and origin.endswith(".py"):
-        files = [(Path(origin), Path(origin).parent)]
-    return [
-        (file, file.relative_to(folder).as_posix() if not folders else f"{top}/{file.relative_to(folder)}")
-        for file, folder in files
-        if not _is_installed(file)
-    ]
+    if not folders and not (origin and origin.endswith(CODE)):
+        return False, []
+    alone = [] if folders else [Path(str(origin))]
+    installed = [place for place in (*folders, *alone) if _is_installed(place)]
+    files = [(file, f"{top}/{name}") for at in folders if at not in installed for file, name in _files(at)]
+    files += [(file, file.name) for file in alone if file not in installed]
+    return bool(installed), files
 
 
-def _is_installed(file: Path) -> bool:
-    places = {sysconfig.get_path(name) for name in ("purelib", "platlib", "stdlib", "platstdlib")}
-    return any(file.resolve().is_relative_to(Path(place).resolve()) for place in places)
+def _spec(top: str) -> ModuleSpec | None:
+    try:
+        return importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return None
 
 
-def _distributions(top: str) -> list[str]:
-    """Installed distributions that a module may be of, with versions."""
-    names = importlib.metadata.packages_distributions().get(top, [])
+def _files(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the code in a folder, with its path there, in order. Links to folders are followed, as Python
+    does, but for one that leads back to where it is."""
+    for at, folders, names in os.walk(folder, followlinks=True):
+        here = os.path.realpath(at)
+        folders[:] = sorted(
+            name
+            for name in folders
+            if name != "__pycache__" and not f"{here}/".startswith(f"{os.path.realpath(Path(at, name))}/")
+        )
+        for name in sorted(names):
+            file = Path(at, name)
+            if name.endswith(CODE) and file.is_file():
+                yield file, file.relative_to(folder).as_posix()
+
+
+@functools.cache
+def _places() -> tuple[Path, ...]:
+    names = ("purelib", "platlib", "stdlib", "platstdlib")
+    return tuple({Path(sysconfig.get_path(name)).resolve() for name in names})
+
+
+def _is_installed(place: Path) -> bool:
+    return any(place.resolve().is_relative_to(installed) for installed in _places())
+
+
+def _versions(top: str) -> list[str]:
+    """Return the installed distributions that a module may be of, with versions."""
+    names = [top] if _is_called(top) else distributions().get(top, [])
     return sorted({f"{name} {importlib.metadata.version(name)}" for name in names})
 
 
-def _imports(source: bytes) -> list[str]:
-    """Modules, and names in modules, that a file imports; those of its own package are read anyway."""
+@functools.cache
+def _is_called(top: str) -> bool:
+    """Return whether the distribution that has a module is called as the module is. Most are, and to ask all
+    distributions takes a second."""
+    try:
+        distribution = importlib.metadata.distribution(top)
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        return False
+    its = (distribution.read_text("top_level.txt") or "").split()
+    record = f"\n{distribution.read_text('RECORD') or ''}"
+    return distribution.metadata["Name"] == top and (top in its or f"\n{top}/__init__.py," in record)
+
+
+@functools.cache
+def _imports(source: bytes) -> tuple[str, ...]:
+    """Return modules, and names in modules, that a file imports; those of its own package are read anyway."""
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):
-        return []
+        return ()
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return found
+    return tuple(found)

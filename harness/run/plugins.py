@@ -17,19 +17,27 @@ import json
 import os
 import re
 import shutil
+import signal
+import subprocess
 import sys
+import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from dataclasses import dataclass, field
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
+from types import CodeType
 from typing import TYPE_CHECKING, Any
 
+from harness.judge import effort
 from harness.registry import (
     BUILT_IN,
     ENVS,
     GROUPS,
     GYMNASIUM_NAME,
+    METHODS,
     PLUGINS,
     SPECS,
     VARIANTS,
@@ -37,14 +45,13 @@ from harness.registry import (
     Entry,
     load_method,
 )
-from harness.run import packages
+from harness.run import environment, ours, packages
 from harness.run.plugin_sources import Sources, sources_of
+from methods import settings
 
 if TYPE_CHECKING:
     from envs import EnvSpec
 
-VARIABLE = "IRL_BENCH_PLUGINS"
-"""Tells the processes of cells which plug-ins were named, and where they are."""
 ENTRY_POINTS = {"method": "irl_bench.methods", "env": "irl_bench.envs"}
 TABLES = {"method": "METHODS", "env": "ENVS"}
 """What a plug-in's module calls its methods and its environments."""
@@ -52,46 +59,182 @@ GYMNASIUM = "gym:"
 """Before the id of a task of Gymnasium, where environments are named."""
 FILE_MODULE = "irl_bench_plugin_"
 """How the names of modules begin that are made of files."""
-_read: dict[str, bytes] = {}
-"""What files were when they were read, by the name of their module."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
 READ = "plugins"
 """The page about them."""
+LONGEST = 300
+"""Seconds that plug-ins may take to load, all that are named together."""
 
 
-def add(named: Sequence[str]) -> None:
-    """Makes known what plug-ins, each a file or a module, name, here and in the processes of cells. Raises
-    BadInput for a broken one."""
-    told = _told()
-    for name in named:
-        with _its_troubles(f"the plug-in {name} cannot be loaded"):
-            if not name.endswith(".py") and Path(name).is_file():
-                raise BadInput(f"the plug-in {name} is a file whose name does not end in .py")
-            module = (
-                _of_file(Path(name).absolute()) if name.endswith(".py") else importlib.import_module(name)
-            )
-            _add(module, name)
-        file = str(module.__file__ or "")
-        told.append([name, file] if name.endswith(".py") else [name, _folder_of(module)])
-    if named:
-        os.environ[VARIABLE] = json.dumps(told)
+@dataclass(frozen=True)
+class Plugin:
+    """A plug-in as it was named. place: the file, or the folder where Python finds the module."""
+
+    name: str
+    place: str
+
+    @property
+    def is_file(self) -> bool:
+        return self.name.endswith(".py")
+
+    @property
+    def module(self) -> str:
+        return FILE_MODULE + re.sub(r"\W", "_", Path(self.place).stem) if self.is_file else self.name
 
 
-def add_installed() -> list[str]:
-    """Makes known what installed packages name. Why some of that cannot be used."""
-    troubles = []
+@dataclass(frozen=True)
+class Offer:
+    """A method or task of a plug-in, without the object itself.
+
+    like: the built-in methods whose class a method has, or derives from.
+    takes: the hyper-parameters that it takes from their settings.
+    variants, rl_steps: fields of a task's `EnvSpec`.
+    packages: the versions of those that a task needs.
+    """
+
+    kind: str
+    name: str
+    target: str
+    summary: str
+    like: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
+    rl_steps: dict[str, int] = field(default_factory=dict)
+    packages: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Told:
+    """Methods and tasks of plug-ins; and the sources of their modules, by name."""
+
+    offers: tuple[Offer, ...] = ()
+    sources: dict[str, Sources] = field(default_factory=dict)
+
+
+_named: list[Plugin] = []
+"""Plug-ins that were named and are known now."""
+_files: dict[str, str] = {}
+"""Files by the name of their module."""
+_read: dict[str, bytes] = {}
+"""The content of files when they were executed here, by the name of their module."""
+_offers: dict[str, Offer] = {}
+"""Methods and tasks that another process reported, by target. Here their modules need not be imported."""
+_sources: dict[str, Sources] = {}
+"""Sources of modules that it reported, by name."""
+_ever: set[str] = set()
+"""Modules of all plug-ins that were known here at some time."""
+_replaced: set[str] = set()
+"""Modules whose file was edited after it had been executed here."""
+
+
+@contextmanager
+def for_now() -> Iterator[None]:
+    """Forget, as the context ends, the plug-ins that were made known in it."""
+    tables: list[dict[str, Any]] = [VARIANTS, ENVS, *PLUGINS.values(), _files, _offers, _sources]
+    before, named = [dict(table) for table in tables], [*_named]
+    try:
+        yield
+    finally:
+        for table, its in zip(tables, before, strict=True):
+            table.clear()
+            table.update(its)
+        _named[:] = named
+        for name in SPECS.keys() - ENVS.keys():
+            del SPECS[name]
+
+
+def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
+    """Make known what plug-ins name, each a file or a module, and what installed packages do. Return why some
+    of the latter cannot be used.
+
+    They are imported in a process of their own, and here only where something is asked of their tasks.
+    asked: names with commas between. What installed packages have of those names is imported there, too.
+    Raises BadInput for what is broken.
+    """
+    new = list(dict.fromkeys(map(_plugin, named)))
+    for i, one in enumerate(new):
+        if any(one.module == other.module and one != other for other in (*_named, *new[:i])):
+            raise BadInput(f"two plug-ins are called {Path(one.name).name}; rename one")
+    points, troubles = _installed()
+    words = {word.strip() for text in asked for word in text.split(",")}
+    wanted = [
+        (kind, name, entry)
+        for kind, name, entry in points
+        if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in _offers
+    ]
+    told = _in_a_process(new, wanted) if new or wanted else Told()
+    for one in new:
+        _forget(one)
+        if one.is_file:
+            _files[one.module] = one.place
+    for offer in told.offers:
+        if (offer.kind, offer.name) not in [point[:2] for point in wanted]:
+            _register(offer.kind, offer.name, Entry(offer.target, offer.summary, offer.variants))
+    _keep(told)
+    for kind, name, entry in points:
+        try:
+            variants = _offers[entry.target].variants if entry.target in _offers else ()
+            _register(kind, name, entry._replace(variants=variants))
+        except BadInput as error:
+            troubles.append(f"{entry.summary.removeprefix('of the package ')}: {error}")
+    _named[:] = dict.fromkeys([*_named, *new])
+    return troubles
+
+
+def _installed() -> tuple[list[tuple[str, str, Entry]], list[str]]:
+    """Return what installed packages name, by kind and name, and why that cannot be read."""
+    found: list[tuple[str, str, Entry]] = []
     for kind, group in ENTRY_POINTS.items():
         try:
             points = sorted(importlib.metadata.entry_points(group=group))
         except Exception as error:  # of a package whose metadata is damaged
-            return [f"what installed packages name cannot be read: {_in_words(error)}"]
+            return found, [f"what installed packages name cannot be read: {in_words(error)}"]
         for point in points:
             package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
-            try:
-                _register(kind, point.name, Entry(point.value, f"of the package {package}"))
-            except BadInput as error:
-                troubles.append(f"{package}: {error}")
-    return troubles
+            found.append((kind, point.name, Entry(point.value, f"of the package {package}")))
+    return found, []
+
+
+def _plugin(name: str) -> Plugin:
+    """Return where a plug-in is; nothing of it is executed. Raises BadInput where there is none."""
+    if name.endswith(".py"):
+        path = os.path.normpath(Path(name).absolute())
+        if not os.path.isfile(path):
+            raise BadInput(f"there is no plug-in {path}", READ)
+        return Plugin(name, path)
+    if Path(name).is_file():
+        raise BadInput(f"the plug-in {name} is a file whose name does not end in .py")
+    top, spec = name.partition(".")[0], None
+    with suppress(ImportError, ValueError):
+        spec = importlib.util.find_spec(top)
+    places = list(spec.submodule_search_locations or []) if spec else []
+    if spec and not places and spec.has_location:
+        places = [str(spec.origin)]
+    return Plugin(name, str(Path(places[0]).absolute().parent) if places else "")
+
+
+def _forget(plugin: Plugin) -> None:
+    """Forget what a plug-in named before; a file that was edited since is executed anew."""
+    begins = f"{plugin.module}:"
+    for kind, known in PLUGINS.items():
+        for name in [name for name, entry in known.items() if entry.target.startswith(begins)]:
+            del known[name], (VARIANTS if kind == "method" else ENVS)[name]
+            if kind == "env":
+                SPECS.pop(name, None)
+    for target in [target for target in _offers if target.startswith(begins)]:
+        del _offers[target]
+    there = sys.modules.get(plugin.module)
+    if there and plugin.is_file:
+        with suppress(OSError):
+            if there.__file__ == plugin.place and _read.get(plugin.module) == Path(plugin.place).read_bytes():
+                return
+        del sys.modules[plugin.module]
+        _replaced.add(plugin.module)
+
+
+def _keep(told: Told) -> None:
+    _offers.update({offer.target: offer for offer in told.offers})
+    _sources.update(told.sources)
 
 
 def add_task(env_id: str) -> str:
@@ -112,42 +255,155 @@ def task_or_name(name: str) -> str:
     return add_task(name.removeprefix(GYMNASIUM)) if name.startswith(GYMNASIUM) else name
 
 
-def in_cells(envs: Sequence[str]) -> None:
-    """Makes known, in a process of cells, what the run that it is of knows. Raises BadInput as `add` does."""
-    for name, place in _told():
-        if name.endswith(".py"):
-            _add(_of_file(Path(place)), name)
-        else:
-            sys.path += [place] if place not in sys.path else []
-            _add(importlib.import_module(name), name)
-    add_installed()
+def needed(methods: Sequence[str], envs: Sequence[str]) -> tuple[Plugin, ...]:
+    """Return the plug-ins, of those that were named, that define these methods and environments."""
+    theirs = modules(methods, envs)
+    return tuple(one for one in _named if one.module in theirs)
+
+
+def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
+    """Return the modules that define those of these that are plug-ins'."""
+    asked = {"method": methods, "env": envs}
+    entries = [PLUGINS[kind][name] for kind in PLUGINS for name in asked[kind] if name in PLUGINS[kind]]
+    return {entry.target.partition(":")[0] for entry in entries} - {__name__}
+
+
+def others_here(methods: Sequence[str], envs: Sequence[str]) -> list[str]:
+    """Return the modules of plug-ins that were imported in this process and do not define any of these: they
+    may have changed whatever is computed here."""
+    here = _replaced | {module for module in _ever if module in sys.modules}
+    return sorted((here - modules(methods, envs)) | _replaced)
+
+
+def check_alone(methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Raise BadInput where these are not to be computed in this process, because of other plug-ins."""
+    if others := others_here(methods, envs):
+        raise BadInput(
+            f"the plug-in {others[0].removeprefix(FILE_MODULE)} was imported in this process and may have "
+            "changed what is computed in it: leave out --engine inline, or begin a new process",
+            READ,
+        )
+
+
+def check_inline(jobs: Sequence[tuple[Sequence[str], str]]) -> None:
+    """Raise BadInput where these jobs cannot all be done in this process.
+
+    There must be an order in which each meets no plug-in but its own. jobs: no method or one, and a task.
+    """
+    needs = sorted((modules(methods, [env]) for methods, env in jobs), key=len)
+    if any(fewer - more for fewer, more in pairwise(needs)):
+        raise BadInput(
+            "--engine inline computes in one process, where plug-ins may change each other's cells: name one "
+            "plug-in at a time, or leave it out",
+            READ,
+        )
+    for methods, env in jobs:
+        check_alone(methods, [env])
+
+
+def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Make known, in a process of cells, what a job needs, and import that.
+
+    known: the plug-ins that define its method and task. Raises BadInput as `add` does.
+    """
+    for one in known:
+        if one.is_file:
+            _forget(one)
+            _files[one.module] = one.place
+        elif one.place and one.place not in sys.path:
+            sys.path.append(one.place)
+        for offer in _offered(one):
+            _offers.pop(offer.target, None)  # The object itself counts here, and no earlier report of it.
+        _sources.pop(one.module, None)
+    points, _ = _installed()
+    for kind, name, entry in points:
+        with suppress(BadInput):
+            _register(kind, name, entry)
     for env in envs:
         task_or_name(env)
+    load(methods, envs)
 
 
-def packed(folder: Path) -> dict[str, str]:
-    """Copies the plug-ins that were named into the folder, for another machine; the environment variables
-    that tell `unpack` there."""
-    told = []
-    for i, (name, place) in enumerate(_told()):
+def packed(folder: Path) -> dict[Plugin, Plugin]:
+    """Copy the plug-ins that were named into the folder, for another machine. Return them as they are there,
+    with places below the folder."""
+    found = {}
+    for i, one in enumerate(_named):
         at = Path("plugins") / str(i)
         (folder / at).mkdir(parents=True)
-        source = Path(place)
-        if not name.endswith(".py"):
-            source /= name.partition(".")[0]
+        source = Path(one.place)
+        if not one.is_file:
+            source /= one.name.partition(".")[0]
             source = source if source.is_dir() else source.with_suffix(".py")
         if source.is_dir():
-            shutil.copytree(source, folder / at / source.name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(
+                source, folder / at / source.name, ignore=_not_copied, ignore_dangling_symlinks=True
+            )
         else:
             shutil.copy(source, folder / at)
-        told.append([name, str(at / source.name if name.endswith(".py") else at)])
-    return {VARIABLE: json.dumps(told)} if told else {}
+        found[one] = Plugin(one.name, str(at / source.name if one.is_file else at))
+    return found
 
 
-def unpack() -> None:
-    """Takes the plug-ins from this process's folder, into which they were `packed`."""
-    if told := _told():
-        os.environ[VARIABLE] = json.dumps([[name, str(Path(place).absolute())] for name, place in told])
+def _not_copied(folder: str, names: list[str]) -> set[str]:
+    """Return names that are left out of a copy: those of Python's bytecode, and links that lead back to where
+    they are."""
+    here = f"{os.path.realpath(folder)}/"
+    back = {name for name in names if here.startswith(f"{os.path.realpath(Path(folder, name))}/")}
+    return back | {name for name in names if name == "__pycache__"}
+
+
+def unpacked(plugins: Sequence[Plugin]) -> tuple[Plugin, ...]:
+    """Return plug-ins that were `packed` into this process's folder, with their places here."""
+    return tuple(Plugin(one.name, str(Path(one.place).absolute())) for one in plugins)
+
+
+def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
+    """Return the hyper-parameters that a method gets in an environment at a budget.
+
+    A plug-in's method gets those of the built-in methods whose class it has or derives from, but for the
+    fields that it sets itself.
+    """
+    if method not in PLUGINS["method"]:
+        return settings.settings_for(method, env, budget)
+    offer = _offer_of("method", method)
+    agreed = settings.agreed(offer.like, env, budget)
+    return {name: value for name, value in agreed.items() if name in offer.takes}
+
+
+def like(method: str) -> tuple[str, ...]:
+    """Return the built-in methods whose class a plug-in's method has, or derives from; of others none."""
+    return _offer_of("method", method).like if method in PLUGINS["method"] else ()
+
+
+def times_as_many(method: str, env: str, budget: str) -> float:
+    """Return about how many times the environment steps of the built-in method of its class a plug-in's
+    method takes by its settings; 1 for all others. The method is imported."""
+    if not (names := like(method)):
+        return 1.0
+    own, original = load_method(method)(**settings_for(method, env, budget)), load_method(names[0])
+    usual = original(**settings.settings_for(names[0], env, budget))
+    steps = rl_steps(env)[budget]
+    most = effort.asked(usual, steps)
+    return effort.asked(own, steps) / most if most else 1.0
+
+
+def rl_steps(env: str) -> Mapping[str, int]:
+    """Return a task's steps of reinforcement learning by budget, without importing the task of a plug-in."""
+    entry = PLUGINS["env"].get(env)
+    is_told = entry and not entry.target.startswith(f"{__name__}:")
+    return _offer_of("env", env).rl_steps if is_told else SPECS[env].rl_steps
+
+
+def _offer_of(kind: str, name: str) -> Offer:
+    """Return the facts about a plug-in's method or task. Another process is asked where none are known, and
+    its module is not imported here."""
+    entry = PLUGINS[kind][name]
+    if entry.target not in _offers:
+        if entry.target.partition(":")[0] in sys.modules:
+            return _offer(kind, name, entry, load_method(name) if kind == "method" else SPECS[name])
+        _keep(_in_a_process([], [(kind, name, entry)]))
+    return _offers[entry.target]
 
 
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:
@@ -164,13 +420,17 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
 
 
 def sources(target: str) -> Sources:
-    """What the numbers of a plug-in's object, by its target, come from, as it is now."""
+    """Return the sources of a plug-in's object, by its target: as another process reported them, or as they
+    are now. The variables that the user gives to plug-ins are part of them."""
     module, _, rest = target.partition(":")
     if module == __name__:
         return _sources_of_task(rest.partition("/")[2])
-    if module not in sys.modules:
-        importlib.import_module(module)
-    return sources_of(module)
+    if module not in _sources and module not in sys.modules:
+        kind, name = next((k, n) for k, its in PLUGINS.items() for n in its if its[n].target == target)
+        _offer_of(kind, name)
+    found = _sources[module] if module in _sources else sources_of(module)
+    given = [f"{name}={value}" for name, value in environment.of_user().items()]
+    return dataclasses.replace(found, digests=[*found.digests, *given])
 
 
 def _sources_of_task(env_id: str) -> Sources:
@@ -197,8 +457,16 @@ def _sources_of_task(env_id: str) -> Sources:
     return dataclasses.replace(found, digests=[*found.digests, told])
 
 
-def packages_of_task(env_id: str) -> dict[str, str]:
-    """Return the versions of the packages that a registered task of Gymnasium needs (`packages.imported`)."""
+def packages_of_task(env: str) -> dict[str, str]:
+    """Return the versions of the packages that a plug-in's task, or one of Gymnasium, needs. The module that
+    it is registered with names them (`packages.imported`)."""
+    entry = PLUGINS["env"][env]
+    if entry.target.startswith(f"{__name__}:"):
+        return _packages(entry.target.partition("/")[2])
+    return _offer_of("env", env).packages
+
+
+def _packages(env_id: str) -> dict[str, str]:
     import gymnasium
 
     return packages.imported(_module_of(gymnasium.spec(env_id).entry_point))
@@ -230,53 +498,144 @@ gymnasium = _Gymnasium()
 """Tasks of Gymnasium by their id, derived when one is asked for."""
 
 
-def _told() -> list[list[str]]:
-    found: list[list[str]] = json.loads(os.environ.get(VARIABLE, "[]"))
+class _File(SourceFileLoader):
+    """A loader of a plug-in's file, which neither reads nor writes bytecode: what the file holds counts."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        content = _read[fullname] = self.get_data(self.path)
+        return self.source_to_code(content, self.path)
+
+
+class _Files:
+    """A finder of files that were named as plug-ins."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        if name not in _files:
+            return None
+        loader = _File(name, _files[name])
+        return importlib.util.spec_from_file_location(name, _files[name], loader=loader)
+
+
+sys.meta_path.append(_Files)
+
+
+def look(
+    named: Sequence[Plugin],
+    wanted: Sequence[tuple[str, str, Entry]],
+    tell: Callable[[str], None] = lambda what: None,
+) -> Told:
+    """Import plug-ins, and return what they have.
+
+    wanted: kinds, names and entries of installed packages. tell: called with what is imported next. Raises
+    BadInput for what is broken.
+    """
+    offers = []
+    for one in named:
+        tell(f"the plug-in {one.name}")
+        offers += _offered(one)
+    for kind, name, entry in wanted:
+        tell(f"the {kind} {name} {entry.summary}")
+        with _its_troubles(f"the {kind} {name} cannot be loaded"):
+            importlib.import_module(entry.target.partition(":")[0])
+            _register(kind, name, entry)
+            thing = load_method(name) if kind == "method" else SPECS[name]
+            _check(kind, name, thing)
+            offers.append(_offer(kind, name, entry, thing))
+    modules = {offer.target.partition(":")[0] for offer in offers}
+    return Told(tuple(offers), {module: sources_of(module) for module in modules})
+
+
+def _offered(plugin: Plugin) -> list[Offer]:
+    """Import a plug-in, register what it has, and return that. Raises BadInput where it is broken."""
+    if plugin.is_file:
+        _files[plugin.module] = plugin.place
+    found = []
+    with _its_troubles(f"the plug-in {plugin.name} cannot be loaded"):
+        module = importlib.import_module(plugin.module)
+        if not any(hasattr(module, table) for table in TABLES.values()):
+            raise BadInput(f"the plug-in {plugin.name} says neither METHODS nor ENVS", READ)
+        for kind, table in TABLES.items():
+            things = getattr(module, table, {})
+            if not isinstance(things, Mapping):
+                raise BadInput(
+                    f"the plug-in {plugin.name}: {table} must be a dict of what it has, by name", READ
+                )
+            for name, thing in things.items():
+                _check(kind, name, thing)
+                entry = Entry(f"{module.__name__}:{table}/{name}", f"of {plugin.name}")
+                _register(kind, name, entry)
+                found.append(_offer(kind, name, entry, thing))
     return found
 
 
-def _add(module: ModuleType, name: str) -> None:
-    if not any(hasattr(module, table) for table in TABLES.values()):
-        raise BadInput(f"the plug-in {name} says neither METHODS nor ENVS", READ)
-    for kind, table in TABLES.items():
-        things = getattr(module, table, {})
-        if not isinstance(things, Mapping):
-            raise BadInput(f"the plug-in {name}: {table} must be a dict of what it has, by name", READ)
-        for its_name, thing in things.items():
-            _check(kind, its_name, thing)
-            _register(kind, its_name, Entry(f"{module.__name__}:{table}/{its_name}", f"of {name}"))
+def _offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
+    if kind == "env":
+        steps = {budget: int(steps) for budget, steps in thing.rl_steps.items()}
+        return Offer(
+            *(kind, name, entry.target, entry.summary),
+            variants=tuple(thing.variants),
+            rl_steps=steps,
+            packages=_packages(thing.env_id),
+        )
+    known: Mapping[str, Entry] = METHODS | {n: VARIANTS[n] for n in BUILT_IN["method"] if n in VARIANTS}
+    for i, base in enumerate(thing.__mro__):
+        place = f"{base.__module__}:{base.__qualname__}"
+        names = tuple(name for name, entry in known.items() if entry.target == place)
+        if names := names or settings.BASES.get(place, ()):
+            takes = _takes(thing, thing.__mro__[:i], base)
+            return Offer(kind, name, entry.target, entry.summary, names, takes)
+    return Offer(kind, name, entry.target, entry.summary)
 
 
-def _of_file(path: Path) -> ModuleType:
-    """The module that the file is, read anew where it has changed since."""
-    name = FILE_MODULE + re.sub(r"\W", "_", path.stem)
-    path = Path(os.path.normpath(path))
-    known = sys.modules.get(name)
-    if known and known.__file__ != str(path):
-        raise BadInput(f"two plug-ins are called {path.name}; rename one")
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise BadInput(f"there is no plug-in {path}", READ)
-    content = path.read_bytes()
-    if known and _read.get(name) == content:
-        return known
-    for env in [env for env, entry in PLUGINS["env"].items() if entry.target.startswith(f"{name}:")]:
-        SPECS.pop(env, None)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    try:
-        exec(compile(content, path, "exec"), module.__dict__)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    _read[name] = content
-    return module
+def _takes(method: Any, derived: Sequence[type], base: Any) -> tuple[str, ...]:
+    """Return the fields of a method whose values are its base's: those that the classes between neither
+    declare anew nor give another default."""
+    own = {name for one in derived for name in vars(one).get("__annotations__", {})}
+    before = _parameters(base)
+    return tuple(
+        name
+        for name, parameter in _parameters(method).items()
+        if name in before and name not in own and parameter.default == before[name].default
+    )
 
 
-def _folder_of(module: ModuleType) -> str:
-    """Where Python must look to import it."""
-    top = sys.modules[module.__name__.partition(".")[0]]
-    place = next(iter(getattr(top, "__path__", [])), None) or top.__file__
-    return str(Path(str(place)).absolute().parent)
+def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entry]]) -> Told:
+    """Return what `look` does, in a process of its own, in the environment of cells: whatever plug-ins do
+    while they are loaded, they do it there. Raises BadInput for what is broken, or ends or hangs there."""
+    import msgspec
+
+    request = json.dumps([sys.path, [dataclasses.astuple(one) for one in named], wanted])
+    begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.run import plugin_process"
+    command = [sys.executable, "-P", "-c", f"{begin}; plugin_process.tell(sys.argv[1])", request]
+    variables, code = environment.of_cells(False), None
+    with tempfile.TemporaryFile() as output:
+        try:
+            process = subprocess.Popen(
+                command, env=variables, stdin=subprocess.DEVNULL, stdout=output, start_new_session=True
+            )
+        except OSError as error:
+            raise BadInput(f"no process can be started: {error.strerror}") from error
+        try:
+            with suppress(subprocess.TimeoutExpired):
+                code = process.wait(LONGEST)
+        finally:
+            process.kill()
+            with suppress(OSError, AttributeError):  # where there are no groups
+                os.killpg(process.pid, signal.SIGKILL)  # with all that they started
+            process.wait()
+        output.seek(0)
+        lines = output.read().decode(errors="replace").splitlines()
+    kind, _, said = lines[-1].partition(" ") if lines else ("", "", "")
+    if kind == "told":
+        return msgspec.json.decode(said, type=Told)
+    if kind == "error":
+        raise BadInput(json.loads(said))
+    what = json.loads(said) if kind == "at" else "a plug-in"
+    if code is None:
+        raise BadInput(f"{what} was not loaded within {LONGEST:g} s", READ)
+    how = f"killed by {signal.Signals(-code).name}" if -code in {*signal.Signals} else f"exit code {code}"
+    raise BadInput(f"{what} ended its process while it was loaded: {how}", READ)
 
 
 def _check(kind: str, name: object, thing: object) -> None:
@@ -293,12 +652,17 @@ def _check(kind: str, name: object, thing: object) -> None:
 
 def _without_default(method: Any) -> list[str]:
     """Names of what a method cannot be made without."""
-    try:
-        parameters = inspect.signature(method).parameters.values()
-    except ValueError:  # of what tells none
-        return []
-    named = [one for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+    named = [
+        one for one in _parameters(method).values() if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+    ]
     return [one.name for one in named if one.default is one.empty]
+
+
+def _parameters(method: Any) -> Mapping[str, inspect.Parameter]:
+    try:
+        return inspect.signature(method).parameters
+    except ValueError:  # of what tells none
+        return {}
 
 
 def _register(kind: str, name: object, entry: Entry) -> None:
@@ -311,8 +675,8 @@ def _register(kind: str, name: object, entry: Entry) -> None:
     known = PLUGINS[kind]
     if known.get(name, entry).target != entry.target:
         raise BadInput(f"two plug-ins name a {kind} {name!r}: {known[name].summary}, and {entry.summary}")
-    known[name] = entry
-    (VARIANTS if kind == "method" else ENVS)[name] = entry
+    known[name] = (VARIANTS if kind == "method" else ENVS)[name] = entry
+    _ever.add(entry.target.partition(":")[0])
 
 
 @contextmanager
@@ -323,16 +687,24 @@ def _its_troubles(what: str) -> Iterator[None]:
             yield
     except (BadInput, KeyboardInterrupt):
         raise
-    except ModuleNotFoundError as error:
-        hint = "; a plug-in of several files is named as a module that Python can import"
-        raise BadInput(f"{what}: {_in_words(error)}{hint}", READ) from error
     except BaseException as error:
-        raise BadInput(f"{what}: {_in_words(error)}", READ) from error
+        raise BadInput(f"{what}: {in_words(error)}{_hint(error)}", READ) from error
 
 
-def _in_words(error: BaseException) -> str:
+def in_words(error: BaseException) -> str:
+    """Return what was raised, in a line."""
     try:
         said = str(error)
     except BaseException:
         said = "(no words)"
     return " ".join(f"{type(error).__name__}: {said}".split())[:300]
+
+
+def _hint(error: BaseException) -> str:
+    """Return what an error of a plug-in may come from, '' where nothing is known."""
+    name = str(getattr(error, "name", None) or "").partition(".")[0]
+    if isinstance(error, ImportError) and name in ours.PACKAGES:
+        return f"; {name!r} is this program's package: give yours another name"
+    if isinstance(error, ModuleNotFoundError):
+        return "; a plug-in of several files is named as a module that Python can import"
+    return environment.hint(error)

@@ -42,8 +42,8 @@ from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, SPECS, load_method
 from harness.run.codec import printable
 from harness.run.experts import Shared
+from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
-from methods.settings import settings_for
 
 
 @dataclass(frozen=True)

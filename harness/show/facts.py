@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from harness.judge import effort
 from harness.judge.command_line import as_seeds, command_of
 from harness.judge.results import PROGRAM_NAME, CellResult, Request, Row
 from harness.show.tables import Item, Number, Table, number
@@ -54,9 +55,10 @@ def why_no_result(env: str, request: Request, results: Sequence[CellResult]) -> 
     return f"the expert of seed {seeds} misses its bar" if below else ""
 
 
-def warnings(results: Sequence[CellResult], rows: Sequence[Row]) -> list[str]:
+def warnings(results: Sequence[CellResult], rows: Sequence[Row], budget: str) -> list[str]:
     """What the reader must be told, a line each. results: in order."""
     found = [f"{r.cell.name}: {text}" for r in results for text in r.warnings]
+    found += effort.warnings(results, budget)
     unscored = {(r.task, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
     machines = {tuple((k, v) for k, v in r.origin.items() if k != PROGRAM_NAME) for r in results}
     if len(machines) > 1:

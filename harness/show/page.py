@@ -61,7 +61,7 @@ def render(found: Found, parts: Mapping[str, str]) -> str:
     drawn = _charts(found)
     leaderboard, recordings = _leaderboard(found.boards), _recordings(found)
     packed = {one.name: pack(one.data) for its in drawn.values() for one in its if one.data is not None}
-    warnings = facts.warnings(found.results, found.rows)
+    warnings = facts.warnings(found.results, found.rows, found.request.conditions.budget)
     no_expert = found.request.conditions.experts == "none"
     context = {
         **drawn,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from harness.run.environment import hint
 from methods.base import Unsuitable
 
 READ = "docs/plugins.md"
@@ -34,7 +35,7 @@ class Check:
             raise
         except BaseException as error:  # SystemExit, too: what a method raises ends no check
             kind = "" if isinstance(error, ContractError) else f"{type(error).__name__}: "
-            why = f"{kind}{' '.join(str(error).split())}"[:500]
+            why = f"{kind}{' '.join(str(error).split())}"[:500] + hint(error)
             return "FAILED", why if "docs/" in why else f"{why} ({READ})"
         return "ok", ""
 

@@ -1,6 +1,5 @@
 """Methods and tasks of others: named, installed, broken, computed, and never mistaken for one another."""
 
-import json
 import os
 import subprocess
 import sys
@@ -15,10 +14,11 @@ from gymnasium.envs.registration import EnvSpec
 from harness import registry
 from harness.cli import main
 from harness.judge.results import Cell, Conditions
-from harness.registry import ENVS, PLUGINS, SPECS, VARIANTS, BadInput, load_method
+from harness.registry import SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
 from harness.run.engines import Job, compute
 from harness.run.environment import of_this_process
+from harness.run.plugins import Plugin
 from tests.harness.plugged import MINE
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
@@ -27,13 +27,10 @@ CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What is made known here is forgotten again."""
-    tables = [VARIANTS, ENVS, SPECS, PLUGINS["method"], PLUGINS["env"]]
-    known, before = [dict(table) for table in tables], set(sys.modules)
-    monkeypatch.setenv(plugins.VARIABLE, "[]")  # which goes with the test, whatever is added
-    yield
-    for table, its in zip(tables, known, strict=True):
-        for name in table.keys() - its.keys():
-            del table[name]
+    before = set(sys.modules)
+    monkeypatch.setattr(plugins, "_in_a_process", plugins.look)  # a process takes a second
+    with plugins.for_now():
+        yield
     for name in set(sys.modules) - before:
         if name.startswith(plugins.FILE_MODULE):
             del sys.modules[name]
@@ -50,7 +47,8 @@ def key(cell: Cell) -> str:
 
 
 def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Modules beside it, packages, and this program's; not what is installed, whose version counts."""
+    """Modules beside it, packages, and this program's; not what is installed, whose version counts. What is
+    edited counts when it is named again, or in a cell."""
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs/__init__.py").write_text("")
     (tmp_path / "theirs/deep.py").write_text("from its_helper import VALUE")
@@ -63,8 +61,10 @@ def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, monkeypatch: pytest.M
     for file in ("its_helper.py", "theirs/deep.py", "theirs/__init__.py"):
         was = (tmp_path / file).read_text()
         (tmp_path / file).write_text(f"{was}\nMORE = 1\n")
+        plugins.add([str(tmp_path / "imports.py")])
         assert key(cell) != before, file
         (tmp_path / file).write_text(was)
+    plugins.add([str(tmp_path / "imports.py")])
     assert key(cell) == before
     for file, counts in (("methods/bc.py", True), ("methods/gail.py", False), ("harness/frames.py", False)):
         edited = program | {file: program[file] + b"\nMORE = 1\n"}
@@ -127,7 +127,8 @@ def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> 
     assert load_method("mine").__name__ == "Mine"
     assert SPECS["moon"].name == "moon"
     assert "mine" not in registry.choose("method", "all", registry.METHODS, VARIANTS)
-    assert json.loads(os.environ[plugins.VARIABLE]) == [[str(mine), str(mine)]]
+    assert plugins.needed(["mine"], []) == plugins.needed([], ["moon"]) == (Plugin(str(mine), str(mine)),)
+    assert not plugins.needed(["bc"], ["swingup"])
     plugins.add([str(mine)])  # once more
 
 
@@ -136,6 +137,7 @@ def test_a_key_is_of_the_plugins_source_and_of_no_others(mine: Path) -> None:
     cells = [Cell("swingup", "mine", 0), Cell("moon", "bc", 0), Cell("swingup", "bc", 0)]
     before = [key(cell) for cell in cells]
     mine.write_text(MINE + "# edited\n")
+    plugins.add([str(mine)])
     after = [key(cell) for cell in cells]
     assert [a == b for a, b in zip(after, before, strict=True)] == [False, False, True]
     assert keys.task_of(before[0]) == keys.task_of(before[2]) == keys.task_of(after[0])
@@ -147,7 +149,7 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
     (its_key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
     mine.write_text(MINE + "# edited\n")
     with pytest.raises(RuntimeError, match="are not those that the run began with"):
-        compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key))
+        compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], [])))
 
 
 BROKEN = {
@@ -239,7 +241,7 @@ def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/mine.py").write_text(MINE)
     with pytest.raises(BadInput, match=r"two plug-ins are called mine\.py"):
-        plugins.add([str(tmp_path / "folder/mine.py")])
+        plugins.add([str(mine), str(tmp_path / "folder/mine.py")])
 
 
 def test_a_task_of_gymnasium_needs_its_id_alone() -> None:

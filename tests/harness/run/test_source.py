@@ -238,24 +238,35 @@ def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
     assert "are not those that the run began with" in found[0].rows[0].reason
 
 
-@pytest.mark.parametrize("package", ["envs", "methods"])
 @pytest.mark.parametrize("name", ["{}/__init__.py", "{}.py"])
-def test_what_hides_the_program_is_named_and_not_run(tmp_path: Path, package: str, name: str) -> None:
-    theirs = tmp_path / name.format(package)
-    theirs.parent.mkdir(exist_ok=True)
-    theirs.write_text("print('theirs')")
-    for arguments in (RUN, ["report", "run"], ["verify", "run"]):
-        env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-        command = [sys.executable, "-m", "harness", *arguments]
+def test_packages_of_the_programs_names_are_found_after_it(tmp_path: Path, name: str) -> None:
+    """They lie in a folder of PYTHONPATH that comes first."""
+    for package in ("envs", "methods", "harness"):
+        theirs = tmp_path / name.format(package)
+        theirs.parent.mkdir(exist_ok=True)
+        theirs.write_text("raise SystemExit('theirs')")
+    env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    code = "import sys, irl_bench; sys.exit(irl_bench.start())"
+    for arguments in (["check", "gridworld"], ["verify", "run"]):
+        command = [sys.executable, "-c", code, *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stdout) == (2, "")
-        assert f"{theirs} hides this program's package {package!r}" in done.stderr
-        assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "run").exists()
-    env["PYTHONPATH"] = str(ROOT)  # from the current folder alone nothing is imported
-    command = [sys.executable, "-m", "harness", "verify", "run"]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-    assert "run holds no run" in done.stderr
+        assert "theirs" not in done.stdout + done.stderr
+        assert done.returncode == (2 if arguments[0] == "verify" else 0), done.stderr
+
+
+@pytest.mark.parametrize("package", ["envs", "methods", "harness"])
+def test_a_package_of_the_programs_name_that_is_imported_already_is_named(
+    tmp_path: Path, package: str
+) -> None:
+    (tmp_path / package).mkdir()
+    theirs = tmp_path / package / "__init__.py"
+    theirs.write_text("")
+    (tmp_path / "script.py").write_text(f"import {package}\nimport irl_bench\n")
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert f"{theirs} hides this program's package {package!r}: rename it" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize("name", ["json", "random", "numpy", "signal", "harness"])

@@ -1,0 +1,72 @@
+"""Comparison of the environment steps that plug-ins' methods and built-in ones take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
+from harness.registry import BUILT_IN, SPECS
+
+NO_NUMBERS = "It warns of steps that were taken."
+
+MOST = 3
+"""Times as many steps as others take, beyond which two are no longer compared like with like."""
+EPISODES = 10
+"""Rollouts that any method may take, besides what RL takes."""
+RL = "RL at this budget"
+
+
+def asked(method: Any, rl_steps: int) -> float:
+    """Return about how many environment steps the settings of a method stand for.
+
+    Of two methods of one class the ratio counts. rl_steps: those of the task, for settings that name none.
+    """
+    if not hasattr(method, "rl_steps"):
+        return float(getattr(method, "rounds", 0) * getattr(method, "rollouts", 0))
+    clones = hasattr(method, "final_iterations")  # whose iterations are gradient steps
+    turns = 1 if clones or not hasattr(method, "rollouts") else method.iterations
+    turns *= getattr(method, "rl_rounds", 1)
+    return float(turns * (method.rl_steps or rl_steps) + getattr(method, "final_steps", 0))
+
+
+def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
+    """Return a line for each task in which a plug-in's method took more than `MOST` times others' steps.
+
+    It is compared with the built-in method whose class it has or derives from, if that is among the results;
+    checks of checkpoints are included. One that is like none, or like one that takes no steps, is compared
+    with all built-in methods there, and with RL.
+    """
+    rows: dict[tuple[str, str, str], list[Row]] = {}
+    likes: dict[str, list[str]] = {}
+    for result in results:
+        cell, row = result.cell, result.rows[0]
+        if cell.dynamics == NOMINAL and cell.method not in (REFERENCE, *CONTROLS) and row.status == "ok":
+            rows.setdefault((cell.env, str(cell.shown), cell.method), []).append(row)
+            if cell.method not in BUILT_IN["method"]:
+                likes[cell.method] = result.like
+    found = []
+    for env, shown, method in sorted(rows):
+        if method not in likes:
+            continue
+        known = [name for name in BUILT_IN["method"] if (env, shown, name) in rows]
+        alike = [name for name in known if name in likes[method]]
+        checks = any(_mean(rows[env, shown, name], True) for name in alike)
+        if likes[method] and not alike:
+            continue  # its own cells warn where its settings ask for more
+        others = {name: _mean(rows[env, shown, name], checks) for name in (alike if checks else known)}
+        if not checks and env in BUILT_IN["env"]:
+            others[RL] = SPECS[env].rl_steps[budget] + EPISODES * SPECS[env].horizon
+        took = _mean(rows[env, shown, method], checks)
+        most = max(others, key=others.__getitem__, default="")
+        if most and took > MOST * others[most] > 0:
+            which = f"{env}, {shown}" if shown else env
+            found.append(
+                f"{method} in {which} took {took:,.0f} environment steps{' and checks' * checks}, more than "
+                f"{MOST} times the {others[most]:,.0f} of {most}: not compared like with like"
+            )
+    return found
+
+
+def _mean(rows: Sequence[Row], checks: bool) -> float:
+    return sum(row.env_steps + checks * row.check_steps for row in rows) / len(rows)

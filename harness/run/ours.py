@@ -1,0 +1,40 @@
+"""This program's packages are found before others of their names, such as those beside a user's script."""
+
+from __future__ import annotations
+
+import sys
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+
+from harness.registry import BadInput
+
+NO_NUMBERS = "It says where Python finds the program, whose source is in the keys."
+PACKAGES = ("envs", "methods", "harness")
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class _First:
+    """A finder of this program's packages, and of the module that gives names of theirs."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        is_ours = path is None and name in (*PACKAGES, "irl_bench")
+        return PathFinder.find_spec(name, [str(ROOT)]) if is_ours else None
+
+
+def first() -> None:
+    """Make Python find this program's packages first. Raises BadInput where another one of their names is
+    imported already."""
+    if _First not in sys.meta_path:
+        sys.meta_path.insert(0, _First)
+    for name in PACKAGES:
+        there = sys.modules.get(name)
+        if there is None:
+            continue
+        places = [*getattr(there, "__path__", []), getattr(there, "__file__", None)]
+        if ROOT / name not in [Path(place).resolve() for place in places if place]:
+            raise BadInput(hides(str(places[-1] or places[0]), name), page="plugins")
+
+
+def hides(file: str, name: str) -> str:
+    return f"{file} hides this program's package {name!r}: rename it"
