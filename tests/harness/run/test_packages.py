@@ -24,7 +24,7 @@ def install(site: Path, name: str, version: str, *requirements: str) -> None:
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder in which packages can be installed."""
     monkeypatch.syspath_prepend(tmp_path)
-    caches = (packages.required, packages.imported)
+    caches = (packages.required, packages.imported, packages.distributions)
     for function in caches:
         function.cache_clear()
     yield tmp_path
@@ -57,6 +57,7 @@ def test_a_tasks_simulator_is_found_in_its_modules(site: Path) -> None:
     task = "gymnasium.envs.box2d.lunar_lander"
     assert "Box2D" not in packages.imported(task)
     packages.imported.cache_clear()
+    packages.distributions.cache_clear()
     install(site, "Box2D", "2.3.10")
     assert packages.imported(task)["box2d"] == "2.3.10"
     assert "box2d" not in packages.imported("gymnasium.envs.classic_control.pendulum")
