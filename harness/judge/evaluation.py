@@ -56,5 +56,8 @@ def total(reward: Reward, obs: Array, act: Array) -> float:
 
 
 def paid(reward: Reward, obs: Array, act: Array) -> Array:
-    """(T,): what it pays for each step. It is given arrays of its own, for it may write into them."""
+    """Return what the reward pays above absorption for each step, (T,).
+
+    The reward gets copies, because it may write into its arguments.
+    """
     return np.asarray(reward(obs[:-1].copy(), act.copy(), obs[1:].copy()) - reward.absorbing)

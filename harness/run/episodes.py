@@ -31,7 +31,7 @@ MOMENTS = 6
 LANES = 100
 """Episodes that are played side by side, at most."""
 SLACK = 1e-9
-"""How far, as a share, an episode's return may be from the scored one when it is played again."""
+"""The largest difference, as a share, of an episode's return from the scored one when it is played again."""
 LEAST_WEIGHT = 0.05
 """What the expert would go on to reach counts until the discount has fallen to this."""
 
@@ -39,8 +39,10 @@ LEAST_WEIGHT = 0.05
 def recorded(
     task: Task, made: Made, scored: Evaluation, watched: Watched
 ) -> tuple[dict[str, bytes], list[str]]:
-    """The recordings of a policy's episodes that conditions ask for, by the files' names, and why there is
-    none of an episode that is not the one that was scored when it is played again."""
+    """Return the recordings of a policy's episodes by the files' names, and warnings.
+
+    A warning says that an episode was not recorded. It earned another return when it was played again.
+    """
     with task.during("record"):
         spec, reward, policy, expert = task.place, made.reward, made.policy, None
         assert policy is not None

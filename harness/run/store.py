@@ -43,7 +43,7 @@ REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html", REP
 OF_CELLS = ("cells/", f"{BASELINE}/", "recordings/", "artifacts/")
 """How the names of files begin that a cell wrote."""
 Check = Callable[[str, str], None]
-"""What raises ValueError for the name and the digest of a file that is not as it was written."""
+"""A function that raises ValueError for the name and the digest of a file that is not as it was written."""
 OTHER_VERSION = "computed by another version of the program, its packages or its experts"
 CELL_FILE = re.compile(r"[^.]\S*__\S+__seed\d{1,3}(__\S+)?\.json")
 """Names of files that hold a cell."""
@@ -304,13 +304,13 @@ class RunDirectory:
 
     @property
     def _mends(self) -> bool:
-        """Whether the list of checksums is written anew by who opened the directory."""
+        """Return whether the directory was opened to write it, which mends its list of checksums."""
         return self.lock is not None or bool(self.keys)
 
     def _checker(self, mends: bool) -> Check:
-        """Return what raises ValueError for the name and digest of a file that is not as it was noted.
+        """Return a function that raises ValueError for a file that the list of checksums does not vouch for.
 
-        mends: whether a file that is not in the list, or a list that is damaged, will do.
+        mends: accept files that are not in the list, and a damaged list.
         """
         try:
             listed, broken = (self._listed() if mends else self._noted()), ""

@@ -25,7 +25,7 @@ MEANINGS = {
     ),
     "Behind the best [95 %]": (
         "How much less it scores than the best method's policy of the same name, paired by seed. 'tied': "
-        "the interval holds 0, or less than 0.005."
+        "the interval holds 0, or less than 0.005. 'no seed in common': there is nothing to compare."
     ),
     "Above best lower control": (
         "Score less that of the best control whose reward has no information. A learned reward has to be "

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import pandas as pd
 
 FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""How a text begins that a spreadsheet would compute, after apostrophes, of which writing adds one.
+"""The beginning of a text that a spreadsheet would compute, with any apostrophes before it.
 `report.js` has the same."""
 
 
