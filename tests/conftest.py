@@ -26,12 +26,14 @@ HORIZON = 10
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What JAX compiles, much of the time of many tests, is compiled once for all. Ctrl-C reaches what
+    """What JAX compiles, much of the time of many tests, is compiled once for all, and no test's cache is the
+    user's. Ctrl-C reaches what
     tests start, also where a shell started them in the background and so deaf to it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("IRL_BENCH_CACHE", str(config.cache.mkdir("irl-bench")))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,5 +1,5 @@
 """What is computed once and kept for other runs: arrays and a few facts, in a file whose name says all that
-can change them. `IRL_BENCH_CACHE` names another folder for it."""
+can change them. `harness.run.environment.cache_folder` says where."""
 
 from __future__ import annotations
 

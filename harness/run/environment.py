@@ -12,7 +12,8 @@ from pathlib import Path
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
 PRELOAD_VARIABLE = "IRL_BENCH_PRELOAD"
 """Names modules, with commas between, that the processes of cells share."""
-DEFAULT_CACHE = Path("results") / "cache"
+EARLIER_CACHE = Path("results") / "cache"
+"""The cache of earlier versions, in the current folder; used where it is there."""
 
 PASSED = {
     *("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "TZ", "TMPDIR"),
@@ -66,8 +67,16 @@ TEXT = {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
 def cache_folder() -> Path:
-    """For what is computed once and kept for other runs."""
-    return Path(os.environ.get(CACHE_VARIABLE) or DEFAULT_CACHE)
+    """Return the folder of what is computed once and kept for other runs: the user's, unless the variable
+    names another, or that of earlier versions is there."""
+    if named := os.environ.get(CACHE_VARIABLE):
+        return Path(named)
+    caches = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if not caches.is_absolute():
+        caches = Path(os.path.expanduser("~/.cache"))
+    if EARLIER_CACHE.is_dir() or not caches.is_absolute():  # of a user without a home
+        return EARLIER_CACHE
+    return caches / "irl-bench"
 
 
 def can_fix_instructions() -> bool:

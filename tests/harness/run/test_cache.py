@@ -17,7 +17,7 @@ from harness.learn.simulator import Simulator
 from harness.registry import SPECS
 from harness.run import cache, experts
 from harness.run.cache import Kept, cache_file, kept, load
-from harness.run.environment import CACHE_VARIABLE, DEFAULT_CACHE, SAME_INSTRUCTIONS
+from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
 from harness.run.keys import experts_version, program
 
@@ -92,10 +92,25 @@ def test_where_it_cannot_be_written_it_is_kept_for_the_run(
     assert len(list((tmp_path / "run/cache").iterdir())) == 1
 
 
-def test_no_name_is_the_usual_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_name_is_the_users_folder_or_that_of_earlier_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def folder() -> Path:
+        return cache_file("thing", "cartpole", ["smoke"]).parent
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv(CACHE_VARIABLE, "")
-    assert cache_file("thing", "cartpole", ["smoke"]).parent == DEFAULT_CACHE
-    assert Path("results/cache") == DEFAULT_CACHE
+    assert folder() == tmp_path / "home/.cache/irl-bench"
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    assert os.listdir(tmp_path) == ["home"]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert folder() == tmp_path / "caches/irl-bench"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # which is to be ignored
+    assert folder() == tmp_path / "home/.cache/irl-bench"
+    (tmp_path / "results/cache").mkdir(parents=True)
+    assert folder() == EARLIER_CACHE == Path("results/cache")
 
 
 @pytest.mark.parametrize("kind", ["deep", "pipe", "folder", "link"])
