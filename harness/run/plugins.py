@@ -153,7 +153,8 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
     """
     new = list(dict.fromkeys(map(_plugin, named)))
     for i, one in enumerate(new):
-        if any(one.module == other.module and one != other for other in (*_named, *new[:i])):
+        before = (*_named, *new[:i])
+        if any(one.module == other.module and one.place != other.place for other in before):
             raise BadInput(f"two plug-ins are called {Path(one.name).name}; rename one")
     points, troubles = _installed()
     words = {word.strip() for text in asked for word in text.split(",")}

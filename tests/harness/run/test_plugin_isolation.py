@@ -169,8 +169,10 @@ def test_of_a_package_only_what_is_asked_for_is_imported(
     plugins.add([])
     assert {"of_theirs", "of_theirs_too"} <= PLUGINS["method"].keys()
     assert "theirs" not in sys.modules
+    cell = Cell("swingup", "of_theirs", 0)
+    of_an_earlier_run = keys.cell_keys([cell], CONDITIONS, {})
     plugins.add([], ["bc,of_theirs"])
-    assert keys.cell_keys([Cell("swingup", "of_theirs", 0)], CONDITIONS, {})
+    assert keys.cell_keys([cell], CONDITIONS, {}) == of_an_earlier_run
     assert plugins.settings_for("of_theirs", "swingup", "smoke") == {"iterations": 10}
     with pytest.raises(BadInput, match="the method of_theirs_too cannot be loaded: RuntimeError: imported"):
         plugins.add([], ["of_theirs_too"])
@@ -457,6 +459,7 @@ def test_jobs_for_other_machines_name_plugins_where_they_were_copied(
 
 def test_what_was_added_for_good_is_known_to_runs_and_what_a_run_names_is_not(both: list[str]) -> None:
     with plugins.for_now():
+        plugins.add([os.path.relpath(both[0])])
         plugins._forget(plugins._named[1])
         assert "other" not in VARIANTS
     assert {"mine", "other"} <= VARIANTS.keys()
