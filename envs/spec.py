@@ -176,6 +176,8 @@ class EnvSpec:
     """What each observation is, by a name of its own; default: 'obs 0', 'obs 1', ..."""
     act_names: tuple[Quantity, ...] = ()
     """What each entry of an action is, in the same way; default: 'act 0', 'act 1', ..."""
+    public_bounds: tuple[float, float] | None = None
+    """Lowest and highest action of the public environment that the task is, where they are not -1 and 1."""
     summary: str = ""
     """One line for `list`."""
     gamma: float = 0.99
