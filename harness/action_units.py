@@ -12,14 +12,15 @@ from gymnasium import spaces
 
 from envs import EnvSpec
 from harness.demonstration_forms import Bounds, Raw
+from harness.registry import BadInput
 from methods.base import Array
 
 SLACK = 1e-6
-"""How far outside the bounds a number may be by rounding, as a share of them."""
+"""Largest distance outside the bounds that counts as rounding, as a share of them."""
 FARTHEST = 1e6
 """Bounds of a file beyond it are none."""
 POINTS = (-1.0, -0.5, 0.0, 0.25, 1.0)
-"""Where it is tried whether a wrapper scales."""
+"""Actions on which a wrapper is tried."""
 SCALED = (-1.0, 1.0)
 OPTION = "--action-bounds"
 
@@ -105,11 +106,11 @@ def units(raw: Raw, spec: EnvSpec, asked: Bounds | None) -> Units:
 
 
 def first_choice(spec: EnvSpec) -> int:
-    """Return the number of a discrete task's first choice in its own environment. Raises ValueError where a
+    """Return the number of a discrete task's first choice in its own environment. Raises BadInput where a
     wrapper hides it."""
     space = _beneath(spec)
     if not isinstance(space, spaces.Discrete):
-        raise ValueError("a wrapper of the task changes its actions, so their numbers are not known")
+        raise BadInput(f"a wrapper of {spec.name} changes its choices, so their numbers are not known")
     return int(space.start)
 
 

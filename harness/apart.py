@@ -1,5 +1,5 @@
-"""Strangers' demonstrations, read in a process of its own: it takes neither much memory nor long, whatever
-their files claim, and where a library ends its process, it ends this one alone.
+"""Reading of strangers' demonstrations in a process of its own. It takes neither much memory nor long,
+whatever their files claim. Where a library ends its process, it ends this one alone.
 
 In every form few bytes may stand for many: by compression, by lists that share their content, by shapes.
 Libraries allocate before they check. So the bound is the operating system's, one for all forms.

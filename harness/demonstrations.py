@@ -91,8 +91,8 @@ def read(path: Path, spec: EnvSpec, bounds: forms.Bounds | None = None) -> Found
 
 
 def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:
-    """Write an `.npz` of this project. Raises BadInput for another name, or where it is there already,
-    ValueError for episodes of which not every step is shown."""
+    """Write an `.npz` of this project. Raises BadInput for another name, or where it is there already, and
+    ValueError for episodes with steps that are not shown."""
     _check_new(path)
     if path.suffix != ".npz":
         raise BadInput(f"{path}: give a name that ends in .npz")
