@@ -277,8 +277,10 @@ def _endings(flags: list[Any]) -> list[bool | None]:
 def _imitation(path: Path) -> Raw:
     state = json.loads(read(path / "state.json"))
     names = [entry["filename"] for entry in state["_data_files"]]
-    if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
-        raise ValueError("its state.json names no files beside it")
+    if not 0 < len(names) <= MOST_EPISODES or not all(
+        isinstance(name, str) and Path(name).name == name for name in names
+    ):
+        raise ValueError("its state.json names no files beside it, or too many")
     obs, act, rewards = list[NDArray[Any]](), list[NDArray[Any]](), list[NDArray[Any]]()
     ended, size = list[bool | None](), 0
     for name in names:
