@@ -186,6 +186,8 @@ class EnvSpec:
     """What each observation is, by a name of its own; default: 'obs 0', 'obs 1', ..."""
     act_names: tuple[Quantity, ...] = ()
     """What each entry of an action is, in the same way; default: 'act 0', 'act 1', ..."""
+    public_bounds: tuple[float, float] | None = None
+    """Lowest and highest action of the public environment that the task is, where they are not -1 and 1."""
     summary: str = ""
     """One line for `list`."""
     gamma: float = 0.99
@@ -271,13 +273,6 @@ class EnvSpec:
                 f"{self.name}: the environment is not truncated at the spec's {self.horizon} steps"
             )
         return env
-
-    @property
-    def first_choice(self) -> int:
-        """The number by which the task itself calls the first choice; 0 where actions are none."""
-        env = self.make()
-        native = env.env.action_space if isinstance(env, Scaled) else env.action_space
-        return int(native.start) if isinstance(native, spaces.Discrete) else 0
 
     def variant(self, name: str) -> EnvSpec:
         """One of `variants` as a task of its own, whose experts nothing is known of. Raises ValueError for an

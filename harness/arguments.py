@@ -34,6 +34,21 @@ damaged, a bar of `bench` or of an expert is missed, or what was printed is lost
 input, too little memory, or a file that cannot be read or written; 130 stopped, such as by Ctrl-C."""
 
 
+class _Once(argparse.Action):
+    """An option that may not be given twice: of two, one would be ignored."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option: object = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            parser.error(f"{option} is given twice; one file is read")
+        setattr(namespace, self.dest, values)
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise BadInput(message, page="commands")
@@ -84,6 +99,7 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument(
         "--demos-from",
         type=_folder,
+        action=_Once,
         metavar="PATH",
         help="demonstrations of a file instead of the experts' (docs/demonstrations.md)",
     )
@@ -217,8 +233,10 @@ def _add_bounds(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--action-bounds",
         type=_bounds,
-        metavar="LOW,HIGH",
-        help="of actions in that file, such as =-2,2, which are scaled to [-1, 1]",
+        action="append",
+        metavar="LOW,HIGH|scaled",
+        help="lowest and highest action in that file, such as =-2,2: one pair, or one for each component, in "
+        "order; scaled: they are in [-1, 1] (default: as the file says, or else the task's own)",
     )
 
 
@@ -297,10 +315,13 @@ def seeds(text: str) -> tuple[int, ...]:
 
 
 def _bounds(text: str) -> tuple[float, float]:
+    if text == "scaled":
+        return -1.0, 1.0
     try:
         low, high = map(float, text.split(","))
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not two numbers with a comma between") from error
+        why = "is not two numbers with a comma between; give the option again for another component"
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} {why}") from error
     if not (-LONGEST <= low < high <= LONGEST and high - low >= NARROWEST):
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a lower number and a higher one")
     return low, high

@@ -167,11 +167,11 @@ def _check_without_expert(args: argparse.Namespace, methods: Sequence[str]) -> N
 
 def _given(args: argparse.Namespace, envs: Sequence[str]) -> Found:
     """The demonstrations of a file. Raises BadInput for those that cannot be shown."""
-    from harness import demonstrations
+    from harness import demonstrations, exchange
 
     if len(envs) != 1 or args.demonstrator != "expert":
         raise BadInput("--demos-from is for one environment, and leaves out --demonstrator")
-    found = demonstrations.read(args.demos_from, SPECS[envs[0]], args.action_bounds)
+    found = demonstrations.read(args.demos_from, SPECS[envs[0]], exchange.bounds(args.action_bounds))
     if args.experts == "none" and found.returns is None:
         raise BadInput(
             f"{args.demos_from} tells no rewards, so nothing would score 1; leave out --experts none"

@@ -1,20 +1,20 @@
 """The forms that demonstrations have on disk: each read as it is there, and Minari's written.
 
 `.npz` of this project: arrays obs (sum of T+1, O), act (sum of T, A) in [-1, 1], lengths (N,) and
-terminated (N,), and optionally rewards (sum of T,).
+terminated (N,), and optionally rewards (sum of T,) and act_bounds (2, A), the lowest and highest actions.
 `.npz` of `imitation` before 1.0: obs, acts, indices, terminal and optionally rews.
 A folder of `imitation` 1.0, which is one of Hugging Face's `datasets`: Arrow streams that state.json names.
 Its `infos`, texts that stand for any Python object, are not looked at.
 A dataset of Minari 0.5, or the folder `data` in it: metadata.json, and episodes in main_data.hdf5 or, one
 each, in <number>/part-0.parquet or .arrow. They are read without Minari, which could make environments.
 
-No pickle is read, and no link below a folder is followed, be it of the file system or of HDF5.
+No pickle is read, and no link below a folder is followed, be it of the file system or of HDF5. Strangers'
+files may ask for any memory and end a process: `harness.apart` reads them in another one.
 """
 
 from __future__ import annotations
 
 import importlib
-import io
 import json
 import math
 import os
@@ -25,27 +25,31 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs import EnvSpec
 from harness.registry import BadInput
-from harness.run.files import read
-from methods.base import Array, Episodes
+from harness.run.codec import printable
+from harness.run.files import opened, read
+
+if TYPE_CHECKING:  # not for the process that reads, which starts in less time without
+    from envs import EnvSpec
+    from methods.base import Array, Episodes
 
 LARGEST = 1 << 30
-"""Bytes of a file that is read, and of what is in it, at most."""
+"""Bytes of a file that is read, and of the numbers in it, 8 for each, at most."""
 MOST_EPISODES = 100_000
+ONE_MORE = "an episode has one observation more than actions, of where its last one led"
+FLAT = "flat rows of numbers are needed"
 STEPS = ("actions", "rewards", "terminations", "truncations")
 """What Minari has of each step, besides observations."""
 PLACE = "MINARI_DATASETS_PATH"
 """The variable that says where Minari writes."""
 Columns = dict[str, NDArray[Any]]
-Bounds = tuple[float, float] | tuple[Array, Array]
-"""Of actions: the lowest and the highest, of each entry or of all."""
+Bounds = tuple[float, float] | tuple[NDArray[np.float64], NDArray[np.float64]]
+"""The lowest and the highest action, of each component or of all."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,8 @@ class Raw:
     """As a file has it, an entry an episode.
 
     terminated: None where nothing is said of how the episode ended. vague: whether it may call terminal what
-    was cut at the horizon. bounds: of actions; None where such a file has none to say, infinite ones where it
-    does not tell them.
+    was cut at the horizon. own: whether it is this project's `.npz`. bounds: of actions; None where such a
+    file says none, infinite ones where it should. first: number of the first choice, where it is said.
     """
 
     form: str
@@ -63,7 +67,16 @@ class Raw:
     terminated: list[bool | None]
     rewards: list[NDArray[Any]] | None
     vague: bool = False
+    own: bool = False
     bounds: Bounds | None = None
+    first: int | None = None
+
+    @property
+    def arrays(self) -> Iterator[tuple[int, str, NDArray[Any]]]:
+        """Number of the episode, what it is, and the array."""
+        for name, arrays in (("observations", self.obs), ("actions", self.act), ("rewards", self.rewards)):
+            for i, array in enumerate(arrays or []):
+                yield i, name, array
 
 
 def extra(module: str) -> Any:
@@ -76,8 +89,41 @@ def extra(module: str) -> Any:
 
 
 def raw(path: Path) -> Raw:
-    """What is in the file or folder. Raises BadInput where an extra is missing, and for what is damaged
-    whatever libraries raise."""
+    """Return what is in the file or folder, arrays of numbers. Raises BadInput where an extra is missing, and
+    ValueError for all that cannot be used."""
+    try:
+        found = _raw(path)
+        for i, name, array in found.arrays:
+            if array.dtype.kind not in "fiub" or not array.ndim:
+                raise ValueError(f"episode {i} has {name} {array.dtype} {array.shape}; numbers are needed")
+        _check_size(sum(array.size * max(1, array.itemsize // 8) for _, _, array in found.arrays))
+    except BadInput:
+        raise
+    except MemoryError as error:
+        raise ValueError("reading it takes more memory than is allowed") from error
+    except Exception as error:  # whatever libraries raise for files that are no such thing
+        said = str(error)
+        if isinstance(error, OSError) and error.strerror:
+            inside = error.filename is not None and Path(error.filename) != path
+            said = f"{error.strerror}: {error.filename}" if inside else error.strerror
+        raise ValueError(printable(" ".join(said.split()))[:300] or type(error).__name__) from error
+    return found
+
+
+def _check_size(numbers: int) -> None:
+    if 8 * numbers > LARGEST:
+        raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    with opened(path) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST:
+            raise ValueError(f"{path.name}: it is larger than {LARGEST >> 20} MiB")
+        yield file
+
+
+def _raw(path: Path) -> Raw:
     if not path.is_dir():
         return _npz(path)
     if os.path.lexists(path / "state.json"):
@@ -91,18 +137,26 @@ def raw(path: Path) -> Raw:
 
 
 def write_minari(
-    path: Path, dataset_id: str, spec: EnvSpec, episodes: Episodes, rewards: Sequence[Array], **said: str
+    path: Path,
+    dataset_id: str,
+    spec: EnvSpec,
+    episodes: Episodes,
+    rewards: Sequence[Array],
+    first: int,
+    **said: str,
 ) -> None:
-    """A new dataset of Minari, the folder `path`, in parquet. Actions are in [-1, 1], or choices.
+    """Write a new dataset of Minari, the folder `path`, in parquet. Actions are in [-1, 1], or choices.
 
-    said: what `create_dataset_from_buffers` is told of where they come from. Raises BadInput where Minari is
-    missing.
+    first: number of the first choice. said: what `create_dataset_from_buffers` is told of where they come
+    from. Raises BadInput where Minari is missing.
     """
+    from gymnasium import spaces
+
     minari = extra("minari")
     buffers = [
         minari.data_collector.EpisodeBuffer(
             observations=obs,
-            actions=act.argmax(axis=1) if spec.discrete else act,
+            actions=act.argmax(axis=1) + first if spec.discrete else act,
             rewards=paid,
             terminations=_last(len(act), terminated),
             truncations=_last(len(act), not terminated),
@@ -124,7 +178,7 @@ def write_minari(
         minari.create_dataset_from_buffers(
             dataset_id,
             buffers,
-            action_space=spaces.Discrete(spec.act_size) if spec.discrete else box,
+            action_space=spaces.Discrete(spec.act_size, start=first) if spec.discrete else box,
             observation_space=spaces.Box(-np.inf, np.inf, (spec.obs_size,), np.float64),
             data_format="parquet",
             **said,
@@ -152,31 +206,33 @@ def _last(steps: int, value: bool) -> NDArray[np.bool_]:
 
 
 def _npz(path: Path) -> Raw:
-    data = read(path, LARGEST)
-    if not zipfile.is_zipfile(io.BytesIO(data)):
-        raise ValueError("it is no .npz file; pickles are not read")
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > LARGEST:
-        raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
-    with np.load(io.BytesIO(data)) as there:
-        names = set(there.files)
-        if {"obs", "act", "lengths", "terminated"} <= names:
-            lengths = _whole(there["lengths"])
-            rewards = there["rewards"] if "rewards" in names else None
-            obs, act, flags = there["obs"], there["act"], there["terminated"]
-            form, vague = "npz", False
-        elif {"obs", "acts", "indices", "terminal"} <= names:
-            act, flags = there["acts"], there["terminal"]
-            obs, rewards = there["obs"], there["rews"] if "rews" in names else None
-            lengths = np.diff([0, *_whole(there["indices"]), len(act)])
-            form, vague = "imitation's npz", True
-        else:
-            raise ValueError(f"it has none of the sets of arrays that are known, but {sorted(names)}")
+    bounds, own, vague = None, False, False
+    with _opened(path) as file:
+        if not zipfile.is_zipfile(file):
+            raise ValueError("it is no .npz file; pickles are not read")
+        file.seek(0)
+        with np.load(file) as there:
+            _check_size(sum(entry.file_size for entry in there.zip.infolist()) // 8)
+            names = set(there.files)
+            if {"obs", "act", "lengths", "terminated"} <= names:
+                lengths = _whole(there["lengths"])
+                rewards = there["rewards"] if "rewards" in names else None
+                obs, act, flags = there["obs"], there["act"], there["terminated"]
+                if "act_bounds" in names:
+                    bounds = _two_rows(there["act_bounds"])
+                form, own = "npz", True
+            elif {"obs", "acts", "indices", "terminal"} <= names:
+                act, flags = there["acts"], there["terminal"]
+                obs, rewards = there["obs"], there["rews"] if "rews" in names else None
+                lengths = np.diff([0, *_whole(there["indices"]), len(act)])
+                form, vague = "imitation's npz", True
+            else:
+                raise ValueError(f"it has none of the sets of arrays that are known, but {sorted(names)}")
     if not 0 < len(lengths) <= MOST_EPISODES or lengths.min() < 1 or flags.shape != lengths.shape:
         raise ValueError("its lengths and endings do not list the same episodes, each of a step or more")
     if (len(obs), len(act)) != (lengths.sum() + len(lengths), lengths.sum()):
-        raise ValueError(f"{len(obs)} observations and {len(act)} actions are not those of its episodes")
+        why = f"{len(obs)} observations and {len(act)} actions are not those of its episodes"
+        raise ValueError(f"{why}; {ONE_MORE}" if len(obs) == len(act) else why)
     if rewards is not None and rewards.shape != (len(act),):
         raise ValueError(f"it has rewards {rewards.shape} for {len(act)} steps")
     ends = np.cumsum(lengths)
@@ -187,7 +243,23 @@ def _npz(path: Path) -> Raw:
         _endings(flags.tolist()),
         None if rewards is None else np.split(rewards, ends[:-1]),
         vague,
+        own,
+        bounds,
     )
+
+
+def _two_rows(values: NDArray[Any]) -> Bounds:
+    """Return the bounds in an array (2, A). Raises ValueError for no such ones."""
+    if values.ndim != 2 or len(values) != 2 or values.dtype.kind not in "fiu":
+        raise ValueError(f"its act_bounds {values.dtype} {values.shape} are no (2, A) of lows and highs")
+    low, high = values.astype(np.float64)
+    return _checked(low, high, "its act_bounds")
+
+
+def _checked(low: NDArray[Any], high: NDArray[Any], where: str) -> Bounds:
+    if not (low <= high).all():
+        raise ValueError(f"{where} have a low bound that is not below the high one")
+    return low, high
 
 
 def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
@@ -203,44 +275,113 @@ def _endings(flags: list[Any]) -> list[bool | None]:
 
 
 def _imitation(path: Path) -> Raw:
-    state = json.loads(read(path / "state.json", LARGEST))
+    state = json.loads(read(path / "state.json"))
     names = [entry["filename"] for entry in state["_data_files"]]
-    if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
-        raise ValueError("its state.json names no files beside it")
+    if not 0 < len(names) <= MOST_EPISODES or not all(
+        isinstance(name, str) and Path(name).name == name for name in names
+    ):
+        raise ValueError("its state.json names no files beside it, or too many")
     obs, act, rewards = list[NDArray[Any]](), list[NDArray[Any]](), list[NDArray[Any]]()
-    ended: list[bool | None] = []
+    ended, size = list[bool | None](), 0
     for name in names:
-        table = _table(path / name, "stream")
+        table = _table(path / name, "stream", ("obs", "acts", "terminal", "rews"))
         if table.num_rows + len(obs) > MOST_EPISODES:
             raise ValueError(f"it has more than {MOST_EPISODES:,} episodes")
-        obs += [np.array(row) for row in table["obs"].to_pylist()]
-        act += [np.array(row) for row in table["acts"].to_pylist()]
-        ended += _endings(table["terminal"].to_pylist())
-        if "rews" in table.column_names:
-            rewards += [np.array(row) for row in table["rews"].to_pylist()]
+        for column, arrays in (("obs", obs), ("acts", act), ("rews", rewards)):
+            if column in table.column_names or column != "rews":
+                new = _lists(table[column], f"{name} has {column}")
+                size += sum(array.size for array in new)
+                _check_size(size)
+                arrays.extend(new)
+        ended += _endings(_column(table["terminal"], f"{name} has terminal").tolist())
     return Raw("imitation", obs, act, ended, rewards if len(rewards) == len(obs) else None, vague=True)
 
 
-def _table(path: Path, kind: str) -> Any:
-    """kind: 'stream' or 'arrow', which is a file of such, with all their columns; or 'parquet', with those of
-    Minari. Raises ValueError for what is no such file."""
+def _table(path: Path, kind: str, names: Sequence[str]) -> Any:
+    """Return the named columns of numbers and lists of them, as far as they are there.
+
+    kind: 'stream' or 'arrow', which is a file of such, or 'parquet'. Raises ValueError for what is no such
+    file.
+    """
     import pyarrow as pa
     from pyarrow import parquet
 
-    data = pa.py_buffer(read(path, LARGEST))
-    try:
-        if kind == "parquet":
-            file = parquet.ParquetFile(pa.BufferReader(data))
-            widths = [getattr(column, "list_size", 1) for column in file.schema_arrow.types]
-            if file.metadata.num_rows * sum(widths) > LARGEST // 8:  # for which few bytes may stand
-                raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
-            table = file.read(columns=["observations", *STEPS], use_threads=False)
-        else:
-            table = (pa.ipc.open_stream if kind == "stream" else pa.ipc.open_file)(data).read_all()
-        table.validate(full=True)  # or damaged offsets would end this process
-    except pa.ArrowException as error:
-        raise ValueError(f"{path.name} is no file of the kind {kind}: {error}") from error
+    with _opened(path) as data:
+        try:
+            if kind == "parquet":
+                file = parquet.ParquetFile(data)
+                schema = file.schema_arrow
+            else:
+                open_ = pa.ipc.open_stream if kind == "stream" else pa.ipc.open_file
+                schema = open_(data).schema
+            if len(set(schema.names)) < len(schema.names):
+                raise ValueError(f"{path.name} has two columns of one name")
+            wanted = [i for i, name in enumerate(schema.names) if name in names]
+            for i in wanted:
+                _check_type(schema.types[i], f"{path.name} has {schema.names[i]}")
+            if kind == "parquet":
+                table = file.read(columns=[schema.names[i] for i in wanted], use_threads=False)
+            else:
+                data.seek(0)
+                options = pa.ipc.IpcReadOptions(included_fields=wanted, use_threads=False)
+                table = open_(data, options=options).read_all()
+            table.validate(full=True)  # or damaged offsets would end this process
+        except pa.ArrowException as error:
+            if isinstance(error, MemoryError):
+                raise
+            raise ValueError(f"{path.name} is no file of the kind {kind}: {error}") from error
     return table
+
+
+def _check_type(kind: Any, where: str) -> None:
+    """Raise ValueError unless it is of numbers or lists of them, each with values of its own: of others, few
+    bytes may stand for many numbers."""
+    from pyarrow import types
+
+    inner = kind
+    while types.is_list(inner) or types.is_large_list(inner) or types.is_fixed_size_list(inner):
+        inner = inner.value_type
+    if not (types.is_integer(inner) or types.is_floating(inner) or types.is_boolean(inner)):
+        raise ValueError(f"{where} of type {kind!s:.80}; {FLAT}")
+
+
+def _lists(column: Any, where: str) -> list[NDArray[Any]]:
+    """Return an array for each list in a column: (T,) of numbers, or (T, W) of lists of W numbers."""
+    found = list[NDArray[Any]]()
+    for chunk in column.chunks:
+        rows, lengths = _flat(chunk, where)
+        ends = np.cumsum(lengths)
+        if _is_flat(rows.type):
+            values = _plain(rows, where)
+        else:
+            inner, widths = _flat(rows, where)
+            values = _plain(inner, where)
+            if len(widths) and (widths != widths[0]).any():
+                raise ValueError(f"{where} whose rows have {widths.min()} to {widths.max()} numbers")
+            values = values.reshape(len(widths), -1 if len(values) else 0)
+        found += np.split(values, ends[:-1]) if len(ends) else []
+    return found
+
+
+def _is_flat(kind: Any) -> bool:
+    return not hasattr(kind, "value_type")
+
+
+def _flat(lists: Any, where: str) -> tuple[Any, NDArray[np.int64]]:
+    """Return all that is in the lists, one after the other, and how long each is."""
+    from pyarrow import compute
+
+    if _is_flat(lists.type) or lists.null_count:
+        raise ValueError(f"{where} of type {lists.type!s:.80}, or with gaps; lists of rows are needed")
+    values = lists.flatten()
+    _check_size(len(values))
+    return values, compute.list_value_length(lists).to_numpy(zero_copy_only=False).astype(np.int64)
+
+
+def _plain(values: Any, where: str) -> NDArray[Any]:
+    if not _is_flat(values.type) or values.null_count:
+        raise ValueError(f"{where} of type {values.type!s:.80}, or with gaps; {FLAT}")
+    return np.asarray(values.to_numpy(zero_copy_only=False))
 
 
 def _minari(data: Path) -> Raw:
@@ -248,7 +389,8 @@ def _minari(data: Path) -> Raw:
         facts = json.loads(read(data / "metadata.json"))
         count, kind = facts["total_episodes"], facts["data_format"]
         space = json.loads(facts["action_space"]) if "action_space" in facts else None
-        bounds = _bounds_of(space) if space is not None else (-math.inf, math.inf)
+        bounds, first = _bounds_of(space) if space is not None else ((-math.inf, math.inf), None)
+        steps = facts.get("total_steps")
         if type(count) is not int or not 0 < count <= MOST_EPISODES:
             raise ValueError(f"it has {count!r:.20} episodes where 1 to {MOST_EPISODES:,} are read")
         if kind not in ("hdf5", "parquet", "arrow"):
@@ -256,28 +398,30 @@ def _minari(data: Path) -> Raw:
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise ValueError(f"its metadata.json cannot be used: {error}") from error
     rewards, size = list[NDArray[Any]](), 0
-    found = Raw(f"Minari {kind}", [], [], [], rewards, bounds=bounds)
+    found = Raw(f"Minari {kind}", [], [], [], rewards, bounds=bounds, first=first)
     for i, episode in enumerate(_hdf5(data, count) if kind == "hdf5" else _tables(data, count, kind)):
-        size += sum(values.nbytes for values in episode.values())
-        if size > LARGEST:
-            raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
+        size += sum(values.size for values in episode.values())
+        _check_size(size)
         found.obs.append(episode["observations"])
         found.act.append(episode["actions"])
         found.terminated.append(_ending(episode["terminations"], episode["truncations"], i))
         rewards.append(episode["rewards"])
+    there = sum(len(rows) for rows in found.act if rows.ndim)
+    if steps not in (None, there):
+        raise ValueError(f"its metadata.json tells of {steps!r:.20} steps, and its episodes have {there}")
     return found
 
 
-def _bounds_of(space: Any) -> Bounds | None:
-    """Those of a space of actions in Minari's JSON, where it is a box."""
-    if space["type"] == "Discrete" and space["start"] == 0:
-        return None
+def _bounds_of(space: Any) -> tuple[Bounds | None, int | None]:
+    """Return the bounds of a space of actions in Minari's JSON, if it is a box, or else its first choice."""
+    if space["type"] == "Discrete" and type(space["start"]) is int:
+        return None, space["start"]
     if space["type"] != "Box":
-        raise ValueError(f"its actions are neither numbers nor choices from 0 on, but {space!r:.80}")
+        raise ValueError(f"its actions are neither numbers nor choices, but {space!r:.80}")
     low, high = (np.array(space[end], np.float64).ravel() for end in ("low", "high"))
-    if not (low < high).all():
-        raise ValueError(f"its action_space has a low bound that is not below the high one: {space!r:.80}")
-    return low, high
+    if low.shape != high.shape:
+        raise ValueError(f"its action_space has {len(low)} low bounds and {len(high)} high ones")
+    return _checked(low, high, "its action_space"), None
 
 
 def _ending(terminations: NDArray[Any], truncations: NDArray[Any], episode: int) -> bool | None:
@@ -295,7 +439,7 @@ def _tables(data: Path, count: int, kind: str) -> Iterator[Columns]:
         folder = data / str(i)
         if folder.is_symlink():
             raise ValueError(f"its {i} is a link")
-        table = _table(folder / f"part-0.{kind}", kind)
+        table = _table(folder / f"part-0.{kind}", kind, ("observations", *STEPS))
         obs, *steps = (_column(table[name], f"episode {i} has {name}") for name in ("observations", *STEPS))
         # The last row is of the last observation, and holds nothing else.
         yield {"observations": obs} | {name: rows[:-1] for name, rows in zip(STEPS, steps, strict=True)}
@@ -306,21 +450,19 @@ def _column(column: Any, where: str) -> NDArray[Any]:
 
     rows = column.combine_chunks()
     width = (rows.type.list_size,) if types.is_fixed_size_list(rows.type) else ()
-    values = rows.flatten() if width else rows
-    kinds = (types.is_integer, types.is_floating, types.is_boolean)
-    if not any(kind(values.type) for kind in kinds) or rows.null_count or values.null_count:
-        raise ValueError(f"{where} of type {rows.type!s:.80}, or with gaps; flat rows of numbers are needed")
-    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(len(rows), *width)
+    if rows.null_count:
+        raise ValueError(f"{where} of type {rows.type!s:.80}, or with gaps; {FLAT}")
+    return _plain(rows.flatten() if width else rows, where).reshape(len(rows), *width)
 
 
 def _hdf5(data: Path, count: int) -> Iterator[Columns]:
     h5py = extra("h5py")
-    whole = read(data / "main_data.hdf5", LARGEST)
-    with h5py.File(io.BytesIO(whole), "r") as file:
+    with _opened(data / "main_data.hdf5") as whole, h5py.File(whole, "r") as file:
+        most = os.fstat(whole.fileno()).st_size
         for i in range(count):
             group = _member(file, f"episode_{i}", h5py.Group)
             members = {name: _member(group, name, h5py.Dataset) for name in ("observations", *STEPS)}
-            yield {name: _values(member, len(whole)) for name, member in members.items()}
+            yield {name: _values(member, most) for name, member in members.items()}
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

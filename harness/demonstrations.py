@@ -6,9 +6,6 @@ import hashlib
 import io
 import os
 import re
-import struct
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
+from harness import action_units, apart
 from harness import demonstration_forms as forms
+from harness.action_units import SLACK, Units
 from harness.arguments import installed_version
 from harness.judge.numbers import as_text
 from harness.judge.results import Conditions
@@ -28,23 +27,13 @@ from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.world import without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator
-from harness.run.codec import printable
 from harness.run.experts import demonstrator, expert_for
 from harness.run.files import write_atomic
 from methods.base import Array, Episodes
 
-SLACK = 1e-6
-"""How far outside the bounds an action may be, by rounding; it is moved to the bound."""
-FARTHEST = 1e6
-"""Bounds of actions beyond it are none."""
 BINS = 10
 MOST_PAID = 1e100
 """What an episode may return, at most."""
-_DAMAGES = (
-    *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError),
-    *(RuntimeError, zipfile.BadZipFile, zlib.error, struct.error),
-)
-"""What libraries raise on files that are no such thing."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +43,7 @@ class Found:
     episodes: actions in [-1, 1], or of choices. rewards: those in the file, (T,) an episode; None where it
     has none. form: of the file. guessed: how many episodes end at the horizon and are taken for cut there,
     though the file calls them terminal. cut: how many neither terminated nor last until the horizon.
+    units: of actions in the file.
     """
 
     episodes: Episodes
@@ -61,6 +51,7 @@ class Found:
     form: str
     guessed: int = 0
     cut: int = 0
+    units: Units | None = None
 
     @property
     def returns(self) -> Array | None:
@@ -86,26 +77,24 @@ class Found:
         return f"{self.digest}: {episodes} episodes, {steps} steps{paid}"
 
 
-def read(path: Path, spec: EnvSpec, bounds: tuple[float, float] | None = None) -> Found:
-    """What the file or folder holds, for the task. bounds: of the actions there; default: [-1, 1].
+def read(path: Path, spec: EnvSpec, bounds: forms.Bounds | None = None) -> Found:
+    """Return what the file or folder holds, for the task.
 
-    An episode that the file calls terminal and that is as long as the horizon is taken for cut there: some
-    libraries call every end terminal. Raises BadInput for what is no such file, or does not fit the task.
+    bounds: the lowest and the highest action there, of each component or of all; default: as the file says,
+    or else the task's own. An episode that the file calls terminal and that is as long as the horizon is
+    taken for cut there: some libraries call every end terminal. Raises BadInput for what is no such file, or
+    does not fit the task.
     """
     try:
-        return _found(forms.raw(path), spec, bounds)
-    except _DAMAGES as error:
-        said = str(error)
-        if isinstance(error, OSError) and error.strerror:
-            inside = error.filename is not None and Path(error.filename) != path
-            said = f"{error.strerror}: {error.filename}" if inside else error.strerror
-        reason = printable(" ".join(said.split()))[:300] or type(error).__name__
+        return _found(apart.raw(path), spec, bounds)
+    except (ValueError, MemoryError) as error:
+        reason = str(error) or "it takes more memory than there is"
         raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}", "demonstrations") from error
 
 
 def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:
-    """An `.npz` of this project. Raises BadInput for another name, or where it is there already, ValueError
-    for episodes of which not every step is shown."""
+    """Write an `.npz` of this project. Raises BadInput for another name, or where it is there already, and
+    ValueError for episodes with steps that are not shown."""
     _check_new(path)
     if path.suffix != ".npz":
         raise BadInput(f"{path}: give a name that ends in .npz")
@@ -116,6 +105,7 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
         "act": np.concatenate(episodes.act),
         "lengths": episodes.lengths,
         "terminated": np.array(episodes.terminated),
+        "act_bounds": np.array(action_units.SCALED)[:, None].repeat(episodes.act[0].shape[1], axis=1),
     }
     if rewards is not None:
         arrays["rewards"] = np.concatenate(rewards)
@@ -146,6 +136,7 @@ def export(path: Path, env: str, seed: int, count: int, kind: Demonstrator) -> N
         SPECS[env],
         episodes,
         rewards,
+        action_units.first_choice(SPECS[env]) if SPECS[env].discrete else 0,
         author="irl-bench",
         algorithm_name=kind,
         description=f"What a run of seed {seed} shows of {env}'s {kind} in irl-bench {installed_version()}, "
@@ -161,9 +152,9 @@ def of_expert(env: str, seed: int, count: int, kind: Demonstrator) -> tuple[Epis
     return without_rewards(trajectories), [trajectory.rewards for trajectory in trajectories]
 
 
-def described(found: Found) -> list[str]:
-    """What there is to know of it, a line each."""
-    episodes = found.episodes
+def described(found: Found, spec: EnvSpec) -> list[str]:
+    """Return what there is to know of it, a line each."""
+    episodes, units = found.episodes, found.units
     lengths, ended = episodes.lengths, sum(episodes.terminated)
     lines = [
         f"form        {found.form}",
@@ -175,11 +166,22 @@ def described(found: Found) -> list[str]:
         lines.append(f"endings     {found.cut} neither terminated nor last until the horizon")
     if found.guessed:
         lines.append(f"endings     {found.guessed} called terminal at the horizon are taken for cut there")
-    for name, arrays in (("observed", episodes.obs), ("actions", episodes.act)):
-        values = np.concatenate(arrays)
-        for i, column in enumerate(values.T):
-            spread = f"{column.min():.3g} to {column.max():.3g}, mean {column.mean():.3g}"
-            lines.append(f"{name} {i:<3}{spread}")
+    if units and spec.discrete:
+        lines.append(f"choices     {units.first} to {units.first + spec.act_size - 1} there, {units.why}")
+    elif units:
+        lines.append(f"bounds      {units} there, {units.why}")
+    width = max(len(str(quantity)) for quantity in (*spec.obs_names, *spec.act_names))
+    act = np.concatenate(episodes.act)
+    there = units.native(act) if units and not spec.discrete else None
+    for kind, names, values in (
+        ("observed", spec.obs_names, np.concatenate(episodes.obs)),
+        ("actions", spec.act_names, act),
+    ):
+        for i, (name, column) in enumerate(zip(names, values.T, strict=True)):
+            spread = f"{_range(column)}, mean {column.mean():.3g}"
+            if kind == "actions" and there is not None:
+                spread = f"{_range(there[:, i])} there, {spread} in [-1, 1]"
+            lines.append(f"{kind:<12}{name!s:<{width}}  {spread}")
     if found.returns is None:
         lines.append("returns     not told")
     else:
@@ -188,6 +190,10 @@ def described(found: Found) -> list[str]:
             *_histogram(found.returns),
         ]
     return lines
+
+
+def _range(values: Array) -> str:
+    return f"{values.min():.3g} to {values.max():.3g}"
 
 
 def _histogram(values: Array) -> list[str]:
@@ -200,15 +206,20 @@ def _histogram(values: Array) -> list[str]:
     return [f"  {span} {bar}".rstrip() for span, bar in zip(spans, bars, strict=True)]
 
 
-def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) -> Found:
-    obs = [_numbers(rows, spec.obs_size, "observations", i) for i, rows in enumerate(raw.obs)]
-    act = [_actions(rows, spec, bounds or raw.bounds or (-1.0, 1.0), i) for i, rows in enumerate(raw.act)]
-    _check_possible(obs, spec)
-    lengths = [len(rows) for rows in act]
+def _found(raw: forms.Raw, spec: EnvSpec, bounds: forms.Bounds | None) -> Found:
+    lengths = [len(rows) for rows in raw.act]
     if longest := [i for i, length in enumerate(lengths) if length > spec.horizon]:
         raise ValueError(
             f"episode {longest[0]} has {lengths[longest[0]]} steps, and the horizon is {spec.horizon}"
         )
+    if short := [i for i, rows in enumerate(raw.obs) if 0 < len(rows) == lengths[i]]:
+        raise ValueError(
+            f"episode {short[0]} has {lengths[short[0]]} observations and as many actions; {forms.ONE_MORE}"
+        )
+    obs = [_numbers(rows, spec.obs_size, "observations", i) for i, rows in enumerate(raw.obs)]
+    units = action_units.units(raw, spec, bounds)
+    act = _actions(raw.act, spec, units)
+    _check_possible(obs, spec)
     full = [length == spec.horizon for length in lengths]
     for i, (end, cut) in enumerate(zip(raw.terminated, full, strict=True)):
         if end is None and not cut:
@@ -225,7 +236,8 @@ def _found(raw: forms.Raw, spec: EnvSpec, bounds: tuple[float, float] | None) ->
         if rewards and np.abs(np.concatenate(rewards)).max() > MOST_PAID / max(lengths):
             raise ValueError(f"it has rewards that sum to more than {MOST_PAID:g}")
     cut_short = sum(not end and not cut for end, cut in zip(terminated, full, strict=True))
-    return Found(Episodes(tuple(obs), tuple(act), terminated), rewards, raw.form, sum(guessed), cut_short)
+    episodes = Episodes(tuple(obs), tuple(act), terminated)
+    return Found(episodes, rewards, raw.form, sum(guessed), cut_short, units)
 
 
 def _check_possible(obs: Sequence[Array], spec: EnvSpec) -> None:
@@ -252,34 +264,29 @@ def _numbers(rows: NDArray[Any], size: int, what: str, episode: int) -> Array:
     return values
 
 
-def _actions(rows: NDArray[Any], spec: EnvSpec, bounds: forms.Bounds, episode: int) -> Array:
-    """(T, A), as `Episodes` has them."""
-    if spec.discrete and rows.ndim == 1:
-        if first := spec.first_choice:
-            raise ValueError(
-                f"choices of this task begin at {first}; give them in rows, one 1 among 0s, for a file does "
-                "not tell where its numbers begin"
-            )
-        if rows.dtype.kind not in "iu" or not (len(rows) and 0 <= rows.min() <= rows.max() < spec.act_size):
-            raise ValueError(f"episode {episode}: choices must be whole numbers below {spec.act_size}")
-        return np.asarray(np.eye(spec.act_size)[rows])
-    act = _numbers(rows, spec.act_size, "actions", episode)
+def _actions(there: Sequence[NDArray[Any]], spec: EnvSpec, units: Units) -> list[Array]:
+    """Return actions of the file, an array (T, A) an episode, as `Episodes` has them."""
     if spec.discrete:
-        if not (((act == 0) | (act == 1)).all() and (act.sum(axis=1) == 1).all()):
-            raise ValueError(f"episode {episode} has actions that are no choice: one 1 among 0s is needed")
-        return act
-    if any(np.size(end) not in (1, spec.act_size) for end in bounds):
-        raise ValueError("its bounds are of other actions than the task's")
-    low, high = (np.broadcast_to(end, spec.act_size) for end in bounds)
-    if not max(np.abs(low).max(), np.abs(high).max()) <= FARTHEST:
-        raise ValueError("it does not tell the bounds of its actions; give them as --action-bounds")
-    if (low != -1).any() or (high != 1).any():  # or rounding would change some
-        act = 2 * (act - low) / (high - low) - 1
-    outside = np.abs(act).max(axis=0, initial=0.0)
-    if (most := outside.max()) > 1 + SLACK:
-        there = f"[{low[outside.argmax()]:g}, {high[outside.argmax()]:g}]"
+        return [_choices(rows, spec, units.first, i) for i, rows in enumerate(there)]
+    act = [_numbers(rows, spec.act_size, "actions", i) for i, rows in enumerate(there)]
+    excess = np.concatenate([units.excess(rows) for rows in act])
+    if outside := int((excess > 0).any(axis=1).sum()):
+        most, entry = excess.max(), excess.max(axis=0).argmax()
         raise ValueError(
-            f"episode {episode} has an action outside of {there}, {most:.6g} times as far from its middle; "
-            "give others as --action-bounds"
+            f"{outside} of {len(excess)} actions ({100 * outside / len(excess):.2g} %) are outside of "
+            f"{units}, by {most:.6g} at most, in {spec.act_names[entry].name}; if the environment clipped "
+            f"them, clip them in the file, and only if all are in other units, give {action_units.OPTION}"
         )
-    return np.asarray(np.clip(act, -1, 1))
+    return [units.scaled(rows) for rows in act]
+
+
+def _choices(rows: NDArray[Any], spec: EnvSpec, first: int, episode: int) -> Array:
+    if rows.ndim == 1:
+        last = first + spec.act_size - 1
+        if rows.dtype.kind not in "iu" or not (len(rows) and first <= rows.min() <= rows.max() <= last):
+            raise ValueError(f"episode {episode}: choices must be whole numbers from {first} to {last}")
+        return np.asarray(np.eye(spec.act_size)[rows.astype(np.int64) - first])
+    act = _numbers(rows, spec.act_size, "actions", episode)
+    if not (((act == 0) | (act == 1)).all() and (act.sum(axis=1) == 1).all()):
+        raise ValueError(f"episode {episode} has actions that are no choice: one 1 among 0s is needed")
+    return act

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from harness import outcome
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import baseline, keys, plugins
@@ -15,6 +17,7 @@ from harness.run.files import new_folder
 from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
 from harness.show.compare import Run as Comparable
+from methods.base import Array
 
 
 def demos(args: argparse.Namespace) -> int:
@@ -28,14 +31,23 @@ def demos(args: argparse.Namespace) -> int:
         demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
         return 0
-    found = demonstrations.read(args.path, SPECS[env], args.action_bounds)
+    found = demonstrations.read(args.path, SPECS[env], bounds(args.action_bounds))
     if args.what == "import":
         demonstrations.write(args.to, found.episodes, found.rewards)
         say(f"{args.to}: {found}")
         return 0
-    for line in demonstrations.described(found):
+    for line in demonstrations.described(found, SPECS[env]):
         say(line)
     return 0
+
+
+def bounds(pairs: Sequence[tuple[float, float]] | None) -> tuple[Array, Array] | None:
+    """Return the lowest and the highest action, of each component or of all, as `--action-bounds` gives
+    them."""
+    if pairs is None:
+        return None
+    low, high = np.array(pairs, np.float64).T
+    return low, high
 
 
 def _one_env(args: argparse.Namespace) -> str:

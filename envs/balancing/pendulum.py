@@ -148,6 +148,7 @@ SPEC = EnvSpec(
     act_size=1,
     obs_names=(POSITION, ANGLE, VELOCITY, RATE),
     act_names=(Quantity("motor", "300 N"),),
+    public_bounds=(-3.0, 3.0),
     obs_scale=(0.3, 0.05, 0.5, 0.5),
     horizon=HORIZON,
     gamma=0.99,

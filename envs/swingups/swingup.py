@@ -103,6 +103,7 @@ SPEC = EnvSpec(
     act_size=1,
     obs_names=(Quantity("cosine of the angle"), Quantity("sine of the angle"), Quantity("rate", "rad/s")),
     act_names=(Quantity("motor", "2 N m"),),
+    public_bounds=(-2.0, 2.0),
     obs_scale=(0.7, 0.7, 3.0),
     horizon=HORIZON,
     gamma=0.98,

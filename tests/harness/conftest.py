@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness import cli, commands
+from harness import apart, cli, commands, demonstration_forms
 from harness.run import engines, grid, isolated
 from harness.run.environment import CACHE_VARIABLE
 
@@ -35,6 +35,12 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
         return code, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture
+def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of demonstrations are read in this process, hundreds in the time that another takes to start."""
+    monkeypatch.setattr(apart, "raw", demonstration_forms.raw)
 
 
 @pytest.fixture

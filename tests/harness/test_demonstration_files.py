@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from harness import demonstrations as demos
+from harness.action_units import SCALED
 from harness.cli import main
 from harness.judge.results import Conditions, Shown
 from harness.registry import BadInput
@@ -22,7 +23,7 @@ from tests.harness.made_demonstrations import CHOICES, SWINGUP, imitation, made,
 from tests.harness.made_minari import minari_folder
 
 Tried = Callable[[str, Counter[str]], None]
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "read_here")
 
 
 def test_what_is_written_comes_back_bit_by_bit(tmp_path: Path) -> None:
@@ -64,15 +65,16 @@ def test_an_experts_demonstrations_are_those_that_a_run_shows(tmp_path: Path, sp
 
 def test_imitations_folders_are_read_and_their_infos_are_not(tmp_path: Path) -> None:
     episodes, rewards = made()
-    found = demos.read(imitation(tmp_path / "folder", episodes, rewards, parts=1), SWINGUP)
+    folder = imitation(tmp_path / "folder", episodes, rewards, parts=1)
+    found = demos.read(folder, SWINGUP, SCALED)
     assert same(found.episodes, episodes)  # of which the one as long as the horizon was cut there
     assert (found.guessed, found.form) == (1, "imitation")
-    two = demos.read(imitation(tmp_path / "two", episodes, rewards), SWINGUP)
+    two = demos.read(imitation(tmp_path / "two", episodes, rewards), SWINGUP, SCALED)
     assert [len(act) for act in two.episodes.act] == [200, 3, 7]
     native = [2 * act for act in episodes.act]
     scaled = imitation(tmp_path / "native", episodes, rewards, 1, native)
-    with pytest.raises(BadInput, match=r"an action outside of \[-1, 1\], .* give others as --action-b"):
-        demos.read(scaled, SWINGUP)
+    with pytest.raises(BadInput, match=r"actions .* are outside of \[-1, 1\], by .*, give --action-bounds"):
+        demos.read(scaled, SWINGUP, SCALED)
     assert same(demos.read(scaled, SWINGUP, (-2.0, 2.0)).episodes, episodes)
 
 
@@ -122,7 +124,9 @@ def test_returns_that_no_histogram_has_are_described(tmp_path: Path) -> None:
     episodes, rewards = made((2, 2), (True, True))
     paid = [np.array([1.0, 1.0]), np.array([1.0, np.nextafter(1.0, 2.0)])]
     demos.write(tmp_path / "near.npz", episodes, paid)
-    assert "returns     2.00 on average" in demos.described(demos.read(tmp_path / "near.npz", SWINGUP))
+    assert "returns     2.00 on average" in demos.described(
+        demos.read(tmp_path / "near.npz", SWINGUP), SWINGUP
+    )
     demos.write(tmp_path / "big.npz", episodes, [np.full(2, 1e308) for _ in rewards])
     with pytest.raises(BadInput, match=r"sum to more than 1e\+100"):
         demos.read(tmp_path / "big.npz", SWINGUP)
@@ -139,13 +143,14 @@ def test_observations_that_the_task_does_not_have_are_refused(tmp_path: Path) ->
 
 def test_inspect_says_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     imitation(tmp_path / "folder", *made())
-    assert main(["demos", "inspect", str(tmp_path / "folder"), "--env", "swingup"]) == 0
+    scaled = ["--env", "swingup", "--action-bounds=scaled"]
+    assert main(["demos", "inspect", str(tmp_path / "folder"), *scaled]) == 0
     out = capsys.readouterr().out
     assert "episodes    3, of which 2 terminated" in out
     assert "steps       210; 3 to 200 an episode" in out
     assert "1 called terminal at the horizon are taken for cut there" in out
     assert out.count("#") >= 3
-    arguments = ["demos", "import", str(tmp_path / "folder"), "--env", "swingup", "--to"]
+    arguments = ["demos", "import", str(tmp_path / "folder"), *scaled, "--to"]
     assert main([*arguments, str(tmp_path / "d.npz")]) == 0
     assert str(demos.read(tmp_path / "d.npz", SWINGUP)) in capsys.readouterr().out
     assert main([*arguments, str(tmp_path / "d.csv")]) == 2
@@ -264,7 +269,7 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(tmp_path: Path, tr
             file.write_bytes(cut)
             said = ""
             try:
-                demos.read(path, SWINGUP)
+                demos.read(path, SWINGUP, SCALED)
             except BadInput as error:
                 said = str(error)
             assert said.isprintable(), said

@@ -29,6 +29,9 @@ FLAGS = ("terminations", "truncations")
 SWINGUP, CHOICES = SPECS["swingup"], SPECS["cartpole_discrete"]
 
 
+pytestmark = pytest.mark.usefixtures("read_here")
+
+
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
@@ -76,7 +79,7 @@ def test_choices_are_read(tmp_path: Path, form: str) -> None:
     found = demos.read(minari_folder(tmp_path / "d", form, **there, action_space=spaces.Discrete(2)), CHOICES)
     assert [act.argmax(axis=1).tolist() for act in found.episodes.act] == [a.tolist() for a in there["act"]]
     other = minari_folder(tmp_path / "other", form, **there, action_space=spaces.Discrete(2, start=1))
-    refused(other, "neither numbers nor choices from 0 on", CHOICES)
+    refused(other, "its choices are numbered from 1 on, and the task's from 0 on", CHOICES)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -85,7 +88,12 @@ def test_actions_are_scaled_by_the_bounds_of_their_space(tmp_path: Path, form: s
     native = there | {"act": [2 * act for act in there["act"]]}
     found = demos.read(minari_folder(tmp_path / "d", form, **native, action_space=box(-2, 2)), SWINGUP)
     assert all(map(np.array_equal, found.episodes.act, there["act"]))
-    asked = demos.read(tmp_path / "d", SWINGUP, (-4.0, 4.0))
+    assert demos.read(tmp_path / "d", SWINGUP, (-2.0, 2.0)).digest == found.digest
+    with pytest.raises(BadInput, match=r"\[-4, 4\] contradicts the file, which says \[-2, 2\]"):
+        demos.read(tmp_path / "d", SWINGUP, (-4.0, 4.0))
+    wide = minari_folder(tmp_path / "wide", form, **native, action_space=box(-4, 4))
+    refused(wide, "its actions are in [-4, 4], and the task's in [-1, 1] or [-2, 2]; ")
+    asked = demos.read(wide, SWINGUP, (-4.0, 4.0))
     assert all(np.allclose(2 * act, its) for act, its in zip(asked.episodes.act, there["act"], strict=True))
     unbounded = minari_folder(tmp_path / "unbounded", form, **native, action_space=box(-np.inf, np.inf))
     refused(unbounded, "does not tell the bounds of its actions; give them as --action-bounds")
@@ -93,7 +101,7 @@ def test_actions_are_scaled_by_the_bounds_of_their_space(tmp_path: Path, form: s
     refused(small, "does not tell the bounds of its actions; give them as --action-bounds")
     assert demos.read(unbounded, SWINGUP, (-2.0, 2.0)).digest == found.digest
     refused(
-        minari_folder(tmp_path / "flat", form, **native, action_space=box(2, 2)), "not below the high one"
+        minari_folder(tmp_path / "flat", form, **native, action_space=box(2, 2)), "its actions are in [2, 2]"
     )
 
 
@@ -105,10 +113,11 @@ def test_each_entry_of_an_action_has_its_own_bounds(tmp_path: Path) -> None:
     spec = SPECS["hopper"]
     there, scale = made(spec=spec, lengths=(4, 3)), np.array([1.0, 2.0, 0.5])
     native = there | {"act": [scale * act for act in there["act"]]}
-    found = demos.read(
-        minari_folder(tmp_path / "d", "hdf5", **native, action_space=spaces.Box(-scale, scale, dtype=float)),
-        spec,
+    path = minari_folder(
+        tmp_path / "d", "hdf5", **native, action_space=spaces.Box(-scale, scale, dtype=float)
     )
+    refused(path, "its actions are in [-1, 1] x [-2, 2] x [-0.5, 0.5], and the task's in [-1, 1]", spec)
+    found = demos.read(path, spec, (-scale, scale))
     assert all(map(np.array_equal, found.episodes.act, there["act"]))
 
 
@@ -149,7 +158,7 @@ def test_what_is_no_row_of_numbers_is_refused(tmp_path: Path, form: str) -> None
     flags = there | {"act": [np.zeros((5, 1), np.int64)]}
     refused(minari_folder(tmp_path / "multi", form, **flags, action_space=spaces.MultiDiscrete([2])), "Multi")
     huge = minari_folder(tmp_path / "huge", form, **there | {"act": [np.full((5, 1), 1e300)]})
-    refused(huge, "1e+300 times as far")
+    refused(huge, "by 1e+300 at most")
 
 
 ODD_FACTS: dict[str, Callable[[dict[str, Any]], Any]] = {
@@ -157,6 +166,7 @@ ODD_FACTS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "a list": lambda facts: [],
     "deep": lambda facts: "[" * 100_000,
     "no count": lambda facts: facts.pop("total_episodes"),
+    "other steps": lambda facts: facts.update(total_steps=13),
     "none": lambda facts: facts.update(total_episodes=0),
     "more than there are": lambda facts: facts.update(total_episodes=4),
     "too many": lambda facts: facts.update(total_episodes=10**9),
@@ -174,7 +184,12 @@ ODD_FACTS: dict[str, Callable[[dict[str, Any]], Any]] = {
 
 
 OTHERS = "its bounds are of other actions"
-MORE = {"more than there are": "3", "no numbers": OTHERS, "other bounds": OTHERS}
+MORE = {
+    "other steps": "tells of 13 steps, and its episodes have 12",
+    "more than there are": "3",
+    "no numbers": OTHERS,
+    "other bounds": OTHERS,
+}
 
 
 @pytest.mark.parametrize("form", FORMS)

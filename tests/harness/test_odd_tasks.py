@@ -125,19 +125,22 @@ def test_choices_begin_where_the_task_says(task: Callable[..., str], start: int)
         assert inner(env).told == [start, start + 1, start + 2]
 
 
-def test_a_files_numbers_of_choices_that_do_not_begin_at_0_are_refused(
-    task: Callable[..., str], tmp_path: Path
-) -> None:
-    """It may mean 1 and 2, or the second and the third."""
+def test_a_files_numbers_of_choices_are_the_tasks_own(task: Callable[..., str], tmp_path: Path) -> None:
     obs, ends = np.zeros((3, 2)), {"lengths": np.array([2]), "terminated": np.array([True])}
-    for start, act, fits in ((0, [1, 2], True), (1, [1, 2], False), (1, np.eye(3)[[1, 2]], True)):
+    for start, act, chosen in (
+        (0, [1, 2], [1, 2]),
+        (1, [1, 2], [0, 1]),
+        (-1, [-1, 1], [0, 2]),
+        (1, np.eye(3)[[1, 2]], [1, 2]),
+        (1, [0, 1], None),
+    ):
         spec = from_gymnasium(task(act=spaces.Discrete(3, start=start)), "odd")
         np.savez(tmp_path / "shown.npz", obs=obs, act=np.array(act), **ends)
-        if fits:
-            assert read(tmp_path / "shown.npz", spec).episodes.act[0].argmax(axis=1).tolist() == [1, 2]
-        else:
-            with pytest.raises(BadInput, match="choices of this task begin at 1"):
+        if chosen is None:
+            with pytest.raises(BadInput, match="choices must be whole numbers from 1 to 3"):
                 read(tmp_path / "shown.npz", spec)
+        else:
+            assert read(tmp_path / "shown.npz", spec).episodes.act[0].argmax(axis=1).tolist() == chosen
 
 
 def limited(steps: int) -> gym.Env:
