@@ -18,6 +18,8 @@ from methods.base import Policy, Reward
 
 FORMAT = 2
 KIND = "safetensors"
+LARGEST = LARGEST_OF_CELL // 16 * 15
+"""Bytes of what a cell learned, at most: its recordings have the rest."""
 NOT_KEPT = "is not kept (docs/plugins.md)"
 """How a warning begins, after the names of a cell and what it learned, that says why that is in no file."""
 
@@ -34,7 +36,12 @@ def artifact(
         except (TypeError, ValueError, RecursionError) as error:
             troubles.append(f"{cell.name}: {name} {NOT_KEPT}: {error}")
     facts = {"format": FORMAT, "cell": asdict(cell), "conditions": asdict(conditions), "learned": parts}
-    return (as_bytes(Kept(arrays, facts)) if parts else b""), troubles
+    data = as_bytes(Kept(arrays, facts)) if parts else b""
+    if len(data) > LARGEST:
+        why = f"the file would be larger than {LARGEST >> 20} MiB"
+        kept = [name for name in parts if learned[name] is not None]
+        return b"", [*troubles, *(f"{cell.name}: {name} {NOT_KEPT}: {why}" for name in kept)]
+    return data, troubles
 
 
 def read_artifact(path: Path, stored: CellResult | None = None) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from harness.learn.exact import ExactSolver
 from harness.learn.stored import compact, from_arrays, to_arrays
 from harness.learn.world import Features
 from harness.registry import SPECS, BadInput
-from harness.run.artifacts import artifact, read_artifact
+from harness.run import artifacts
+from harness.run.artifacts import NOT_KEPT, artifact, read_artifact
 from harness.run.cache import Kept, as_bytes
 from methods.fourier import FourierFeatures
 from methods.network import Network
@@ -217,3 +218,14 @@ def test_a_network_kept_in_32_bits_is_the_same_and_can_be_kept_again(tmp_path: P
     assert np.array_equal(after(batch()[0]), before(batch()[0]))
     found = kept(tmp_path / "a.safetensors", pi_star=after)["pi_star"]
     assert np.array_equal(found(batch()[0]), before(batch()[0]))
+
+
+def test_what_is_too_large_to_be_kept_is_named_and_fails_no_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    learned = {"pi_star": network(4, 1), "reward": None}
+    data, _ = artifact(CELL, CONDITIONS, learned)
+    monkeypatch.setattr(artifacts, "LARGEST", len(data))
+    assert artifact(CELL, CONDITIONS, learned) == (data, [])
+    monkeypatch.setattr(artifacts, "LARGEST", len(data) - 1)
+    nothing, (trouble,) = artifact(CELL, CONDITIONS, learned)
+    assert nothing == b""
+    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: the file would be larger than")
