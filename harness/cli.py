@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _limits() -> dict[str, int]:
-    """Return the limits of this process's memory in KB, by ulimit's letters; none where there is no limit."""
+    """Return those limits that this process's memory has, in KB, by ulimit's letters."""
     try:
         import resource
     except ImportError:  # not on Windows

@@ -79,7 +79,7 @@ def handlers_kept(*numbers: signal.Signals) -> Iterator[None]:
 
 @contextmanager
 def deaf_to(*numbers: signal.Signals) -> Iterator[None]:
-    """These signals are ignored until the context ends."""
+    """Ignore these signals until the context ends."""
     with handlers_kept(*numbers):
         for number in _ours(numbers):
             signal.signal(number, signal.SIG_IGN)
