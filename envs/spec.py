@@ -7,16 +7,18 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RescaleAction, TimeLimit
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from envs.learners import DDPG, DQN, Learner
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -85,6 +87,8 @@ class Model:
 
     @cached_property
     def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree  # half a second, which the command line does without
+
         return KDTree(self.obs)
 
 
