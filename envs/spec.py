@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -17,9 +17,11 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from envs.learners import DDPG, DQN, Learner
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -92,6 +94,8 @@ class Model:
 
     @cached_property
     def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree  # half a second, which the command line does without
+
         return KDTree(self.obs)
 
 

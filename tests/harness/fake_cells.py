@@ -65,6 +65,8 @@ def _raise(error: BaseException, *_: object) -> None:
     raise error
 
 
+HERE = str(Path(__file__).parent)
+PRELOAD = "fake_preload"
 FOLDER = "IRL_BENCH_FAKES"
 """The variable that says where the run's directory is, for these cells alone."""
 
@@ -211,8 +213,9 @@ def install() -> None:
 
     harness.run.grid.Grid = told_where
     harness.run.isolated.Isolated = functools.partial(
-        harness.run.isolated.Isolated, work="fake_cells", preload="harness.run.isolated"
+        harness.run.isolated.Isolated, work="fake_cells", preload=PRELOAD
     )
+    os.environ["PYTHONPATH"] = os.pathsep.join([HERE, *filter(None, [os.environ.get("PYTHONPATH")])])
     harness.run.engines.Inline = functools.partial(harness.run.engines.Inline, work="fake_cells")
     report = types.ModuleType("harness.run.reporting")
     report.write_report = write_report

@@ -46,7 +46,8 @@ def compute(directory: Path, cells: Sequence[Cell], workers: int = 1, timeout: f
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("IRL_BENCH_FAKES", str(directory))
         patch.syspath_prepend(HERE)
-        engine = Isolated(workers, timeout, work="fake_cells", preload="harness.run.isolated")
+        patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
+        engine = Isolated(workers, timeout, work="fake_cells", preload="fake_preload")
         Grid(Conditions("smoke", "absorbing", "sb3"), found, engine).run(cells)
     return found
 

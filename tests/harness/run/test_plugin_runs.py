@@ -42,15 +42,21 @@ def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
     assert "1 cells to run, 2 kept from before" in told
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/plugins.md"])
-def test_the_recipe_works_word_for_word(tmp_path: Path, page: str) -> None:
+def recipe(page: str) -> tuple[str, str, str]:
+    """The name of the page's file, what is in it, and the command that runs it."""
     text = (ROOT / page).read_text(encoding="utf-8")
     name, block = re.findall(r"<!-- the file (\S+) -->\n(.*?)<!-- end of the file -->", text, re.DOTALL)[0]
+    (asked,) = re.findall(r"irl-bench (run --plugin my_method.py --methods linear,bc --envs swingup)\n", text)
+    return name, block, asked
+
+
+def test_the_recipe_works_word_for_word(tmp_path: Path) -> None:
+    name, block, asked = recipe("README.md")
+    assert recipe("docs/plugins.md") == (name, block, asked)
     (tmp_path / name).write_text(textwrap.dedent(block))
     assert sum(bool(line.strip()) for line in block.splitlines()) <= 10
     checked = command(tmp_path, "check", "linear", "--plugin", name)
     assert {line.split()[0] for line in checked.splitlines()} == {"ok"}
-    (asked,) = re.findall(r"irl-bench (run --plugin my_method.py --methods linear,bc --envs swingup)\n", text)
     command(tmp_path, *asked.split(), *SMOKE)
     scores = irl_bench.load(tmp_path / "results/latest").scores
     assert set(scores[scores.policy == "pi_star"].method) == {"linear", "bc"}

@@ -117,10 +117,10 @@ def test_only_a_terminal_that_fails_has_lost_its_reader(
             assert bool(streams.output_was_lost()) == lost
 
 
-@pytest.mark.parametrize("flag", ["-Werror", "-O", "-Xdev", "-bb", "-s", "-P"])
-def test_pythons_flags_change_nothing(tmp_path: Path, flag: str) -> None:
+@pytest.mark.parametrize("flags", [("-Werror", "-O", "-s"), ("-Xdev", "-bb", "-P")])
+def test_pythons_flags_change_nothing(tmp_path: Path, flags: tuple[str, ...]) -> None:
     faults(tmp_path, FAILS)
-    code, err = shell(tmp_path, f"$IRL {RUN}", flag)
+    code, err = shell(tmp_path, f"$IRL {RUN}", *flags)
     assert code == 1
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").exists()
@@ -153,14 +153,10 @@ def test_ignored_or_blocked_signals_of_children_hide_no_end(tmp_path: Path, how:
     "variables",
     [
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        {"PYTHONIOENCODING": "ascii:strict"},
-        {"PYTHONIOENCODING": "utf-16"},
-        {"PYTHONIOENCODING": "undefined"},
-        {"PYTHONIOENCODING": "idna"},
-        {"MPLBACKEND": "bogus"},
-        {"TERM": "nonsense", "COLUMNS": "x", "NO_COLOR": "1"},
-        {"PYTHONWARNINGS": "error"},
-        {"PYTHONOPTIMIZE": "1"},
+        {"PYTHONIOENCODING": "ascii:strict", "TERM": "nonsense", "COLUMNS": "x", "NO_COLOR": "1"},
+        {"PYTHONIOENCODING": "utf-16", "PYTHONWARNINGS": "error"},
+        {"PYTHONIOENCODING": "undefined", "PYTHONOPTIMIZE": "1"},
+        {"PYTHONIOENCODING": "idna", "MPLBACKEND": "bogus"},
     ],
 )
 def test_variables_of_the_shell_change_nothing(tmp_path: Path, variables: dict[str, str]) -> None:
