@@ -160,7 +160,6 @@ def _check_python() -> None:
 
 def _list(named: Sequence[str]) -> int:
     troubles = plugins.add(named)
-    plugins.load((), (*PLUGINS["env"],))  # what is named, and so is refused here as by `run`
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
     theirs = PLUGINS["method"] | PLUGINS["env"]
     sections = {

@@ -6,6 +6,7 @@ import functools
 import math
 import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -106,6 +107,15 @@ def steady() -> EnvSpec:
 def fragile() -> EnvSpec:
     """The task that terminates on a miss of more than 0.5."""
     return target_spec("Fragile", 0.5)
+
+
+@pytest.fixture(autouse=True)
+def _forget_plugins() -> Iterator[None]:
+    """Forgets which plug-ins a test imported, after which nothing else is computed in their process."""
+    yield
+    if plugins := sys.modules.get("harness.run.plugins"):
+        plugins._ever.clear()
+        plugins._replaced.clear()
 
 
 @pytest.fixture

@@ -40,6 +40,8 @@ def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
     rows: dict[tuple[str, str, str], list[Row]] = {}
     likes: dict[str, list[str]] = {}
     for result in results:
+        if not result.rows:
+            continue
         cell, row = result.cell, result.rows[0]
         if cell.dynamics == NOMINAL and cell.method not in (REFERENCE, *CONTROLS) and row.status == "ok":
             rows.setdefault((cell.env, str(cell.shown), cell.method), []).append(row)

@@ -33,7 +33,7 @@ CHOSEN = (
 """Numbers depend on these; the user may set them, for some processors need it, and they are part of every
 key. Where instructions are fixed, by `SAME_INSTRUCTIONS`."""
 NUMERIC_PREFIXES = (
-    *("ATEN_", "BLIS_", "DNNL_", "GLIBC_TUNABLES", "GOTO_", "JAX_", "KMP_", "MKL_", "NPY_", "OMP_"),
+    *("ATEN_", "BLIS_", "DNNL_", "FLAX_", "GLIBC_TUNABLES", "GOTO_", "JAX_", "KMP_", "MKL_", "NPY_", "OMP_"),
     *("ONEDNN_", "OPENBLAS_", "PYTORCH_", "TF_", "TORCH_", "XLA_"),
 )
 """Beginnings of the names of variables that numeric libraries read. Isolated cells have none of them besides

@@ -12,6 +12,7 @@ import json
 import platform
 import subprocess
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -43,7 +44,16 @@ PACKAGES = (
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
 """Packages whose versions a result names. Keys are of more of them (`harness.run.packages`)."""
-MODULES = {"sbx-rl": "sbx"}
+MODULES = {
+    **{
+        "sbx-rl": "sbx",
+        "tfp-nightly": "tensorflow_probability",
+        "dm-tree": "tree",
+        "pyyaml": "yaml",
+        "absl-py": "absl",
+    },
+    **{"protobuf": "google.protobuf", "opt-einsum": "opt_einsum", "orbax-checkpoint": "orbax.checkpoint"},
+}
 """Packages whose module has another name."""
 PROGRAM = ("envs", "methods", "harness")
 PUBLIC = "irl_bench.py"
@@ -333,16 +343,17 @@ def versions(packages: Iterable[str]) -> list[str]:
 
 @functools.cache
 def _elsewhere() -> dict[str, str]:
-    """Packages whose module is not imported from where they are installed, such as through PYTHONPATH, and
-    from where it is: their version says nothing of it."""
+    """Return the required packages whose module is not imported from where they are installed, such as
+    through PYTHONPATH, and its file: their version says nothing of it."""
     found = {}
-    for package in PACKAGES:
-        name = MODULES.get(package, package.replace("-", "_"))
-        spec = importlib.util.find_spec(name)
-        origin = Path(spec.origin) if spec and spec.origin else Path(name)
-        installed = Path(str(importlib.metadata.distribution(package).locate_file("")))
-        if not origin.resolve().is_relative_to(installed.resolve()):
-            found[package] = str(origin)
+    for package, version in packages.required().items():
+        name, spec = MODULES.get(package, package.replace("-", "_")), None
+        with suppress(ImportError, ValueError):
+            spec = importlib.util.find_spec(name)
+        if version and spec and spec.origin:  # else its module has another name, or it is a namespace
+            installed = Path(str(importlib.metadata.distribution(package).locate_file("")))
+            if not Path(spec.origin).resolve().is_relative_to(installed.resolve()):
+                found[package] = spec.origin
     return found
 
 

@@ -31,7 +31,6 @@ from pathlib import Path
 from types import CodeType
 from typing import TYPE_CHECKING, Any
 
-from harness.judge import effort
 from harness.registry import (
     BUILT_IN,
     ENVS,
@@ -380,6 +379,8 @@ def like(method: str) -> tuple[str, ...]:
 def times_as_many(method: str, env: str, budget: str) -> float:
     """Return about how many times the environment steps of the built-in method of its class a plug-in's
     method takes by its settings; 1 for all others. The method is imported."""
+    from harness.judge import effort
+
     if not (names := like(method)):
         return 1.0
     own, original = load_method(method)(**settings_for(method, env, budget)), load_method(names[0])
@@ -415,9 +416,13 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
                 with _its_troubles(f"the {kind} {name} cannot be loaded"):
                     _check(kind, name, load_method(name) if kind == "method" else SPECS[name])
                     if kind == "env":
-                        from envs.copies import try_out
+                        _try_out(name)
 
-                        try_out(SPECS[name])
+
+def _try_out(env: str) -> None:
+    from envs.copies import try_out
+
+    try_out(SPECS[env])
 
 
 def sources(target: str) -> Sources:
@@ -543,6 +548,10 @@ def look(
             thing = load_method(name) if kind == "method" else SPECS[name]
             _check(kind, name, thing)
             offers.append(_offer(kind, name, entry, thing))
+    for offer in offers:
+        if offer.kind == "env":
+            with _its_troubles(f"the env {offer.name} cannot be loaded"):
+                _try_out(offer.name)
     modules = {offer.target.partition(":")[0] for offer in offers}
     return Told(tuple(offers), {module: sources_of(module) for module in modules})
 

@@ -41,7 +41,10 @@ def test_a_run_goes_on_where_it_stopped_and_may_grow(main: Main, tmp_path: Path)
     )
 
 
-def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(main: Main, tmp_path: Path) -> None:
+def test_a_plan_counts_what_a_run_would_compute_and_writes_nothing(
+    main: Main, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IRL_BENCH_CACHE", str(tmp_path_factory.mktemp("cache")))  # with no measured seconds
     asked = (*SMOKE, "--methods", "bc,shaped", "--seeds", "2", "--out", "run")
     code, out, _ = main(*asked, "--plan")
     assert (code, list(tmp_path.iterdir())) == (0, [])

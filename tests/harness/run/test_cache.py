@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import tempfile
 from pathlib import Path
@@ -15,7 +14,7 @@ from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run import cache, experts
+from harness.run import cache, experts, packages
 from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
@@ -183,7 +182,7 @@ def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.delenv(variable, raising=False)
     keys = [key(), key("other"), key(env="pendulum"), key(asked="quick")]
     with monkeypatch.context() as changed:
-        changed.setattr(importlib.metadata, "version", lambda package: "0")
+        changed.setattr(packages, "version_of", lambda package: "0")
         keys.append(key())
     for variable, value in SAME_INSTRUCTIONS.items():
         with monkeypatch.context() as changed:

@@ -247,7 +247,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
 
 def job(method: str) -> Job:
     conditions = Conditions("smoke", "absorbing", "sbx")
-    return Job((Cell("cartpole", method, 0),), False, conditions, "", {"shared": b"x"})
+    return Job((Cell("cartpole", method, 0),), False, conditions, "", inputs={"shared": b"x"})
 
 
 @pytest.mark.parametrize("listens", [False, True])

@@ -45,11 +45,10 @@ REASONS = {"not whole ones": (WHOLE, "1.0"), "gives nan as reward of step 7": (F
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def registered() -> Iterator[None]:
     """What is made known here is forgotten again."""
     tables = [ENVS, SPECS, PLUGINS["env"], plugins.gymnasium, gymnasium.registry]
     known, before = [dict(table) for table in tables], set(sys.modules)
-    monkeypatch.setenv(plugins.VARIABLE, "[]")
     yield
     for table, its in zip(tables, known, strict=True):
         for name in table.keys() - its.keys():

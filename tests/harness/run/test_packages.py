@@ -24,7 +24,7 @@ def install(site: Path, name: str, version: str, *requirements: str) -> None:
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder in which packages can be installed."""
     monkeypatch.syspath_prepend(tmp_path)
-    caches = (packages.required, packages.imported, packages.distributions)
+    caches = (packages._required, packages._imported, packages.distributions)
     for function in caches:
         function.cache_clear()
     yield tmp_path
@@ -44,7 +44,6 @@ def test_this_programs_keys_are_of_what_its_learners_need(site: Path) -> None:
     assert {"torch", "jaxlib", "sbx-rl", "tfp-nightly", "scs", "numpy"} <= installed.keys()
     assert packages.LEFT_OUT.keys().isdisjoint(installed)
     before = keys.cell_keys([Cell("cartpole", "bc", 0)], CONDITIONS, {})
-    packages.required.cache_clear()
     install(site, "tfp_nightly", "0.0.1")
     assert keys.cell_keys([Cell("cartpole", "bc", 0)], CONDITIONS, {}) != before
 
@@ -56,7 +55,7 @@ def test_what_is_left_out_is_required_and_has_a_reason() -> None:
 def test_a_tasks_simulator_is_found_in_its_modules(site: Path) -> None:
     task = "gymnasium.envs.box2d.lunar_lander"
     assert "Box2D" not in packages.imported(task)
-    packages.imported.cache_clear()
+    packages._imported.cache_clear()
     packages.distributions.cache_clear()
     install(site, "Box2D", "2.3.10")
     assert packages.imported(task)["box2d"] == "2.3.10"

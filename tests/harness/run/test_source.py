@@ -218,7 +218,15 @@ def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("name", "counts"),
     [
-        *((name, True) for name in ("JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_RANDOM_SEED_OFFSET")),
+        *(
+            (name, True)
+            for name in (
+                "JAX_ENABLE_X64",
+                "JAX_DEFAULT_PRNG_IMPL",
+                "JAX_RANDOM_SEED_OFFSET",
+                "FLAX_FIX_RNG_SEPARATOR",
+            )
+        ),
         *((name, True) for name in ("TF_ENABLE_ONEDNN_OPTS", "MKL_DYNAMIC", "GLIBC_TUNABLES", "LD_PRELOAD")),
         *((name, False) for name in ("JAX_COMPILATION_CACHE_DIR", "TORCH_HOME", "TERM", "PWD")),
     ],
@@ -316,14 +324,15 @@ def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> N
     assert not (copy / "run").exists()
 
 
+@pytest.mark.parametrize("name", ["highway_env", "tensorflow_probability", "scs"])
 def test_a_module_that_hides_an_installed_one_is_part_of_the_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = expert_key("cartpole", None)
-    (tmp_path / "highway_env").mkdir()
-    (tmp_path / "highway_env/__init__.py").write_text("")
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "highway_env", raising=False)
+    monkeypatch.delitem(sys.modules, name, raising=False)
     keys._elsewhere.cache_clear()
     assert expert_key("cartpole", None) != before
     monkeypatch.undo()

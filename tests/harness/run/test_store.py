@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import errno
-import importlib.metadata
 import json
 import math
 import os
@@ -17,7 +16,7 @@ from hypothesis import strategies as st
 
 from harness.judge.results import FORMATS, LARGEST, Cell, CellResult, Conditions, Request, Row
 from harness.registry import BadInput
-from harness.run import marked
+from harness.run import marked, packages
 from harness.run.codec import checksum, decode, encode
 from harness.run.files import sha256_of, write_atomic
 from harness.run.opening import open_for_report, open_for_run, open_to_verify
@@ -82,7 +81,7 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
     with open_for_run(tmp_path, REQUEST) as run:
         assert list(run.load()[0]) == [CELL]
     with monkeypatch.context() as changed:
-        changed.setattr(importlib.metadata, "version", lambda package: "0")
+        changed.setattr(packages, "version_of", lambda package: "0")
         with open_for_run(tmp_path, REQUEST) as run:
             found, unusable = run.load()
             assert found == {}
@@ -191,7 +190,7 @@ def test_a_cell_goes_on_from_what_this_version_learned_alone(
         assert run.learned(CELL) == b""
         (tmp_path / "artifacts" / name).write_bytes(b"x")
         assert run.learned(CELL) == b"x"
-    monkeypatch.setattr(importlib.metadata, "version", lambda package: "0")
+    monkeypatch.setattr(packages, "version_of", lambda package: "0")
     with open_for_run(tmp_path, REQUEST) as run:
         assert run.learned(CELL) == b""
 
