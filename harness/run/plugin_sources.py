@@ -43,10 +43,10 @@ class Sources:
     program: list[str]
 
 
-def sources_of(module: str) -> Sources:
-    """Return the sources of the module, which can be imported, and of what it imports."""
+def sources_of(*modules: str) -> Sources:
+    """Return the sources of the modules, which can be imported, and of what they import."""
     digests, program = dict[str, str](), set[str]()
-    waiting, seen = [module], set[str]()
+    waiting, seen = [*modules], set[str]()
     while waiting:
         name = waiting.pop()
         top = name.partition(".")[0]

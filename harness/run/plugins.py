@@ -90,6 +90,7 @@ class Offer:
     takes: the hyper-parameters that it takes from their settings.
     variants, rl_steps: fields of a task's `EnvSpec`.
     packages: the versions of those that a task needs.
+    registered: the sources of what Gymnasium's registry names for a task.
     """
 
     kind: str
@@ -101,6 +102,7 @@ class Offer:
     variants: tuple[str, ...] = ()
     rl_steps: dict[str, int] = field(default_factory=dict)
     packages: dict[str, str] = field(default_factory=dict)
+    registered: Sources = field(default_factory=lambda: Sources([], []))
 
 
 @dataclass(frozen=True)
@@ -420,18 +422,20 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
                         try_out(SPECS[name])
 
 
-def sources(target: str) -> Sources:
-    """Return the sources of a plug-in's object, by its target: as another process reported them, or as they
-    are now. The variables that the user gives to plug-ins are part of them."""
-    module, _, rest = target.partition(":")
+def sources(kind: str, name: str) -> Sources:
+    """Return the sources of a plug-in's method or task: as another process reported them, or as they are
+    now. The variables that the user gives to plug-ins are part of them."""
+    module, _, rest = PLUGINS[kind][name].target.partition(":")
     if module == __name__:
         return _sources_of_task(rest.partition("/")[2])
     if module not in _sources and module not in sys.modules:
-        kind, name = next((k, n) for k, its in PLUGINS.items() for n in its if its[n].target == target)
         _offer_of(kind, name)
     found = _sources[module] if module in _sources else sources_of(module)
+    more = _offer_of(kind, name).registered if kind == "env" else Sources([], [])
     given = [f"{name}={value}" for name, value in environment.of_user().items()]
-    return dataclasses.replace(found, digests=[*found.digests, *given])
+    return Sources(
+        [*sorted({*found.digests, *more.digests}), *given], sorted({*found.program, *more.program})
+    )
 
 
 def _sources_of_task(env_id: str) -> Sources:
@@ -440,7 +444,7 @@ def _sources_of_task(env_id: str) -> Sources:
 
     spec = gymnasium.spec(env_id)
     entry = spec.entry_point
-    found = sources_of(_module_of(entry))
+    found = sources_of(*_modules_of_task(env_id))
     registered = {
         "entry": str(entry),
         "kwargs": spec.kwargs,
@@ -465,6 +469,15 @@ def packages_of_task(env: str) -> dict[str, str]:
     if entry.target.startswith(f"{__name__}:"):
         return _packages(entry.target.partition("/")[2])
     return _offer_of("env", env).packages
+
+
+def _modules_of_task(env_id: str) -> list[str]:
+    """Return the modules of what a task is registered with, its wrappers included."""
+    import gymnasium
+
+    spec = gymnasium.spec(env_id)
+    entries = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
+    return [module for module in map(_module_of, entries) if module]
 
 
 def _packages(env_id: str) -> dict[str, str]:
@@ -578,6 +591,7 @@ def _offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
             variants=tuple(thing.variants),
             rl_steps=steps,
             packages=_packages(thing.env_id),
+            registered=sources_of(*_modules_of_task(thing.env_id)),
         )
     known: Mapping[str, Entry] = METHODS | {n: VARIANTS[n] for n in BUILT_IN["method"] if n in VARIANTS}
     for i, base in enumerate(thing.__mro__):

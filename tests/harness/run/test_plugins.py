@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium
 import pandas as pd
 import pytest
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from harness import registry
 from harness.cli import main
@@ -292,3 +292,37 @@ if __name__ == "__main__":
     said = done.stdout.splitlines()[-2:]
     assert said[0] == "[1, 3] ['mine', 'mine', 'reference', 'reference']"
     assert said[1].startswith("BadInput nowhere holds no finished run")
+
+
+@pytest.mark.parametrize("kind", ["plug-in", "gymnasium"])
+def test_a_key_is_of_modules_that_a_task_is_registered_with(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gymnasium's registry names them as text: nothing imports them."""
+    (tmp_path / "far_env.py").write_text(
+        "from gymnasium.envs.classic_control import PendulumEnv as Far\nimport far_away"
+    )
+    (tmp_path / "far_wrap.py").write_text("from gymnasium import Wrapper as Pay")
+    (tmp_path / "far_away.py").write_text("")
+    (tmp_path / "far.py").write_text(
+        "from irl_bench import from_gymnasium\nENVS = {'far': from_gymnasium('Far-v0', 'far')}"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    wrappers = (WrapperSpec("Pay", "far_wrap:Pay", {}),)
+    spec = EnvSpec("Far-v0", "far_env:Far", max_episode_steps=200, additional_wrappers=wrappers)
+    monkeypatch.setitem(gymnasium.registry, "Far-v0", spec)
+
+    def key_now() -> str:
+        if kind == "plug-in":
+            plugins.add([str(tmp_path / "far.py")])
+        return key(Cell("far" if kind == "plug-in" else plugins.add_task("Far-v0"), "bc", 0))
+
+    names = ("far_env", "far_wrap", "far_away")
+    for name in names:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    found = [key_now()]
+    for name in names:
+        with (tmp_path / f"{name}.py").open("a") as file:
+            file.write("\nMORE = 1\n")
+        found.append(key_now())
+    assert len(set(found)) == 4
