@@ -126,7 +126,9 @@ _sources: dict[str, Sources] = {}
 _ever: set[str] = set()
 """Modules of all plug-ins that were known here at some time."""
 _replaced: set[str] = set()
-"""Modules whose file was edited after it had been executed here."""
+"""Modules that were edited, or one that they import, after they had been executed here."""
+_executed: dict[str, tuple[object, Sources]] = {}
+"""Modules that were loaded here, and their sources then, by name."""
 
 
 @contextmanager
@@ -273,7 +275,12 @@ def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
 
 def others_here(methods: Sequence[str], envs: Sequence[str]) -> list[str]:
     """Return the modules of plug-ins that were imported in this process and do not define any of these: they
-    may have changed whatever is computed here."""
+    may have changed whatever is computed here. So may those of which a source was edited since."""
+    for module, (loaded, was) in _executed.items():
+        with suppress(OSError):
+            if sys.modules.get(module) is not loaded or sources_of(module) == was:
+                continue
+        _replaced.add(module)
     here = _replaced | {module for module in _ever if module in sys.modules}
     return sorted((here - modules(methods, envs)) | _replaced)
 
@@ -411,6 +418,7 @@ def _offer_of(kind: str, name: str) -> Offer:
 
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:
     """Imports those of these that are plug-ins', and tries tasks out. Raises BadInput where one is broken."""
+    theirs = modules(methods, envs)
     for kind, names in (("method", methods), ("env", envs)):
         for name in names:
             if name in PLUGINS[kind]:
@@ -420,6 +428,11 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
                         from envs.copies import try_out
 
                         try_out(SPECS[name])
+                        theirs.update(_modules_of_task(SPECS[name].env_id))
+    for module in theirs:
+        loaded = sys.modules.get(module)
+        if _executed.get(module, (None,))[0] is not loaded:
+            _executed[module] = loaded, sources_of(module)
 
 
 def sources(kind: str, name: str) -> Sources:

@@ -196,6 +196,26 @@ def test_inline_cells_meet_no_plugin_but_their_own(both: list[str]) -> None:
         plugins.check_inline([(["mine"], "swingup")])
 
 
+@pytest.mark.usefixtures("here")
+def test_a_plugin_whose_helper_was_edited_is_not_computed_in_the_same_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python executes a module once: the old code would be stored under the new key."""
+    (tmp_path / "theirs_helper.py").write_text("VALUE = 1")
+    (tmp_path / "helped.py").write_text(f"import theirs_helper\n{MINE}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for text, is_refused in (("VALUE = 1", False), ("VALUE = 2", True)):
+        (tmp_path / "theirs_helper.py").write_text(text)
+        with plugins.for_now():
+            plugins.add([str(tmp_path / "helped.py")])
+            if is_refused:
+                with pytest.raises(BadInput, match="helped was imported in this process"):
+                    plugins.check_alone(["bc"], ["moon"])
+            else:
+                plugins.check_alone(["bc"], ["moon"])
+                plugins.load([], ["moon"])
+
+
 def test_an_inline_run_after_a_plugin_is_refused_before_anything_is_written(
     both: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
