@@ -27,7 +27,7 @@ def tell(request: str) -> None:
     import msgspec
 
     from harness.registry import BadInput, Entry
-    from harness.run import plugins
+    from harness.run import plugins, processes
 
     if hasattr(signal, "alarm"):
         signal.alarm(plugins.LONGEST + 5)  # in case that nobody waits any more
@@ -43,6 +43,7 @@ def tell(request: str) -> None:
         say("at", json.dumps(what))
 
     try:
+        processes.bound_memory()
         entries = [(kind, name, Entry(*entry)) for kind, name, entry in wanted]
         told = plugins.look([plugins.Plugin(*one) for one in named], entries, loading)
         say("told", msgspec.json.encode(told).decode())

@@ -663,6 +663,7 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
     if code is None:
         raise BadInput(f"{what} was not loaded within {LONGEST:g} s", READ)
     how = f"killed by {signal.Signals(-code).name}" if -code in {*signal.Signals} else f"exit code {code}"
+    how += " (out of memory?)" if how.endswith("SIGKILL") else ""
     raise BadInput(f"{what} ended its process while it was loaded: {how}", READ)
 
 

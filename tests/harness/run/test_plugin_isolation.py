@@ -242,6 +242,14 @@ ENDING = {
         "ended its process while it was loaded: killed by SIGSEGV",
     ),
     "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
+    "memory": (
+        "import resource\nbytearray(resource.getrlimit(resource.RLIMIT_DATA)[0])",
+        "cannot be loaded: MemoryError",
+    ),
+    "out of memory": (
+        "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)",
+        "ended its process while it was loaded: killed by SIGKILL (out of memory?)",
+    ),
     "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
     "variable": (
         "import os\nos.environ['MY_DATA']",
