@@ -24,6 +24,7 @@ def tell(request: str) -> None:
         os.dup2(2, 1)  # what plug-ins print
     sys.path[:] = path
     ours.first()
+    _alone()
     import msgspec
 
     from harness.registry import BadInput, Entry
@@ -56,3 +57,22 @@ def tell(request: str) -> None:
             with suppress(Exception):
                 stream.flush()
         os._exit(0)  # whatever else was started here
+
+
+def _alone() -> None:
+    """Go on in a child, where processes can have such. This one ends as its child does, and before that ends
+    whatever was started there, in other sessions too."""
+    if not hasattr(os, "fork"):
+        return
+    from harness.run import orphans
+
+    orphans.take_in(True)
+    if not (child := os.fork()):
+        return
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    orphans.end_descendants()
+    if code < 0:
+        with suppress(OSError):  # of SIGKILL
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(abs(code))

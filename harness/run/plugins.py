@@ -45,7 +45,7 @@ from harness.registry import (
     Entry,
     load_method,
 )
-from harness.run import environment, ours, packages
+from harness.run import environment, orphans, ours, packages
 from harness.run.plugin_sources import Sources, sources_of
 from methods import settings
 
@@ -648,6 +648,8 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
             with suppress(subprocess.TimeoutExpired):
                 code = process.wait(LONGEST)
         finally:
+            if process.poll() is None:
+                orphans.end_descendants(process.pid)
             process.kill()
             with suppress(OSError, AttributeError):  # where there are no groups
                 os.killpg(process.pid, signal.SIGKILL)  # with all that they started

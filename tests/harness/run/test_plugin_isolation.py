@@ -6,9 +6,11 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from harness import cli, commands
@@ -271,6 +273,25 @@ def test_however_a_plugin_ends_while_it_is_loaded_is_a_line(
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert said in err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system gives orphans to nobody here")
+@pytest.mark.parametrize("then", ["", "import os; os._exit(0)", "import time; time.sleep(1000)"])
+def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
+    then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = (
+        "import subprocess; print(subprocess.Popen(['sleep', '60'], start_new_session=True).pid, file=FILE)"
+    )
+    (tmp_path / "starts.py").write_text(
+        "import subprocess\nMETHODS = {}\n"
+        f"with open({str(tmp_path / 'pid')!r}, 'w') as file: print({start}.pid, file=file)\n{then}"
+    )
+    monkeypatch.setattr(plugins, "LONGEST", 4 if "sleep" in then else 100)
+    with pytest.raises(BadInput) if then else nullcontext():
+        plugins.add([str(tmp_path / "starts.py")])
+    pid = int((tmp_path / "pid").read_text())
+    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
 def test_variables_that_cells_lack_are_named_where_one_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
