@@ -45,7 +45,7 @@ from harness.registry import (
     Entry,
     load_method,
 )
-from harness.run import environment, orphans, ours, packages
+from harness.run import environment, ours, packages
 from harness.run.plugin_sources import Sources, sources_of
 from methods import settings
 
@@ -632,6 +632,8 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
     """Return what `look` does, in a process of its own, in the environment of cells: whatever plug-ins do
     while they are loaded, they do it there. Raises BadInput for what is broken, or ends or hangs there."""
     import msgspec
+
+    from harness.run import orphans
 
     request = json.dumps([sys.path, [dataclasses.astuple(one) for one in named], wanted])
     begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.run import plugin_process"

@@ -280,13 +280,12 @@ def test_however_a_plugin_ends_while_it_is_loaded_is_a_line(
 def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
     then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    start = (
-        "import subprocess; print(subprocess.Popen(['sleep', '60'], start_new_session=True).pid, file=FILE)"
-    )
-    (tmp_path / "starts.py").write_text(
-        "import subprocess\nMETHODS = {}\n"
-        f"with open({str(tmp_path / 'pid')!r}, 'w') as file: print({start}.pid, file=file)\n{then}"
-    )
+    lines = [
+        f"import subprocess\nfile = open({str(tmp_path / 'pid')!r}, 'w')",
+        "print(subprocess.Popen(['sleep', '60'], start_new_session=True).pid, file=file)",
+        "file.close()\nMETHODS = {}",
+    ]
+    (tmp_path / "starts.py").write_text("\n".join([*lines, then]))
     monkeypatch.setattr(plugins, "LONGEST", 4 if "sleep" in then else 100)
     with pytest.raises(BadInput) if then else nullcontext():
         plugins.add([str(tmp_path / "starts.py")])
