@@ -203,7 +203,8 @@ def _installed() -> tuple[list[tuple[str, str, Entry]], list[str]]:
 def _plugin(name: str) -> Plugin:
     """Return where a plug-in is; nothing of it is executed. Raises BadInput where there is none."""
     if name.endswith(".py"):
-        path = os.path.normpath(Path(name).absolute())
+        file = Path(name)
+        path = os.path.join(os.path.realpath(file.parent), file.name)  # Links count before ".." does.
         if not os.path.isfile(path):
             raise BadInput(f"there is no plug-in {path}", READ)
         return Plugin(name, path)

@@ -199,6 +199,19 @@ def test_what_is_no_plugin_is_said(tmp_path: Path) -> None:
             plugins.add([name])
 
 
+def test_the_way_to_a_file_is_that_of_the_system(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a link, '..' is the folder above the one that it leads to."""
+    (tmp_path / "real/sub").mkdir(parents=True)
+    (tmp_path / "link").symlink_to("real/sub")
+    there = mine.rename(tmp_path / "real/mine.py")
+    mine.write_text("raise ValueError('another one')")
+    monkeypatch.chdir(tmp_path)
+    plugins.add(["link/../mine.py", "real/mine.py"])
+    assert {one.place for one in plugins.needed(["mine"], [])} == {str(there.resolve())}
+
+
 def test_a_key_is_of_a_file_with_a_dot_in_its_name(tmp_path: Path) -> None:
     file = tmp_path / "mine.v2.py"
     file.write_text(MINE)
