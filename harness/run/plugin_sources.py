@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 
+from harness.run.codec import printable
 from harness.run.packages import distributions, required
 
 NO_NUMBERS = "Whatever it does shows in the keys themselves."
@@ -60,7 +61,7 @@ def sources_of(*modules: str) -> Sources:
             digests |= {said: said for said in versions}
             for file, said in files:
                 content = file.read_bytes()
-                digests[said] = f"{said} {hashlib.sha256(content).hexdigest()}"
+                digests[said] = f"{printable(said)} {hashlib.sha256(content).hexdigest()}"
                 waiting += _imports(content)
     return Sources(sorted(digests.values()), sorted(program))
 

@@ -46,6 +46,7 @@ from harness.registry import (
     load_method,
 )
 from harness.run import environment, ours, packages
+from harness.run.codec import printable
 from harness.run.plugin_sources import Sources, sources_of
 from methods import settings
 
@@ -591,7 +592,7 @@ def _offered(plugin: Plugin) -> list[Offer]:
                 )
             for name, thing in things.items():
                 _check(kind, name, thing)
-                entry = Entry(f"{module.__name__}:{table}/{name}", f"of {plugin.name}")
+                entry = Entry(f"{module.__name__}:{table}/{name}", f"of {printable(plugin.name)}")
                 _register(kind, name, entry)
                 found.append(_offer(kind, name, entry, thing))
     return found

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
+import msgspec
 import pandas as pd
 import pytest
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
@@ -210,6 +211,20 @@ def test_the_way_to_a_file_is_that_of_the_system(
     monkeypatch.chdir(tmp_path)
     plugins.add(["link/../mine.py", "real/mine.py"])
     assert {one.place for one in plugins.needed(["mine"], [])} == {str(there.resolve())}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are texts here")
+def test_names_that_are_no_text_are_shown_in_escapes(tmp_path: Path) -> None:
+    """In what a process tells, in keys, and in lists."""
+    folder = tmp_path / os.fsdecode(b"b\xffd")
+    folder.mkdir()
+    file = folder / os.fsdecode(b"of\xe9.py")
+    file.write_text(MINE)
+    plugins.add([str(file)])
+    told = plugins.look([plugins._plugin(str(file))], [])
+    assert msgspec.json.decode(msgspec.json.encode(told), type=plugins.Told) == told
+    assert registry.PLUGINS["method"]["mine"].summary.endswith(r"b\udcffd/of\udce9.py")
+    assert key(Cell("swingup", "mine", 0))
 
 
 def test_a_key_is_of_a_file_with_a_dot_in_its_name(tmp_path: Path) -> None:
