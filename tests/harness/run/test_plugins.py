@@ -14,12 +14,13 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from harness import registry
 from harness.cli import main
-from harness.judge.results import Cell, Conditions
+from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
-from harness.run.engines import Job, compute
+from harness.run.engines import Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.run.plugins import Plugin
+from tests.harness import fake_cells
 from tests.harness.plugged import MINE
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
@@ -151,6 +152,29 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
     mine.write_text(MINE + "# edited\n")
     with pytest.raises(RuntimeError, match="are not those that the run began with"):
         compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], [])))
+
+
+def test_of_what_is_imported_late_it_is_said_why_the_cell_does_not_count(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine.write_text(f"{MINE}\ndef late():\n    import found_late")
+    (tmp_path / "late").mkdir()
+    (tmp_path / "late/found_late.py").write_text("")
+    plugins.add([str(mine)])
+    cell = Cell("swingup", "mine", 0)
+    (its_key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
+
+    def run_cell(*asked: object) -> tuple[CellResult, dict[str, bytes]]:
+        monkeypatch.syspath_prepend(str(tmp_path / "late"))
+        return fake_cells.faked(cell, CONDITIONS, tmp_path), {}
+
+    monkeypatch.setattr(fake_cells, "run_cell", run_cell)
+    job = Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], []))
+    with pytest.raises(RuntimeError) as raised:
+        compute("tests.harness.fake_cells", job)
+    assert "change sys.path and then import from there? Do that as the module is imported." in describe(
+        raised.value
+    )
 
 
 BROKEN = {
