@@ -155,6 +155,10 @@ class Inline:
     def __exit__(self, *error: object) -> None: ...
 
 
+AFTERWARDS = " Or did the cell change sys.path and then import from there? Do that as the module is imported."
+"""Why else a cell's key may have changed while the cell was computed."""
+
+
 def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: None) -> Outcome:
     """Does a job, here and now. tell: as of `Work.run_cell`. Raises what it raises, ComplexWarning where the
     imaginary part of a number would be dropped, and RuntimeError where it is not done under the job's key."""
@@ -170,17 +174,17 @@ def compute(work: str, job: Job, tell: Callable[[str], None] = lambda doing: Non
     _check(result, files, cell, job.conditions.protocol)
     encoded = encode(replace(result, origin=machine()))
     decode(encoded)
-    _check_key(job, variables)
+    _check_key(job, variables, AFTERWARDS)
     return Outcome(encoded, files)
 
 
-def _check_key(job: Job, variables: Mapping[str, str]) -> None:
+def _check_key(job: Job, variables: Mapping[str, str], hint: str = "") -> None:
     first = job.cells[0]
     cell = Cell(first.env, REFERENCE, first.seed) if job.shared else first
     if cell_keys([cell], job.conditions, variables)[cell] != job.key:
         raise RuntimeError(
             "the program, a plug-in, packages or the environment are not those that the run began with; "
-            "were packages or a plug-in's files changed, or was Python started with -E or -I?"
+            "were packages or a plug-in's files changed, or was Python started with -E or -I?" + hint
         )
 
 

@@ -288,10 +288,9 @@ def _module(known: Mapping[str, Entry], name: str) -> list[str]:
 
 def _of_others(kind: str, name: str) -> Sources:
     """What the numbers of the plug-in come from that has the method or environment, if one has it."""
-    known = PLUGINS[kind]
-    if name not in known:
+    if name not in PLUGINS[kind]:
         return Sources([], [])
-    found = plugins.sources(known[name].target)
+    found = plugins.sources(kind, name)
     if kind == "env":
         needed = plugins.packages_of_task(name)
         found = dataclasses.replace(found, digests=[*found.digests, json.dumps(needed)])

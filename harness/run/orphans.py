@@ -53,12 +53,13 @@ def take_in(wanted: bool) -> bool:
     return bool(before.value)
 
 
-def end_descendants() -> None:
-    """Kills every process that this one started, and those that they started: these first, which nobody finds
-    once the one between is dead."""
+def end_descendants(of: int | None = None) -> None:
+    """Kill every process that this one, or another, started, and those that they started: these first, which
+    nobody finds once the one between is dead."""
     deadline = time.monotonic() + PATIENCE
-    while (found := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
-        _kill(found[::-1])
+    with contextlib.suppress(psutil.NoSuchProcess):
+        while (found := psutil.Process(of).children(recursive=True)) and time.monotonic() < deadline:
+            _kill(found[::-1])
 
 
 def end_orphans() -> int:

@@ -24,10 +24,11 @@ def tell(request: str) -> None:
         os.dup2(2, 1)  # what plug-ins print
     sys.path[:] = path
     ours.first()
+    _alone()
     import msgspec
 
     from harness.registry import BadInput, Entry
-    from harness.run import plugins
+    from harness.run import plugins, processes
 
     if hasattr(signal, "alarm"):
         signal.alarm(plugins.LONGEST + 5)  # in case that nobody waits any more
@@ -43,6 +44,7 @@ def tell(request: str) -> None:
         say("at", json.dumps(what))
 
     try:
+        processes.bound_memory()
         entries = [(kind, name, Entry(*entry)) for kind, name, entry in wanted]
         told = plugins.look([plugins.Plugin(*one) for one in named], entries, loading)
         say("told", msgspec.json.encode(told).decode())
@@ -55,3 +57,22 @@ def tell(request: str) -> None:
             with suppress(Exception):
                 stream.flush()
         os._exit(0)  # whatever else was started here
+
+
+def _alone() -> None:
+    """Go on in a child, where processes can have such. This one ends as its child does, and before that ends
+    whatever was started there, in other sessions too."""
+    if not hasattr(os, "fork"):
+        return
+    from harness.run import orphans
+
+    orphans.take_in(True)
+    if not (child := os.fork()):
+        return
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    orphans.end_descendants()
+    if code < 0:
+        with suppress(OSError):  # of SIGKILL
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(abs(code))

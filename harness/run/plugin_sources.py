@@ -1,5 +1,5 @@
 """What the numbers of a plug-in come from: its source and that of the modules it imports, as far as those are
-neither Python's own nor of an installed package, of which the version counts.
+neither Python's own nor of an installed package, of which the version counts, and of all that it requires.
 
 Imports are read in the source, lazy ones too. What is imported by a name that is made up as the program runs
 is not found, nor are data files.
@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 
-from harness.run.packages import distributions
+from harness.run.codec import printable
+from harness.run.packages import distributions, required
 
 NO_NUMBERS = "Whatever it does shows in the keys themselves."
 
@@ -43,10 +44,10 @@ class Sources:
     program: list[str]
 
 
-def sources_of(module: str) -> Sources:
-    """Return the sources of the module, which can be imported, and of what it imports."""
+def sources_of(*modules: str) -> Sources:
+    """Return the sources of the modules, which can be imported, and of what they import."""
     digests, program = dict[str, str](), set[str]()
-    waiting, seen = [module], set[str]()
+    waiting, seen = [*modules], set[str]()
     while waiting:
         name = waiting.pop()
         top = name.partition(".")[0]
@@ -56,11 +57,11 @@ def sources_of(module: str) -> Sources:
             program.update(_behind(name))
         elif top not in seen and top not in sys.stdlib_module_names:
             seen.add(top)
-            installed, files = _found(top)
-            digests |= {said: said for said in (_versions(top) if installed else ())}
+            versions, files = _found(top)
+            digests |= {said: said for said in versions}
             for file, said in files:
                 content = file.read_bytes()
-                digests[said] = f"{said} {hashlib.sha256(content).hexdigest()}"
+                digests[said] = f"{printable(said)} {hashlib.sha256(content).hexdigest()}"
                 waiting += _imports(content)
     return Sources(sorted(digests.values()), sorted(program))
 
@@ -73,24 +74,30 @@ def _behind(name: str) -> Iterable[str]:
     return {module for module in found if module.partition(".")[0] in PUBLIC_MODULES}
 
 
-def _found(top: str) -> tuple[bool, list[tuple[Path, str]]]:
-    """Return whether a module or package is installed, even in part, and its files that are not, with their
-    names. Of a package that is installed no file is looked at: there may be thousands."""
+def _found(top: str) -> tuple[list[str], list[tuple[Path, str]]]:
+    """Return the versions of a module or package that is installed, even in part, and its files that are
+    not, with their names.
+
+    Of a package that is installed no file is looked at: there may be thousands. But what lies among them and
+    is of no distribution has no version, so its files count.
+    """
     loaded = sys.modules.get(top)
     folders = [Path(folder) for folder in getattr(loaded, "__path__", [])]
     origin = getattr(loaded, "__file__", None)
     if loaded is None:
         spec = _spec(top)
         if spec is None:
-            return False, []
+            return [], []
         folders, origin = [Path(folder) for folder in spec.submodule_search_locations or ()], spec.origin
     if not folders and not (origin and origin.endswith(CODE)):
-        return False, []
+        return [], []
     alone = [] if folders else [Path(str(origin))]
-    installed = [place for place in (*folders, *alone) if _is_installed(place)]
+    among = [place for place in (*folders, *alone) if _is_installed(place)]
+    versions = _versions(top) if among else []
+    installed = among if versions else []
     files = [(file, f"{top}/{name}") for at in folders if at not in installed for file, name in _files(at)]
     files += [(file, file.name) for file in alone if file not in installed]
-    return bool(installed), files
+    return versions, files
 
 
 def _spec(top: str) -> ModuleSpec | None:
@@ -127,9 +134,10 @@ def _is_installed(place: Path) -> bool:
 
 
 def _versions(top: str) -> list[str]:
-    """Return the installed distributions that a module may be of, with versions."""
-    names = [top] if _is_called(top) else distributions().get(top, [])
-    return sorted({f"{name} {importlib.metadata.version(name)}" for name in names})
+    """Return the installed distributions that a module may be of, and all that they require, with
+    versions."""
+    names = [top] if _is_called(top) else sorted(set(distributions().get(top, [])))
+    return [f"{name} {version}" for name, version in required(*names).items()] if names else []
 
 
 @functools.cache

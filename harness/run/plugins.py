@@ -45,6 +45,7 @@ from harness.registry import (
     load_method,
 )
 from harness.run import environment, ours, packages
+from harness.run.codec import printable
 from harness.run.plugin_sources import Sources, sources_of
 from methods import settings
 
@@ -89,6 +90,7 @@ class Offer:
     takes: the hyper-parameters that it takes from their settings.
     variants, rl_steps: fields of a task's `EnvSpec`.
     packages: the versions of those that a task needs.
+    registered: the sources of what Gymnasium's registry names for a task.
     """
 
     kind: str
@@ -100,6 +102,7 @@ class Offer:
     variants: tuple[str, ...] = ()
     rl_steps: dict[str, int] = field(default_factory=dict)
     packages: dict[str, str] = field(default_factory=dict)
+    registered: Sources = field(default_factory=lambda: Sources([], []))
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,9 @@ _sources: dict[str, Sources] = {}
 _ever: set[str] = set()
 """Modules of all plug-ins that were known here at some time."""
 _replaced: set[str] = set()
-"""Modules whose file was edited after it had been executed here."""
+"""Modules that were edited, or one that they import, after they had been executed here."""
+_executed: dict[str, tuple[object, Sources]] = {}
+"""Modules that were loaded here, and their sources then, by name."""
 
 
 @contextmanager
@@ -198,7 +203,8 @@ def _installed() -> tuple[list[tuple[str, str, Entry]], list[str]]:
 def _plugin(name: str) -> Plugin:
     """Return where a plug-in is; nothing of it is executed. Raises BadInput where there is none."""
     if name.endswith(".py"):
-        path = os.path.normpath(Path(name).absolute())
+        file = Path(name)
+        path = os.path.join(os.path.realpath(file.parent), file.name)  # Links count before ".." does.
         if not os.path.isfile(path):
             raise BadInput(f"there is no plug-in {path}", READ)
         return Plugin(name, path)
@@ -270,7 +276,12 @@ def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
 
 def others_here(methods: Sequence[str], envs: Sequence[str]) -> list[str]:
     """Return the modules of plug-ins that were imported in this process and do not define any of these: they
-    may have changed whatever is computed here."""
+    may have changed whatever is computed here. So may those of which a source was edited since."""
+    for module, (loaded, was) in _executed.items():
+        with suppress(OSError):
+            if sys.modules.get(module) is not loaded or sources_of(module) == was:
+                continue
+        _replaced.add(module)
     here = _replaced | {module for module in _ever if module in sys.modules}
     return sorted((here - modules(methods, envs)) | _replaced)
 
@@ -410,6 +421,7 @@ def _offer_of(kind: str, name: str) -> Offer:
 
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:
     """Imports those of these that are plug-ins', and tries tasks out. Raises BadInput where one is broken."""
+    theirs = modules(methods, envs)
     for kind, names in (("method", methods), ("env", envs)):
         for name in names:
             if name in PLUGINS[kind]:
@@ -417,6 +429,11 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
                     _check(kind, name, load_method(name) if kind == "method" else SPECS[name])
                     if kind == "env":
                         _try_out(name)
+                        theirs.update(_modules_of_task(SPECS[name].env_id))
+    for module in theirs:
+        loaded = sys.modules.get(module)
+        if _executed.get(module, (None,))[0] is not loaded:
+            _executed[module] = loaded, sources_of(module)
 
 
 def _try_out(env: str) -> None:
@@ -425,18 +442,20 @@ def _try_out(env: str) -> None:
     try_out(SPECS[env])
 
 
-def sources(target: str) -> Sources:
-    """Return the sources of a plug-in's object, by its target: as another process reported them, or as they
-    are now. The variables that the user gives to plug-ins are part of them."""
-    module, _, rest = target.partition(":")
+def sources(kind: str, name: str) -> Sources:
+    """Return the sources of a plug-in's method or task: as another process reported them, or as they are
+    now. The variables that the user gives to plug-ins are part of them."""
+    module, _, rest = PLUGINS[kind][name].target.partition(":")
     if module == __name__:
         return _sources_of_task(rest.partition("/")[2])
     if module not in _sources and module not in sys.modules:
-        kind, name = next((k, n) for k, its in PLUGINS.items() for n in its if its[n].target == target)
         _offer_of(kind, name)
     found = _sources[module] if module in _sources else sources_of(module)
+    more = _offer_of(kind, name).registered if kind == "env" else Sources([], [])
     given = [f"{name}={value}" for name, value in environment.of_user().items()]
-    return dataclasses.replace(found, digests=[*found.digests, *given])
+    return Sources(
+        [*sorted({*found.digests, *more.digests}), *given], sorted({*found.program, *more.program})
+    )
 
 
 def _sources_of_task(env_id: str) -> Sources:
@@ -445,7 +464,7 @@ def _sources_of_task(env_id: str) -> Sources:
 
     spec = gymnasium.spec(env_id)
     entry = spec.entry_point
-    found = sources_of(_module_of(entry))
+    found = sources_of(*_modules_of_task(env_id))
     registered = {
         "entry": str(entry),
         "kwargs": spec.kwargs,
@@ -470,6 +489,15 @@ def packages_of_task(env: str) -> dict[str, str]:
     if entry.target.startswith(f"{__name__}:"):
         return _packages(entry.target.partition("/")[2])
     return _offer_of("env", env).packages
+
+
+def _modules_of_task(env_id: str) -> list[str]:
+    """Return the modules of what a task is registered with, its wrappers included."""
+    import gymnasium
+
+    spec = gymnasium.spec(env_id)
+    entries = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
+    return [module for module in map(_module_of, entries) if module]
 
 
 def _packages(env_id: str) -> dict[str, str]:
@@ -573,7 +601,7 @@ def _offered(plugin: Plugin) -> list[Offer]:
                 )
             for name, thing in things.items():
                 _check(kind, name, thing)
-                entry = Entry(f"{module.__name__}:{table}/{name}", f"of {plugin.name}")
+                entry = Entry(f"{module.__name__}:{table}/{name}", f"of {printable(plugin.name)}")
                 _register(kind, name, entry)
                 found.append(_offer(kind, name, entry, thing))
     return found
@@ -587,6 +615,7 @@ def _offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
             variants=tuple(thing.variants),
             rl_steps=steps,
             packages=_packages(thing.env_id),
+            registered=sources_of(*_modules_of_task(thing.env_id)),
         )
     known: Mapping[str, Entry] = METHODS | {n: VARIANTS[n] for n in BUILT_IN["method"] if n in VARIANTS}
     for i, base in enumerate(thing.__mro__):
@@ -615,6 +644,8 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
     while they are loaded, they do it there. Raises BadInput for what is broken, or ends or hangs there."""
     import msgspec
 
+    from harness.run import orphans
+
     request = json.dumps([sys.path, [dataclasses.astuple(one) for one in named], wanted])
     begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.run import plugin_process"
     command = [sys.executable, "-P", "-c", f"{begin}; plugin_process.tell(sys.argv[1])", request]
@@ -630,6 +661,8 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
             with suppress(subprocess.TimeoutExpired):
                 code = process.wait(LONGEST)
         finally:
+            if process.poll() is None:
+                orphans.end_descendants(process.pid)
             process.kill()
             with suppress(OSError, AttributeError):  # where there are no groups
                 os.killpg(process.pid, signal.SIGKILL)  # with all that they started
@@ -645,6 +678,7 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
     if code is None:
         raise BadInput(f"{what} was not loaded within {LONGEST:g} s", READ)
     how = f"killed by {signal.Signals(-code).name}" if -code in {*signal.Signals} else f"exit code {code}"
+    how += " (out of memory?)" if how.endswith("SIGKILL") else ""
     raise BadInput(f"{what} ended its process while it was loaded: {how}", READ)
 
 

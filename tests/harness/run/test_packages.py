@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from harness.judge.results import Cell, Conditions
-from harness.run import keys, packages, plugins
+from harness.run import keys, packages, plugin_sources, plugins
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
@@ -68,3 +68,32 @@ def test_another_version_of_a_simulator_is_another_key(site: Path, monkeypatch: 
     before = keys.cell_keys([cell], CONDITIONS, {})
     monkeypatch.setattr(packages, "imported", lambda module: {"box2d": "2.3.11"})
     assert keys.cell_keys([cell], CONDITIONS, {}) != before
+
+
+@pytest.fixture
+def among_installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same folder, taken for one of this Python's own."""
+    monkeypatch.setattr(plugin_sources, "_places", lambda: (site.resolve(),))
+    return site
+
+
+def test_what_an_installed_module_of_a_plugin_requires_counts(among_installed: Path) -> None:
+    (among_installed / "alpha_of_two.py").write_text("import beta_of_two")
+    install(among_installed, "alpha_of_two", "1.0", "beta_of_two")
+    install(among_installed, "beta_of_two", "2.0")
+    found = plugin_sources.sources_of("alpha_of_two")
+    assert found.digests == ["alpha-of-two 1.0", "beta-of-two 2.0"]
+
+
+@pytest.mark.parametrize("name", ["loose_module.py", "loose_package/__init__.py"])
+def test_what_lies_among_installed_packages_without_metadata_counts_by_its_files(
+    among_installed: Path, name: str
+) -> None:
+    file = among_installed / name
+    file.parent.mkdir(exist_ok=True)
+    module = name.partition("/")[0].removesuffix(".py")
+    file.write_text("VALUE = 1")
+    before = plugin_sources.sources_of(module)
+    file.write_text("VALUE = 2")
+    assert before.digests
+    assert plugin_sources.sources_of(module) != before

@@ -6,9 +6,11 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from harness import cli, commands
@@ -196,6 +198,26 @@ def test_inline_cells_meet_no_plugin_but_their_own(both: list[str]) -> None:
         plugins.check_inline([(["mine"], "swingup")])
 
 
+@pytest.mark.usefixtures("here")
+def test_a_plugin_whose_helper_was_edited_is_not_computed_in_the_same_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python executes a module once: the old code would be stored under the new key."""
+    (tmp_path / "theirs_helper.py").write_text("VALUE = 1")
+    (tmp_path / "helped.py").write_text(f"import theirs_helper\n{MINE}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for text, is_refused in (("VALUE = 1", False), ("VALUE = 2", True)):
+        (tmp_path / "theirs_helper.py").write_text(text)
+        with plugins.for_now():
+            plugins.add([str(tmp_path / "helped.py")])
+            if is_refused:
+                with pytest.raises(BadInput, match="helped was imported in this process"):
+                    plugins.check_alone(["bc"], ["moon"])
+            else:
+                plugins.check_alone(["bc"], ["moon"])
+                plugins.load([], ["moon"])
+
+
 def test_an_inline_run_after_a_plugin_is_refused_before_anything_is_written(
     both: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,6 +244,14 @@ ENDING = {
         "ended its process while it was loaded: killed by SIGSEGV",
     ),
     "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
+    "memory": (
+        "import resource\nbytearray(resource.getrlimit(resource.RLIMIT_DATA)[0])",
+        "cannot be loaded: MemoryError",
+    ),
+    "out of memory": (
+        "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)",
+        "ended its process while it was loaded: killed by SIGKILL (out of memory?)",
+    ),
     "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
     "variable": (
         "import os\nos.environ['MY_DATA']",
@@ -243,6 +273,24 @@ def test_however_a_plugin_ends_while_it_is_loaded_is_a_line(
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert said in err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system gives orphans to nobody here")
+@pytest.mark.parametrize("then", ["", "import os; os._exit(0)", "import time; time.sleep(1000)"])
+def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
+    then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [
+        f"import subprocess\nfile = open({str(tmp_path / 'pid')!r}, 'w')",
+        "print(subprocess.Popen(['sleep', '60'], start_new_session=True).pid, file=file)",
+        "file.close()\nMETHODS = {}",
+    ]
+    (tmp_path / "starts.py").write_text("\n".join([*lines, then]))
+    monkeypatch.setattr(plugins, "LONGEST", 4 if "sleep" in then else 100)
+    with pytest.raises(BadInput) if then else nullcontext():
+        plugins.add([str(tmp_path / "starts.py")])
+    pid = int((tmp_path / "pid").read_text())
+    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
 def test_variables_that_cells_lack_are_named_where_one_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

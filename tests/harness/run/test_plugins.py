@@ -7,18 +7,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
+import msgspec
 import pandas as pd
 import pytest
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from harness import registry
 from harness.cli import main
-from harness.judge.results import Cell, Conditions
+from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
-from harness.run.engines import Job, compute
+from harness.run.engines import Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.run.plugins import Plugin
+from tests.harness import fake_cells
 from tests.harness.plugged import MINE
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
@@ -152,6 +154,29 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
         compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], [])))
 
 
+def test_of_what_is_imported_late_it_is_said_why_the_cell_does_not_count(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine.write_text(f"{MINE}\ndef late():\n    import found_late")
+    (tmp_path / "late").mkdir()
+    (tmp_path / "late/found_late.py").write_text("")
+    plugins.add([str(mine)])
+    cell = Cell("swingup", "mine", 0)
+    (its_key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
+
+    def run_cell(*asked: object) -> tuple[CellResult, dict[str, bytes]]:
+        monkeypatch.syspath_prepend(str(tmp_path / "late"))
+        return fake_cells.faked(cell, CONDITIONS, tmp_path), {}
+
+    monkeypatch.setattr(fake_cells, "run_cell", run_cell)
+    job = Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], []))
+    with pytest.raises(RuntimeError) as raised:
+        compute("tests.harness.fake_cells", job)
+    assert "change sys.path and then import from there? Do that as the module is imported." in describe(
+        raised.value
+    )
+
+
 BROKEN = {
     "syntax": ("def broken(:", "cannot be loaded: SyntaxError"),
     "raises": ("1 / 0", "cannot be loaded: ZeroDivisionError"),
@@ -197,6 +222,33 @@ def test_what_is_no_plugin_is_said(tmp_path: Path) -> None:
         (tmp_path / "folder.py").mkdir(exist_ok=True)
         with pytest.raises(BadInput, match=r"there is no plug-in|cannot be loaded"):
             plugins.add([name])
+
+
+def test_the_way_to_a_file_is_that_of_the_system(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a link, '..' is the folder above the one that it leads to."""
+    (tmp_path / "real/sub").mkdir(parents=True)
+    (tmp_path / "link").symlink_to("real/sub")
+    there = mine.rename(tmp_path / "real/mine.py")
+    mine.write_text("raise ValueError('another one')")
+    monkeypatch.chdir(tmp_path)
+    plugins.add(["link/../mine.py", "real/mine.py"])
+    assert {one.place for one in plugins.needed(["mine"], [])} == {str(there.resolve())}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are texts here")
+def test_names_that_are_no_text_are_shown_in_escapes(tmp_path: Path) -> None:
+    """In what a process tells, in keys, and in lists."""
+    folder = tmp_path / os.fsdecode(b"b\xffd")
+    folder.mkdir()
+    file = folder / os.fsdecode(b"of\xe9.py")
+    file.write_text(MINE)
+    plugins.add([str(file)])
+    told = plugins.look([plugins._plugin(str(file))], [])
+    assert msgspec.json.decode(msgspec.json.encode(told), type=plugins.Told) == told
+    assert registry.PLUGINS["method"]["mine"].summary.endswith(r"b\udcffd/of\udce9.py")
+    assert key(Cell("swingup", "mine", 0))
 
 
 def test_a_key_is_of_a_file_with_a_dot_in_its_name(tmp_path: Path) -> None:
@@ -292,3 +344,37 @@ if __name__ == "__main__":
     said = done.stdout.splitlines()[-2:]
     assert said[0] == "[1, 3] ['mine', 'mine', 'reference', 'reference']"
     assert said[1].startswith("BadInput nowhere holds no finished run")
+
+
+@pytest.mark.parametrize("kind", ["plug-in", "gymnasium"])
+def test_a_key_is_of_modules_that_a_task_is_registered_with(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gymnasium's registry names them as text: nothing imports them."""
+    (tmp_path / "far_env.py").write_text(
+        "from gymnasium.envs.classic_control import PendulumEnv as Far\nimport far_away"
+    )
+    (tmp_path / "far_wrap.py").write_text("from gymnasium import Wrapper as Pay")
+    (tmp_path / "far_away.py").write_text("")
+    (tmp_path / "far.py").write_text(
+        "from irl_bench import from_gymnasium\nENVS = {'far': from_gymnasium('Far-v0', 'far')}"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    wrappers = (WrapperSpec("Pay", "far_wrap:Pay", {}),)
+    spec = EnvSpec("Far-v0", "far_env:Far", max_episode_steps=200, additional_wrappers=wrappers)
+    monkeypatch.setitem(gymnasium.registry, "Far-v0", spec)
+
+    def key_now() -> str:
+        if kind == "plug-in":
+            plugins.add([str(tmp_path / "far.py")])
+        return key(Cell("far" if kind == "plug-in" else plugins.add_task("Far-v0"), "bc", 0))
+
+    names = ("far_env", "far_wrap", "far_away")
+    for name in names:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    found = [key_now()]
+    for name in names:
+        with (tmp_path / f"{name}.py").open("a") as file:
+            file.write("\nMORE = 1\n")
+        found.append(key_now())
+    assert len(set(found)) == 4
