@@ -324,13 +324,11 @@ class EnvSpec:
 def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     """The spec of a Gymnasium environment, with what can be told from it: sizes, horizon, whether actions are
     choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1], and
-    MuJoCo's tasks get a batch. fields: of `EnvSpec`, what is known better.
+    Gymnasium's own MuJoCo tasks get a batch. fields: of `EnvSpec`, what is known better.
 
     Raises ValueError unless observations are flat, actions are choices or bounded real numbers, and what it
     gives is finite. It also does where there is no time limit, or another in each instance.
     """
-    from gymnasium.envs.mujoco import MujocoEnv
-
     from envs.mujoco_batch import MujocoBatch
 
     made_with = fields.get("kwargs", {})
@@ -350,7 +348,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         found = {"act_size": act.shape[0], "wrap": scaled}
         usual = {TimeLimit, OrderEnforcing, PassiveEnvChecker}  # of `gym.make`
         bare = "wrap" not in fields and {type(wrapper) for wrapper in _wrappers(env)} <= usual
-        if bare and isinstance(env.unwrapped, MujocoEnv):
+        if bare and _is_gymnasiums_mujoco(env):
             ending = fields.get("why_ended", EnvSpec.why_ended)
             found["batch"] = partial(MujocoBatch, env_id, ending, **made_with)
         env = scaled(env)
@@ -361,6 +359,15 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     found["horizon"] = limit
     found["summary"] = f"Gymnasium's {env_id}"
     return EnvSpec(name, env_id, **(found | fields))
+
+
+def _is_gymnasiums_mujoco(env: gym.Env[Any, Any]) -> bool:
+    """Return whether Gymnasium's own code alone makes and steps a MuJoCo task: a class of others may change
+    the model, or keep what a copy would share."""
+    entry = env.spec.entry_point if env.spec else None
+    module = entry if isinstance(entry, str) else entry.__module__ if isinstance(entry, type) else ""
+    own = "gymnasium.envs.mujoco."
+    return module.startswith(own) and type(env.unwrapped).__module__.startswith(own)
 
 
 def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
