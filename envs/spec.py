@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -375,22 +376,25 @@ def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
     env.action_space.seed(0)
     seen, length = list[NDArray[Any]](), 0
 
-    def see(obs: Any, reward: object) -> None:
-        seen.append(np.array(obs))  # a copy, for some environments write the next one into the same array
+    def see(obs: Any, *given: object) -> bool:
+        """Return whether the episode ended."""
+        with named(env_id, [length]):
+            reward, *ended = flags(*given)
+            seen.append(np.array(real(obs)))  # a copy, for some environments write into the same array again
         rows = np.array(seen[-1:], np.float64)
-        check_numbers(env_id, env.observation_space.shape[0], rows, numbers([reward]), [length])  # type: ignore[index]
+        check_numbers(env_id, env.observation_space.shape[0], rows, np.array([reward]), [length])  # type: ignore[index]
+        return any(ended)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium's, of what is refused here in one line
-        see(env.reset(seed=0)[0], 0.0)
+        see(env.reset(seed=0)[0], 0.0, False, False)
         for _ in range(RANDOM_STEPS):
             obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
             length += 1
-            see(obs, reward)
-            if terminated or truncated:
+            if see(obs, reward, terminated, truncated):
                 length = 0
                 seen.pop()
-                see(env.reset()[0], 0.0)
+                see(env.reset()[0], 0.0, False, False)
     return np.array(seen)
 
 
@@ -404,13 +408,60 @@ def _typical(obs: NDArray[Any]) -> tuple[float, ...]:
     return tuple(float(x) or 1.0 for x in np.where(usual, roots, np.abs(obs).max(axis=0)))
 
 
-def numbers(rewards: Iterable[object]) -> Array:
-    """Return (B,), of rewards that are numbers or arrays of one. Raises ValueError for others."""
-    arrays = [np.asarray(reward) for reward in rewards]
-    for array in arrays:
-        if array.size != 1 or array.dtype.kind not in "fiub":
-            raise ValueError(f"the reward of a step must be one number, not {array!r:.80}")
-    return np.array([array.item() for array in arrays], np.float64)
+class Misgiven(ValueError):
+    """What no task may give. row: of the step's copies, the one that gave it."""
+
+    def __init__(self, value: object, what: str, needed: str) -> None:
+        super().__init__(f"it gives {value!r} as {what}, which must be {needed}")
+        self.value, self.what, self.needed, self.row = value, what, needed, 0
+
+
+@contextmanager
+def named(task: str, steps: Sequence[int]) -> Iterator[None]:
+    """Add the task and the step to what is raised of `Misgiven`. steps: how many each episode has taken."""
+    try:
+        yield
+    except Misgiven as wrong:
+        value = " ".join(repr(wrong.value).split())
+        told = f"{task} gives {value:.80} as {wrong.what} of step {steps[wrong.row]}"
+        raise ValueError(f"{told}, which must be {wrong.needed}") from wrong
+
+
+def real(value: Any, what: str = "observation", kinds: str = "fiub") -> NDArray[Any]:
+    """Return what a task gives, an array of real numbers or of other kinds. Raises `Misgiven` for others, and
+    for masked ones."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of several lengths
+        array = np.empty(0, object)
+    if array.dtype.kind not in kinds or isinstance(value, np.ma.MaskedArray):
+        raise Misgiven(value, what, "real numbers without a mask" if "f" in kinds else "true or false")
+    return array
+
+
+def number(reward: Any) -> float:
+    """Return a reward that is a number, or an array of one. Raises `Misgiven` for others."""
+    if type(reward) is float:
+        return reward
+    array = real(reward, "reward")
+    if array.size != 1:
+        raise Misgiven(reward, "reward", "one number")
+    return float(array.item())
+
+
+def flags(reward: Any, terminated: Any, truncated: Any) -> tuple[float, bool, bool]:
+    """Return what a step gives besides an observation. Raises `Misgiven` unless it is a number, true or false,
+    or an array of one such entry."""
+    return number(reward), _flag(terminated, "terminated"), _flag(truncated, "truncated")
+
+
+def _flag(value: Any, what: str) -> bool:
+    if type(value) is bool:
+        return value
+    array = real(value, what, "b")
+    if array.size != 1:
+        raise Misgiven(value, what, "true or false")
+    return bool(array.item())
 
 
 def check_numbers(task: str, size: int, obs: Array, rewards: Array, steps: Sequence[int]) -> None:

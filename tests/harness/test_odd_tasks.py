@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -309,9 +310,33 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a reward of NaN": ({"pay": at(5, np.nan, one)}, "gives nan as reward of step 5"),
     "a huge reward": ({"pay": at(5, 1e200, one)}, r"gives 1e\+200 as reward of step 5"),
-    "two rewards": ({"pay": at(5, np.ones(2), one)}, r"must be one number, not array\(\[1., 1.\]\)"),
-    "no reward": ({"pay": at(5, None, one)}, "must be one number, not array"),
-    "a text": ({"pay": at(5, "1", one)}, "must be one number, not array"),
+    "two rewards": (
+        {"pay": at(5, np.ones(2), one)},
+        r"gives array\(\[1., 1.\]\) as reward of step 5, which must be one number",
+    ),
+    "no reward": ({"pay": at(5, None, one)}, "gives None as reward of step 5, which must be real numbers"),
+    "a text": ({"pay": at(5, "1", one)}, "gives '1' as reward of step 5, which must be real numbers"),
+    "a masked reward": ({"pay": at(5, np.ma.masked, one)}, "gives masked as reward of step 5"),
+    "a complex reward": ({"pay": at(5, 1j, one)}, "gives 1j as reward of step 5"),
+    "a masked observation": (
+        {"observe": at(4, np.ma.array([1.0, 2.0], mask=[1, 0]), steady)},
+        r"gives masked_array\(.* as observation of step 4, which must be real numbers without a mask",
+    ),
+    "a complex observation": ({"observe": at(4, np.array([1j, 0]), steady)}, "as observation of step 4"),
+    "texts observed": ({"observe": at(0, np.array(["1", "2"]), steady)}, "as observation of step 0"),
+    "rows of several lengths": ({"observe": at(4, [[1.0], [1.0, 2.0]], steady)}, "as observation of step 4"),
+    **{
+        f"{name} {i}": (
+            {name: at(6, value, never)},
+            re.escape(
+                f"gives {' '.join(repr(value).split())} as {said} of step 6, which must be true or false"
+            ),
+        )
+        for name, said in (("end", "terminated"), ("cut", "truncated"))
+        for i, value in enumerate(
+            ("no", None, float("nan"), 1, np.array([False, True]), np.ma.array([True], mask=[False]))
+        )
+    },
     "another shape": ({"observe": at(2, np.zeros((2, 1)), steady)}, r"of the shape \(2, 1\), not \(2,\)"),
     "less": ({"observe": at(2, np.zeros(1), steady)}, r"of the shape \(1,\), not \(2,\)"),
 }
@@ -324,21 +349,17 @@ def test_what_no_task_may_give_is_refused_by_name(task: Callable[..., str], what
     env_id = task(**odd)
     with pytest.raises(ValueError, match=why):
         from_gymnasium(env_id, "odd")
-    if not {"observe", "pay"} & odd.keys():
+    if "act" in odd or "limit" in odd:
         return
     spec = EnvSpec("odd", env_id, 2, 2, (1.0, 1.0), LIMIT)
     with pytest.raises(ValueError, match=why):
         try_out(spec)
-    with pytest.raises(ValueError, match=why):
+    with pytest.raises(ValueError, match=f"the task odd gives|{why}"):
         lengths(spec)
+    if {"end", "cut"} & odd.keys():
+        return  # which Gymnasium's own checks may not reach
     failed = {check.title: check.outcome()[1] for check in checks(spec) if check.outcome()[0] == "FAILED"}
-    assert any(
-        why.replace("\\", "") in told or "odd gives" in told or "one number" in told
-        for told in failed.values()
-    )
-    if "must be" not in why:
-        with pytest.raises(ValueError, match="the task odd gives"):
-            lengths(spec)
+    assert any("odd gives" in told for told in failed.values())
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
