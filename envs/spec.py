@@ -450,8 +450,8 @@ def number(reward: Any) -> float:
 
 
 def flags(reward: Any, terminated: Any, truncated: Any) -> tuple[float, bool, bool]:
-    """Return what a step gives besides an observation. Raises `Misgiven` unless it is a number, true or false,
-    or an array of one such entry."""
+    """Return what a step gives besides an observation. Raises `Misgiven` unless these are a number, and true
+    or false, or arrays of one such entry."""
     return number(reward), _flag(terminated, "terminated"), _flag(truncated, "truncated")
 
 
