@@ -33,6 +33,7 @@ LARGEST = 1e100
 """The largest reward that counts as finite: sums of these are."""
 INSTANCES = 3
 """Instances of a task of others that are made to see whether they agree."""
+UNEVEN = 0.01  # how far rounding may lead an action astray in its own precision, as a share of the bounds
 ROUNDING = 1e-9  # how far from 1 probabilities may sum
 
 
@@ -495,9 +496,31 @@ class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
         assert isinstance(space, spaces.Box)
         wide, free = np.promote_types(space.dtype, np.float32), space.low < space.high
         low, high = np.where(free, space.low, 0).astype(wide), np.where(free, space.high, 1).astype(wide)
-        _, _, unscaled = rescale_box(spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1))
-        # Rounding must not lead out of the bounds, which some environments check.
-        self._native = lambda act: np.clip(unscaled(act).astype(space.dtype), space.low, space.high)
+        ends = low.astype(np.float64), high.astype(np.float64)
+
+        def precise(act: Any) -> NDArray[Any]:
+            share = (np.asarray(act, np.float64) + 1) / 2
+            return np.asarray((1 - share) * ends[0] + share * ends[1])
+
+        with np.errstate(all="ignore"):  # of bounds whose distance 32 bits cannot hold
+            _, _, rescaled = rescale_box(
+                spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1)
+            )
+            points = np.array([-1, 0, 1], np.float32)[:, None].repeat(len(low), axis=1)
+            width = ends[1] / 2 - ends[0] / 2
+            near = np.abs(rescaled(points).astype(np.float64) - precise(points)) <= UNEVEN * width
+            even = near.all(axis=0)
+
+        def native(act: Any) -> Any:
+            if even.all():
+                found = rescaled(act).astype(space.dtype)
+            else:
+                with np.errstate(all="ignore"):
+                    found = np.where(even, rescaled(act), precise(act)).astype(space.dtype)
+            # Rounding must not lead out of the bounds, which some environments check.
+            return np.clip(found, space.low, space.high)
+
+        self._native = native
         self.action_space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
 
     def action(self, action: Any) -> Any:

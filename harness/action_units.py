@@ -42,8 +42,8 @@ class Units:
         return _text((self.low, self.high))
 
     def excess(self, act: NDArray[Any]) -> Array:
-        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding. A component of one
-        value is not scaled: there, rounding is a share of that."""
+        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding. A
+        component of one value is not scaled: there, rounding is a share of that."""
         beyond = np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
         width, size = self.high - self.low, np.maximum(abs(self.low), abs(self.high))
         slack = SLACK * np.where(width > 0, width, size)
