@@ -506,7 +506,7 @@ class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
             _, _, rescaled = rescale_box(
                 spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1)
             )
-            points = np.array([-1, 0, 1], np.float32)[:, None].repeat(len(low), axis=1)
+            points = np.stack([np.full(low.shape, end, np.float32) for end in (-1, 0, 1)])
             width = ends[1] / 2 - ends[0] / 2
             near = np.abs(rescaled(points).astype(np.float64) - precise(points)) <= UNEVEN * width
             even = near.all(axis=0)

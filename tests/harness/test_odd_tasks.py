@@ -433,6 +433,39 @@ def test_a_batch_that_forgets_to_truncate_breaks_the_contract(task: Callable[...
         assert found == outcome
 
 
+class Wrong(Batch):
+    """What it gives of the third copy is another number from its tenth step on."""
+
+    def __init__(self, entry: int, count: int) -> None:
+        super().__init__(count)
+        self.entry = entry
+
+    def step(self, places: Any, act: Array) -> Any:
+        given = list(super().step(places, act))
+        for row in np.flatnonzero((np.asarray(places) == 2) & (self.steps[places] >= 10)):
+            given[self.entry][(row, 1) if self.entry == 0 else row] = 2
+        return tuple(given)
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        (0, "gives 2.0 as obs 1, alone 0.5"),
+        (1, "gives 2.0 as reward, alone 1.0"),
+        (2, "gives True as terminated, alone False"),
+    ],
+)
+def test_where_a_batch_is_wrong_step_copy_and_entry_are_told(
+    task: Callable[..., str], entry: int, why: str
+) -> None:
+    def start(env: Odd) -> Any:
+        return np.array([env.steps, 0.5], np.float32)
+
+    spec = from_gymnasium(task(observe=start), "odd", batch=partial(Wrong, entry))
+    (told,) = [check.outcome()[1] for check in checks(spec) if check.title.startswith("copies step")]
+    assert re.match(rf"at step \d+, copy 2 of a batch {why}", told), told
+
+
 def test_copies_count_the_steps_of_their_own_episodes(task: Callable[..., str]) -> None:
     spec = EnvSpec("odd", task(pay=at(3, np.nan, one)), 2, 2, (1.0, 1.0), LIMIT)
     copies: Copies = alone(spec, 2)
