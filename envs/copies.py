@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.spec import INSTANCES, Array, Batch, EnvSpec, check_numbers, numbers
+from envs.spec import INSTANCES, Array, Batch, EnvSpec, Misgiven, check_numbers, flags, named, real
 
 TRIED = 100
 """Steps for which a task is tried."""
@@ -22,14 +22,15 @@ class Copies:
     stepped. `reset` and `step` raise ValueError, naming task, step and entry, unless all is finite."""
 
     def __init__(self, spec: EnvSpec, count: int) -> None:
-        self._spec = spec
+        self._spec, self._name = spec, f"the task {spec.name}"
         self._batch: Batch = spec.batch(count) if spec.batch else _OneByOne(spec)
         self._steps = np.zeros(count, np.int64)
 
     def reset(self, place: int, seed: int) -> Array:
         """Return the first observation (O,) of the copy's next episode."""
-        obs = np.asarray(self._batch.reset(place, seed), np.float64)
         self._steps[place] = 0
+        with named(self._name, [0]):
+            obs = real(self._batch.reset(place, seed)).astype(np.float64)
         self._check([place], obs[None], np.zeros(1))
         return obs
 
@@ -38,11 +39,14 @@ class Copies:
     ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), whether each
         terminated, and whether the task itself truncated it."""
-        seen, paid, terminated, *truncated = self._batch.step(places, act)
-        obs, rewards = np.asarray(seen, np.float64), np.asarray(paid, np.float64)
         self._steps[places] += 1
+        with named(self._name, self._steps[places].tolist()):
+            seen, paid, terminated, *truncated = self._batch.step(places, act)
+            obs, rewards = np.asarray(real(seen), np.float64), np.asarray(real(paid, "reward"), np.float64)
+            ended = real(terminated, "terminated", "b")
+            cut = real(truncated[0], "truncated", "b") if truncated else np.zeros_like(ended)
         self._check(places, obs, rewards)
-        return obs, rewards, terminated, truncated[0] if truncated else np.zeros_like(terminated)
+        return obs, rewards, ended, cut
 
     def why_ended(self, place: int) -> str:
         """Return why the copy's episode just terminated."""
@@ -50,7 +54,7 @@ class Copies:
 
     def _check(self, places: Sequence[int], obs: Array, rewards: Array) -> None:
         spec, steps = self._spec, self._steps[places].tolist()
-        check_numbers(f"the task {spec.name}", spec.obs_size, obs, rewards, steps)
+        check_numbers(self._name, spec.obs_size, obs, rewards, steps)
 
 
 def alone(spec: EnvSpec, count: int = 1) -> Copies:
@@ -85,7 +89,7 @@ class _OneByOne:
     def reset(self, place: int, seed: int) -> Array:
         if place not in self._envs:
             self._envs[place] = self._spec.make()
-        return np.asarray(self._envs[place].reset(seed=seed)[0], np.float64)
+        return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
 
     def step(
         self, places: Sequence[int], act: Array
@@ -100,7 +104,14 @@ class _OneByOne:
 
 
 def gathered(steps: Iterable[Any]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return what `Copies.step` does, of what Gymnasium's `step` gave for each copy."""
-    obs, rewards, terminated, truncated, _ = zip(*steps, strict=True)
-    ended, cut = (np.array([bool(flag) for flag in flags]) for flags in (terminated, truncated))
-    return np.array(obs, np.float64), numbers(rewards), ended, cut
+    """Return what `Copies.step` does, of what Gymnasium's `step` gave for each copy. Raises `Misgiven`."""
+    seen, given = list[NDArray[Any]](), list[tuple[float, bool, bool]]()
+    for row, (obs, reward, terminated, truncated, _) in enumerate(steps):
+        try:
+            given.append(flags(reward, terminated, truncated))
+            seen.append(real(obs))
+        except Misgiven as wrong:
+            wrong.row = row
+            raise
+    rewards, ended, cut = zip(*given, strict=True)
+    return np.array(seen, np.float64), np.array(rewards), np.array(ended), np.array(cut)

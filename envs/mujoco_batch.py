@@ -13,7 +13,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
 from envs.copies import gathered
-from envs.spec import Array, scaled
+from envs.spec import Array, real, scaled
 
 
 class MujocoBatch:
@@ -26,7 +26,7 @@ class MujocoBatch:
         self._why_ended = why_ended
 
     def reset(self, place: int, seed: int) -> Array:
-        return np.asarray(self._envs[place].reset(seed=seed)[0], np.float64)
+        return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
 
     def step(
         self, places: Sequence[int], act: Array

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -32,6 +33,7 @@ LARGEST = 1e100
 """The largest reward that counts as finite: sums of these are."""
 INSTANCES = 3
 """Instances of a task of others that are made to see whether they agree."""
+UNEVEN = 0.01  # how far rounding may lead an action astray in its own precision, as a share of the bounds
 ROUNDING = 1e-9  # how far from 1 probabilities may sum
 
 
@@ -324,13 +326,11 @@ class EnvSpec:
 def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     """The spec of a Gymnasium environment, with what can be told from it: sizes, horizon, whether actions are
     choices, and typical observations, from random actions. Continuous actions are scaled to [-1, 1], and
-    MuJoCo's tasks get a batch. fields: of `EnvSpec`, what is known better.
+    Gymnasium's own MuJoCo tasks get a batch. fields: of `EnvSpec`, what is known better.
 
     Raises ValueError unless observations are flat, actions are choices or bounded real numbers, and what it
     gives is finite. It also does where there is no time limit, or another in each instance.
     """
-    from gymnasium.envs.mujoco import MujocoEnv
-
     from envs.mujoco_batch import MujocoBatch
 
     made_with = fields.get("kwargs", {})
@@ -350,7 +350,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         found = {"act_size": act.shape[0], "wrap": scaled}
         usual = {TimeLimit, OrderEnforcing, PassiveEnvChecker}  # of `gym.make`
         bare = "wrap" not in fields and {type(wrapper) for wrapper in _wrappers(env)} <= usual
-        if bare and isinstance(env.unwrapped, MujocoEnv):
+        if bare and _is_gymnasiums_mujoco(env):
             ending = fields.get("why_ended", EnvSpec.why_ended)
             found["batch"] = partial(MujocoBatch, env_id, ending, **made_with)
         env = scaled(env)
@@ -363,27 +363,39 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     return EnvSpec(name, env_id, **(found | fields))
 
 
+def _is_gymnasiums_mujoco(env: gym.Env[Any, Any]) -> bool:
+    """Return whether Gymnasium's own code alone makes and steps a MuJoCo task: a class of others may change
+    the model, or keep what a copy would share."""
+    entry = env.spec.entry_point if env.spec else None
+    module = entry if isinstance(entry, str) else entry.__module__ if isinstance(entry, type) else ""
+    own = "gymnasium.envs.mujoco."
+    return module.startswith(own) and type(env.unwrapped).__module__.startswith(own)
+
+
 def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
     """Return observations (N, O) of random actions. Raises ValueError as `check_numbers` does."""
     env.action_space.seed(0)
     seen, length = list[NDArray[Any]](), 0
 
-    def see(obs: Any, reward: object) -> None:
-        seen.append(np.array(obs))  # a copy, for some environments write the next one into the same array
+    def see(obs: Any, *given: object) -> bool:
+        """Return whether the episode ended."""
+        with named(env_id, [length]):
+            reward, *ended = flags(*given)
+            seen.append(np.array(real(obs)))  # a copy, for some environments write into the same array again
         rows = np.array(seen[-1:], np.float64)
-        check_numbers(env_id, env.observation_space.shape[0], rows, numbers([reward]), [length])  # type: ignore[index]
+        check_numbers(env_id, env.observation_space.shape[0], rows, np.array([reward]), [length])  # type: ignore[index]
+        return any(ended)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium's, of what is refused here in one line
-        see(env.reset(seed=0)[0], 0.0)
+        see(env.reset(seed=0)[0], 0.0, False, False)
         for _ in range(RANDOM_STEPS):
             obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
             length += 1
-            see(obs, reward)
-            if terminated or truncated:
+            if see(obs, reward, terminated, truncated):
                 length = 0
                 seen.pop()
-                see(env.reset()[0], 0.0)
+                see(env.reset()[0], 0.0, False, False)
     return np.array(seen)
 
 
@@ -397,13 +409,60 @@ def _typical(obs: NDArray[Any]) -> tuple[float, ...]:
     return tuple(float(x) or 1.0 for x in np.where(usual, roots, np.abs(obs).max(axis=0)))
 
 
-def numbers(rewards: Iterable[object]) -> Array:
-    """Return (B,), of rewards that are numbers or arrays of one. Raises ValueError for others."""
-    arrays = [np.asarray(reward) for reward in rewards]
-    for array in arrays:
-        if array.size != 1 or array.dtype.kind not in "fiub":
-            raise ValueError(f"the reward of a step must be one number, not {array!r:.80}")
-    return np.array([array.item() for array in arrays], np.float64)
+class Misgiven(ValueError):
+    """What no task may give. row: of the step's copies, the one that gave it."""
+
+    def __init__(self, value: object, what: str, needed: str) -> None:
+        super().__init__(f"it gives {value!r} as {what}, which must be {needed}")
+        self.value, self.what, self.needed, self.row = value, what, needed, 0
+
+
+@contextmanager
+def named(task: str, steps: Sequence[int]) -> Iterator[None]:
+    """Add the task and the step to what is raised of `Misgiven`. steps: how many each episode has taken."""
+    try:
+        yield
+    except Misgiven as wrong:
+        value = " ".join(repr(wrong.value).split())
+        told = f"{task} gives {value:.80} as {wrong.what} of step {steps[wrong.row]}"
+        raise ValueError(f"{told}, which must be {wrong.needed}") from wrong
+
+
+def real(value: Any, what: str = "observation", kinds: str = "fiub") -> NDArray[Any]:
+    """Return what a task gives, an array of real numbers or of other kinds. Raises `Misgiven` for others, and
+    for masked ones."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of several lengths
+        array = np.empty(0, object)
+    if array.dtype.kind not in kinds or isinstance(value, np.ma.MaskedArray):
+        raise Misgiven(value, what, "real numbers without a mask" if "f" in kinds else "true or false")
+    return array
+
+
+def number(reward: Any) -> float:
+    """Return a reward that is a number, or an array of one. Raises `Misgiven` for others."""
+    if type(reward) is float:
+        return reward
+    array = real(reward, "reward")
+    if array.size != 1:
+        raise Misgiven(reward, "reward", "one number")
+    return float(array.item())
+
+
+def flags(reward: Any, terminated: Any, truncated: Any) -> tuple[float, bool, bool]:
+    """Return what a step gives besides an observation. Raises `Misgiven` unless these are a number, and true
+    or false, or arrays of one such entry."""
+    return number(reward), _flag(terminated, "terminated"), _flag(truncated, "truncated")
+
+
+def _flag(value: Any, what: str) -> bool:
+    if type(value) is bool:
+        return value
+    array = real(value, what, "b")
+    if array.size != 1:
+        raise Misgiven(value, what, "true or false")
+    return bool(array.item())
 
 
 def check_numbers(task: str, size: int, obs: Array, rewards: Array, steps: Sequence[int]) -> None:
@@ -437,9 +496,31 @@ class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
         assert isinstance(space, spaces.Box)
         wide, free = np.promote_types(space.dtype, np.float32), space.low < space.high
         low, high = np.where(free, space.low, 0).astype(wide), np.where(free, space.high, 1).astype(wide)
-        _, _, unscaled = rescale_box(spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1))
-        # Rounding must not lead out of the bounds, which some environments check.
-        self._native = lambda act: np.clip(unscaled(act).astype(space.dtype), space.low, space.high)
+        ends = low.astype(np.float64), high.astype(np.float64)
+
+        def precise(act: Any) -> NDArray[Any]:
+            share = (np.asarray(act, np.float64) + 1) / 2
+            return np.asarray((1 - share) * ends[0] + share * ends[1])
+
+        with np.errstate(all="ignore"):  # of bounds whose distance 32 bits cannot hold
+            _, _, rescaled = rescale_box(
+                spaces.Box(low, high, dtype=wide.type), np.float32(-1), np.float32(1)
+            )
+            points = np.stack([np.full(low.shape, end, np.float32) for end in (-1, 0, 1)])
+            width = ends[1] / 2 - ends[0] / 2
+            near = np.abs(rescaled(points).astype(np.float64) - precise(points)) <= UNEVEN * width
+            even = near.all(axis=0)
+
+        def native(act: Any) -> Any:
+            if even.all():
+                found = rescaled(act).astype(space.dtype)
+            else:
+                with np.errstate(all="ignore"):
+                    found = np.where(even, rescaled(act), precise(act)).astype(space.dtype)
+            # Rounding must not lead out of the bounds, which some environments check.
+            return np.clip(found, space.low, space.high)
+
+        self._native = native
         self.action_space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
 
     def action(self, action: Any) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from envs import EnvSpec
 from harness.demonstration_forms import Bounds, Raw
@@ -16,13 +17,13 @@ from harness.registry import BadInput
 from methods.base import Array
 
 SLACK = 1e-6
-"""Largest distance outside the bounds that counts as rounding, as a share of them."""
+"""Largest distance outside the bounds that counts as rounding, as a share of the distance between them."""
 FARTHEST = 1e6
 """Bounds of a file beyond it are none."""
 POINTS = (-1.0, -0.5, 0.0, 0.25, 1.0)
 """Actions on which a wrapper is tried."""
 ROUNDING = 1e-5
-"""Largest difference that counts as rounding of a wrapper, as a share of the bounds."""
+"""Largest difference that counts as rounding of a wrapper, as a share of the distance between the bounds."""
 SCALED = (-1.0, 1.0)
 OPTION = "--action-bounds"
 
@@ -40,10 +41,15 @@ class Units:
     def __str__(self) -> str:
         return _text((self.low, self.high))
 
-    def excess(self, act: Array) -> Array:
-        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding."""
+    def excess(self, act: NDArray[Any]) -> Array:
+        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding. A
+        component of one value is not scaled: there, rounding is a share of that."""
         beyond = np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
-        return np.where(beyond > SLACK * np.maximum(abs(self.low), abs(self.high)), beyond, 0.0)
+        width, size = self.high - self.low, np.maximum(abs(self.low), abs(self.high))
+        slack = SLACK * np.where(width > 0, width, size)
+        if act.dtype.kind == "f":
+            slack += 2 * _spacing(size, act.dtype)
+        return np.where(beyond > slack, beyond, 0.0)
 
     def scaled(self, act: Array) -> Array:
         """Return actions (T, A) of the file in [-1, 1]; 0 where both bounds are the same."""
@@ -129,9 +135,8 @@ def _as_asked(asked: Bounds, said: Bounds | None, own: Bounds | None, size: int)
             )
     if said is not None:
         _check_size(said, size)
-        for its, other in zip(_whole(said, size), _whole(asked, size), strict=True):
-            told = np.abs(its) <= FARTHEST
-            if not np.allclose(its[told], other[told], rtol=SLACK, atol=0):
+        for its, near in zip(_whole(said, size), _near(said, asked), strict=True):
+            if not (near | (np.abs(its) > FARTHEST)).all():
                 raise ValueError(f"{OPTION} {_text(asked)} contradicts the file, which says {_text(said)}")
     return _units(asked, size, f"as {OPTION} says")
 
@@ -174,7 +179,8 @@ def _only_scales(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:
         share = (point + 1) / 2
         act, wanted = (box.low + share * (box.high.astype(float) - box.low) for box in (outer, inner))
         done = wrapper.action(act.astype(outer.dtype))
-        if not (np.abs(done - wanted) <= ROUNDING * np.maximum(abs(inner.low), abs(inner.high))).all():
+        width, size = inner.high.astype(float) - inner.low, np.maximum(abs(inner.low), abs(inner.high))
+        if not (np.abs(done - wanted) <= ROUNDING * width + 8 * _spacing(size)).all():
             return False
     return True
 
@@ -194,8 +200,21 @@ def _check_size(bounds: Bounds, size: int) -> None:
 
 
 def _same(one: Bounds, other: Bounds) -> bool:
-    pairs = zip(map(np.asarray, one), map(np.asarray, other), strict=True)
-    return all(np.allclose(a, b, rtol=SLACK, atol=0) for a, b in pairs)
+    return all(near.all() for near in _near(one, other))
+
+
+def _near(one: Bounds, other: Bounds) -> list[NDArray[np.bool_]]:
+    """Return whether the low bounds and the high ones are the same, but for rounding to 32 bits."""
+    width = np.minimum(*(np.subtract(high, low, dtype=np.float64) for low, high in (one, other)))
+    pairs = [(np.asarray(a, np.float64), np.asarray(b, np.float64)) for a, b in zip(one, other, strict=True)]
+    with np.errstate(invalid="ignore"):  # infinite ones are the same as none
+        return [abs(a - b) <= SLACK * width + _spacing(np.minimum(abs(a), abs(b))) for a, b in pairs]
+
+
+def _spacing(size: NDArray[Any], kind: Any = np.float32) -> Array:
+    """Return the distance between neighbouring numbers of that size and type."""
+    with np.errstate(all="ignore"):  # of sizes beyond the type
+        return np.asarray(np.spacing(size.astype(kind)), np.float64)
 
 
 def _text(bounds: Bounds) -> str:

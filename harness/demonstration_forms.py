@@ -211,20 +211,22 @@ def _npz(path: Path) -> Raw:
         if not zipfile.is_zipfile(file):
             raise ValueError("it is no .npz file; pickles are not read")
         file.seek(0)
-        with np.load(file) as there:
+        with _loaded(file) as there:
             _check_size(sum(entry.file_size for entry in there.zip.infolist()) // 8)
             names = set(there.files)
+            if len(names) < len(there.files):
+                raise ValueError("it has two arrays of one name")
             if {"obs", "act", "lengths", "terminated"} <= names:
-                lengths = _whole(there["lengths"])
-                rewards = there["rewards"] if "rewards" in names else None
-                obs, act, flags = there["obs"], there["act"], there["terminated"]
+                lengths = _whole(_array(there, "lengths"))
+                rewards = _array(there, "rewards") if "rewards" in names else None
+                obs, act, flags = (_array(there, name) for name in ("obs", "act", "terminated"))
                 if "act_bounds" in names:
-                    bounds = _two_rows(there["act_bounds"])
+                    bounds = _two_rows(_array(there, "act_bounds"))
                 form, own = "npz", True
             elif {"obs", "acts", "indices", "terminal"} <= names:
-                act, flags = there["acts"], there["terminal"]
-                obs, rewards = there["obs"], there["rews"] if "rews" in names else None
-                lengths = np.diff([0, *_whole(there["indices"]), len(act)])
+                obs, act, flags = (_array(there, name) for name in ("obs", "acts", "terminal"))
+                rewards = _array(there, "rews") if "rews" in names else None
+                lengths = np.diff([0, *_whole(_array(there, "indices")), len(act)])
                 form, vague = "imitation's npz", True
             else:
                 raise ValueError(f"it has none of the sets of arrays that are known, but {sorted(names)}")
@@ -246,6 +248,29 @@ def _npz(path: Path) -> Raw:
         own,
         bounds,
     )
+
+
+def _loaded(file: BinaryIO) -> Any:
+    """Return NumPy's view of an archive. Raises ValueError for a damaged one."""
+    try:
+        return np.load(file)
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever NumPy and zipfile raise
+        raise ValueError("it is no .npz file, or damaged; pickles are not read") from error
+
+
+def _array(there: Any, name: str) -> NDArray[Any]:
+    """Return an array (N, ...) of an archive. Raises ValueError where that name is of none, or a pickle."""
+    try:
+        array = there[name]
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise ValueError(f"its {name} is damaged, or no array of numbers; pickles are not read") from error
+    if not isinstance(array, np.ndarray) or not array.ndim:
+        raise ValueError(f"its {name} is no array of a row or more")
+    return array
 
 
 def _two_rows(values: NDArray[Any]) -> Bounds:
@@ -275,8 +300,16 @@ def _endings(flags: list[Any]) -> list[bool | None]:
 
 
 def _imitation(path: Path) -> Raw:
-    state = json.loads(read(path / "state.json"))
-    names = [entry["filename"] for entry in state["_data_files"]]
+    try:
+        state = json.loads(read(path / "state.json"))
+        names, chosen = (
+            [entry["filename"] for entry in state["_data_files"]],
+            state.get("_indices_data_files"),
+        )
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError("its state.json does not list files of data, as that of a dataset does") from error
+    if chosen:
+        raise ValueError("it shows a selection of its rows; save it after `flatten_indices()`")
     if not 0 < len(names) <= MOST_EPISODES or not all(
         isinstance(name, str) and Path(name).name == name for name in names
     ):
@@ -294,6 +327,8 @@ def _imitation(path: Path) -> Raw:
                 _check_size(size)
                 arrays.extend(new)
         ended += _endings(_column(table["terminal"], f"{name} has terminal").tolist())
+    if not obs:
+        raise ValueError("it holds no episode")
     return Raw("imitation", obs, act, ended, rewards if len(rewards) == len(obs) else None, vague=True)
 
 

@@ -269,7 +269,7 @@ def _actions(there: Sequence[NDArray[Any]], spec: EnvSpec, units: Units) -> list
     if spec.discrete:
         return [_choices(rows, spec, units.first, i) for i, rows in enumerate(there)]
     act = [_numbers(rows, spec.act_size, "actions", i) for i, rows in enumerate(there)]
-    excess = np.concatenate([units.excess(rows) for rows in act])
+    excess = np.concatenate([units.excess(rows) for rows in there])
     if outside := int((excess > 0).any(axis=1).sum()):
         most, entry = excess.max(), excess.max(axis=0).argmax()
         raise ValueError(

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from envs.spec import numbers
+from envs.spec import number
 from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
@@ -114,7 +114,7 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         act = np.eye(self._spec.act_size)[int(action)] if self._spec.discrete else np.asarray(action)
         rows = [np.asarray(row, np.float64)[None] for row in (before, act, self._obs)]
         paid = float(self.reward(*rows)[0]) - (self.reward.absorbing if self.offset else 0.0)
-        return obs, paid, terminated, truncated, {**info, "true_reward": float(numbers([true])[0])}
+        return obs, paid, terminated, truncated, {**info, "true_reward": number(true)}
 
 
 def export(

@@ -29,7 +29,7 @@ def test_every_test_that_the_table_of_faults_names_exists() -> None:
     named = re.findall(r"`(\w+)::(test_\w+)`", (ROOT / "docs/faults.md").read_text(encoding="utf-8"))
     assert len(named) > 60
     for file, test in named:
-        (path,) = (ROOT / "tests/harness").rglob(f"test_{file}.py")
+        (path,) = (ROOT / "tests").rglob(f"test_{file}.py")
         assert f"def {test}(" in path.read_text(encoding="utf-8"), test
 
 

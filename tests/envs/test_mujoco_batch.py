@@ -1,4 +1,6 @@
+from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import gymnasium as gym
@@ -9,7 +11,8 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from gymnasium.envs.registration import EnvSpec as Registered
 from gymnasium.wrappers import TransformReward
 
-from envs import from_gymnasium
+from envs import EnvSpec, from_gymnasium
+from envs.copies import try_out
 from envs.mujoco_batch import MujocoBatch, twin
 from harness.learn.simulator import Simulator
 from harness.testing.envs import checks
@@ -55,11 +58,14 @@ class Cut(InvertedPendulumEnv):
         return obs, np.array([reward]), terminated, self.steps == 5, info
 
 
+def register(monkeypatch: pytest.MonkeyPatch, env_id: str, entry: Any) -> None:
+    registered = Registered(env_id, entry, max_episode_steps=100, disable_env_checker=True)
+    monkeypatch.setitem(gym.registry, env_id, registered)
+
+
 def test_it_truncates_where_the_task_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    registered = Registered("Cut-v0", Cut, max_episode_steps=100, disable_env_checker=True)
-    monkeypatch.setitem(gym.registry, "Cut-v0", registered)
-    spec = from_gymnasium("Cut-v0", "x")
-    assert isinstance(spec.batch(1), MujocoBatch)
+    register(monkeypatch, "Cut-v0", Cut)
+    spec = from_gymnasium("Cut-v0", "x", batch=partial(MujocoBatch, "Cut-v0", EnvSpec.why_ended))
     episodes = Simulator(spec, lanes=2).run(lambda obs: np.zeros((len(obs), 1)), range(3))
     assert {(len(e.act), e.terminated, e.ending) for e in episodes} == {(5, False, "time limit")}
     assert all(check.outcome()[0] == "ok" for check in checks(spec) if "together" in check.title)
@@ -80,6 +86,45 @@ def test_of_what_is_wrapped_otherwise_no_batch_is_known() -> None:
     assert from_gymnasium("Reacher-v5", "x", wrap=doubled).batch is None
     gym.register("Doubled-v0", lambda: doubled(gym.make("Reacher-v5").unwrapped), max_episode_steps=50)
     assert from_gymnasium("Doubled-v0", "x").batch is None
+
+
+class Other(InvertedPendulumEnv):
+    """It changes its model in each episode, and pays by what it keeps of MuJoCo's own memory."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.lock, self.view, self.pay = Lock(), self.data.qpos, lambda: -abs(self.data.qpos[0])
+
+    def reset_model(self) -> Any:
+        self.model.opt.gravity[2] = -9.81 * self.np_random.uniform(0.2, 3.0)
+        return super().reset_model()
+
+    def step(self, action: Any) -> tuple:
+        obs, _, *rest = super().step(action)
+        return obs, self.view[0] + self.pay(), *rest
+
+
+def made_by_a_function(**given: Any) -> gym.Env:
+    env = InvertedPendulumEnv(**given)
+    env.model.opt.gravity[2] = -9.81 * np.random.default_rng().uniform(0.2, 3.0)
+    return env
+
+
+@pytest.mark.parametrize("entry", [Other, made_by_a_function])
+def test_tasks_that_others_derive_are_stepped_one_by_one(monkeypatch: pytest.MonkeyPatch, entry: Any) -> None:
+    """Copies of them would share what each has of its own, or could not be made."""
+    register(monkeypatch, "Other-v0", entry)
+    spec = from_gymnasium("Other-v0", "x")
+    assert spec.batch is None
+    try_out(spec)
+
+
+@pytest.mark.parametrize(
+    "entry", [InvertedPendulumEnv, "gymnasium.envs.mujoco.inverted_pendulum_v5:InvertedPendulumEnv"]
+)
+def test_gymnasiums_class_under_another_name_has_a_batch(monkeypatch: pytest.MonkeyPatch, entry: Any) -> None:
+    register(monkeypatch, "Same-v0", entry)
+    assert from_gymnasium("Same-v0", "x").batch is not None
 
 
 def test_a_twin_shares_the_model_and_nothing_that_changes() -> None:

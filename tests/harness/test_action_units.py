@@ -14,6 +14,7 @@ from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
 from envs.spec import scaled
 from harness import demonstrations as demos
+from harness.action_units import Units, _same
 from harness.arguments import parser
 from harness.cli import main
 from harness.exchange import bounds
@@ -155,6 +156,34 @@ def test_a_component_of_one_value_has_no_width(tmp_path: Path) -> None:
     assert units.scaled(there).tolist() == [[0.5, 0], [-1, 0]]
     assert np.array_equal(units.native(units.scaled(there)), there)
     assert units.excess(np.array([[0, 3.5], [0, 3.0]])).tolist() == [[0, 0.5], [0, 0]]
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int32])
+def test_rounding_is_a_share_of_the_distance_between_bounds(kind: Any) -> None:
+    far = Units(np.array([999_999.0]), np.array([1e6]), "")
+    assert far.excess(np.array([[999_998.5], [999_999.5], [1_000_000.5]], kind)).any(axis=1).tolist() == (
+        [True, False, kind != np.int32]
+    )
+    assert not far.excess(np.array([[999_999], [1e6]], kind)).any()
+    small = Units(np.array([0.0, -0.1]), np.array([1e-4, 0.1]), "")
+    ends = np.array([[0, -0.1], [1e-4, 0.1]], kind)
+    assert not small.excess(ends).any()
+    assert kind == np.int32 or small.excess(ends * kind(1.01)).any()
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ((999_999.0, 1e6), (1e6, 1_000_001.0), False),
+        ((1000.1, 1000.7), (1000.101, 1000.701), False),
+        ((1000.1, 1000.7), (float(np.float32(1000.1)), float(np.float32(1000.7))), True),
+        ((0.0, 1e-9), (0.0, 2e-9), False),
+        ((-0.4, 0.4), (-float(np.float32(0.4)), float(np.float32(0.4))), True),
+        ((-2.0, 2.0), (-np.inf, np.inf), False),
+    ],
+)
+def test_bounds_are_the_same_but_for_rounding(one: Any, other: Any, same: bool) -> None:
+    assert _same(one, other) == same == _same(other, one)
 
 
 def test_own_files_are_scaled_and_say_so(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ import json
 import os
 import pickle
 import shutil
+import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from harness import demonstrations as demos
@@ -229,6 +232,53 @@ def test_no_pickle_is_read(tmp_path: Path) -> None:
     for name in ("bomb.pkl", "bomb.npz", "objects.npz", "one.npz"):
         with pytest.raises(BadInput, match="no demonstrations of swingup"):
             demos.read(tmp_path / name, SWINGUP)
+
+
+def test_archives_of_no_or_two_arrays_are_refused_in_our_words(tmp_path: Path) -> None:
+    good, path = wrong_arrays()["rewards of others"], tmp_path / "d.npz"
+    del good["rewards"]
+
+    def member(value: Any) -> bytes:
+        buffer = io.BytesIO()
+        np.save(buffer, value, allow_pickle=True)
+        return buffer.getvalue()
+
+    def refused(why: str, *added: tuple[str, bytes], without: str = "") -> None:
+        with zipfile.ZipFile(path, "w") as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of names that are there already
+            whole = {f"{name}.npy": member(its) for name, its in good.items() if name != without}
+            for name, data in (*whole.items(), *added):
+                archive.writestr(name, data)
+        with pytest.raises(BadInput, match=f"no demonstrations of swingup: {why}") as error:
+            demos.read(path, SWINGUP)
+        assert "allow_pickle" not in str(error.value)
+
+    for name in ("act.npy", "act"):
+        refused("it has two arrays of one name", (name, member(good["act"] / 2)))
+    for data in (b"no array", member(np.array([None])), member(good["act"])[:50], member(np.float64(1))):
+        refused("its act is (damaged|no array)", ("act.npy", data), without="act")
+    path.write_bytes(b"PK\x05\x06" + bytes(18) + path.read_bytes()[:40])
+    with pytest.raises(BadInput, match=r"no demonstrations of swingup: it (is|has)"):
+        demos.read(path, SWINGUP)
+
+
+def test_folders_that_are_no_whole_dataset_are_refused_in_our_words(tmp_path: Path) -> None:
+    folder = imitation(tmp_path / "folder", *made(), parts=1)
+    state = json.loads((folder / "state.json").read_text())
+    demos.read(folder, SWINGUP, SCALED)
+
+    def refused(text: str, why: str) -> None:
+        (folder / "state.json").write_text(text)
+        with pytest.raises(BadInput, match=f"no demonstrations of swingup: {why}"):
+            demos.read(folder, SWINGUP, SCALED)
+
+    refused(json.dumps(state | {"_indices_data_files": [{"filename": "i.arrow"}]}), "it shows a selection")
+    for text in ("[1]", "{", "{}", "1", '{"_data_files": [1]}', '{"_data_files": 5}'):
+        refused(text, "its state.json does not list files")
+    schema = pa.ipc.open_stream((folder / "data-00000-of-00001.arrow").read_bytes()).schema
+    with pa.ipc.new_stream(folder / "empty.arrow", schema) as stream:
+        stream.write_table(schema.empty_table())
+    refused(json.dumps({"_data_files": [{"filename": "empty.arrow"}]}), "it holds no episode")
 
 
 def test_odd_places_are_refused(tmp_path: Path) -> None:
