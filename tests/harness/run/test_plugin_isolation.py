@@ -454,6 +454,8 @@ def test_keys_of_many_methods_ask_no_distribution_twice(
     def walked(folder: Path) -> Iterator[tuple[Path, str]]:
         raise AssertionError(f"{folder} was walked")
 
+    keys.program()
+    plugins._packages("Pendulum-v1")  # which ask and read once in a process
     monkeypatch.setattr(plugin_sources.importlib.metadata, "packages_distributions", asked)
     monkeypatch.setattr(plugin_sources, "_files", walked)
     read: list[Path] = []
