@@ -410,7 +410,7 @@ def _typical(obs: NDArray[Any]) -> tuple[float, ...]:
 
 
 class Misgiven(ValueError):
-    """What no task may give. row: of the step's copies, the one that gave it."""
+    """An error for what no task may give. row: number of the copy among those stepped."""
 
     def __init__(self, value: object, what: str, needed: str) -> None:
         super().__init__(f"it gives {value!r} as {what}, which must be {needed}")

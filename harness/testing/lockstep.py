@@ -24,10 +24,11 @@ def assert_together_as_alone(spec: EnvSpec, steps: int) -> set[str]:
     def reset(place: int) -> None:
         seed, lengths[place] = next(seeds), 0
         _same(
-            f"after the reset of copy {place}",
+            "after a reset",
             "obs",
             [together.reset(place, seed)],
             [apart.reset(place, seed)],
+            [place],
         )
 
     for place in range(COPIES):
@@ -55,7 +56,7 @@ def assert_together_as_alone(spec: EnvSpec, steps: int) -> set[str]:
     return endings
 
 
-def _same(when: str, name: str, found: Any, expected: Any, places: Sequence[int] = (0,)) -> None:
+def _same(when: str, name: str, found: Any, expected: Any, places: Sequence[int]) -> None:
     found, expected = np.asarray(found), np.asarray(expected)
     expect(
         found.shape == expected.shape,
