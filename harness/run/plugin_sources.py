@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 
-from harness.run.codec import printable
 from harness.run.packages import distributions, required
 
 NO_NUMBERS = "Whatever it does shows in the keys themselves."
@@ -46,6 +45,8 @@ class Sources:
 
 def sources_of(*modules: str) -> Sources:
     """Return the sources of the modules, which can be imported, and of what they import."""
+    from harness.run.codec import printable  # here, for `--help` does without its packages
+
     digests, program = dict[str, str](), set[str]()
     waiting, seen = [*modules], set[str]()
     while waiting:

@@ -45,7 +45,6 @@ from harness.registry import (
     load_method,
 )
 from harness.run import environment, ours, packages
-from harness.run.codec import printable
 from harness.run.plugin_sources import Sources, sources_of
 from methods import settings
 
@@ -588,6 +587,8 @@ def _offered(plugin: Plugin) -> list[Offer]:
     """Import a plug-in, register what it has, and return that. Raises BadInput where it is broken."""
     if plugin.is_file:
         _files[plugin.module] = plugin.place
+    from harness.run.codec import printable  # here, for `--help` does without its packages
+
     found = []
     with _its_troubles(f"the plug-in {plugin.name} cannot be loaded"):
         module = importlib.import_module(plugin.module)
