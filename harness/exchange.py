@@ -16,6 +16,7 @@ from harness.run import baseline, keys, plugins
 from harness.run.files import new_folder
 from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
+from harness.run.signals import stop_cleanly
 from harness.show.compare import Run as Comparable
 from methods.base import Array
 
@@ -74,6 +75,7 @@ def view(args: argparse.Namespace) -> int:
     """Shows a run's recordings, or writes a folder that plays them."""
     from harness.show import view as viewing
 
+    stop_cleanly()  # or SIGTERM would leave temporary folders
     with TemporaryDirectory() as own:
         with open_to_verify(args.directory) as run:
             found = viewing.recordings(args.directory, run.request.envs, args.env, args.method, args.compare)

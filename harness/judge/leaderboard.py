@@ -68,17 +68,18 @@ class Entry:
     varies: str
     """What intervals are over: 'seeds'; 'episodes' where there is one seed, whose luck is not in them."""
     best: bool
-    """Whether it is the one that other methods' policies of the same name are compared with."""
+    """Whether it is the one that other methods' policies of the same name are compared with (`_best`)."""
     behind_mean: float
     """Of methods: how much less it scores than the best one's policy of the same name, paired by seed."""
     behind_low: float
     behind_high: float
     tied: bool
-    """Whether that interval holds 0, or what is negligible beside it: it is not told apart from the best."""
+    """Whether that interval holds 0, what is negligible beside it, or less: it is not told to be worse."""
     above_best_lower_control: float
-    """Of pi_R rows: score_mean minus the best score_mean of the lower controls, which are three."""
+    """Of pi_R rows: mean score minus the best mean score of the lower controls, over seeds that all have."""
     share_of_true: float
-    """Of pi_R rows: score_mean in units of what RL reaches on the true reward with as many steps."""
+    """Of pi_R rows: the mean score in units of what RL reaches on the true reward with as many steps, over
+    the seeds that both have."""
     reward_distance: float
     reward_floor: float
     reward_rank: float
@@ -207,18 +208,22 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     for row in rows:
         groups.setdefault((row.method, row.policy), []).append(row)
     score = {key: _mean([row.normalized_score for row in group]) for key, group in groups.items()}
+    seeds = {key: set(_scores(group)) for key, group in groups.items()}
     protocol = rows[0].protocol
-    lower = [control for control in CONTROLS if role_of(control, protocol) == LOWER]
-    bars = [score.get((control, "pi_R"), math.nan) for control in lower]
-    bar = max(bars) if all(map(math.isfinite, bars)) else math.nan
-    true = score.get(("control_true", "pi_R"), math.nan)
+    lower = [(control, "pi_R") for control in CONTROLS if role_of(control, protocol) == LOWER]
+
+    def common(*keys: tuple[str, str]) -> list[float]:
+        """The mean score of each over the seeds that all have."""
+        shared = set.intersection(*(seeds.get(key, set()) for key in keys))
+        known = [_scores(groups.get(key, [])) for key in keys]
+        return [_mean([one[seed] for seed in shared]) for one in known]
 
     best: dict[str, list[Row]] = {}  # rows of the best method, by policy
     for policy in _POLICIES:
         rivals = [
             key for key in groups if key[1] == policy and is_rival(key[0]) and math.isfinite(score[key])
         ]
-        best[policy] = groups[max(sorted(rivals), key=lambda key: score[key])] if rivals else []
+        best[policy] = _best([groups[key] for key in sorted(sorted(rivals), key=lambda key: -score[key])])
 
     def place(key: tuple[str, str]) -> tuple[Any, ...]:
         method, policy = key
@@ -230,11 +235,39 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
     entries = []
     for key in sorted(groups, key=place):
         trained = key[1] == "pi_R"
-        above = score[key] - bar if trained else math.nan
-        share = score[key] / true if trained and true > 0 else math.nan
+        mine, *bars = common(key, *lower)
+        above = mine - max(bars) if trained else math.nan
+        mine, true = common(key, ("control_true", "pi_R"))
+        share = mine / true if trained and true > 0 else math.nan
         theirs = best[key[1]] if is_rival(key[0]) else []
         entries.append(_entry(groups[key], shown, score[key], above, share, theirs, scales))
     return entries
+
+
+def _scores(rows: Sequence[Row]) -> dict[int, float]:
+    """Return the scores that are known, by seed."""
+    return {row.seed: row.normalized_score for row in rows if math.isfinite(row.normalized_score)}
+
+
+def _best(ordered: Sequence[list[Row]]) -> list[Row]:
+    """Return the rows of the first method that no method with as many seeds beats where both have a score.
+
+    ordered: rows of each method, by falling mean score. A mean over easy seeds alone is not the best.
+    """
+    unbeaten = (rows for rows in ordered if not any(_beats(other, rows) for other in ordered))
+    return next(unbeaten, ordered[0] if ordered else [])
+
+
+def _beats(rows: list[Row], others: list[Row]) -> bool:
+    """Whether it has as many seeds, and scores more on those that both have, or has more where none is
+    shared."""
+    mine, theirs = _scores(rows), _scores(others)
+    if mine.keys() == theirs.keys() or len(mine) < len(theirs):
+        return False
+    shared = mine.keys() & theirs.keys()
+    if not shared:
+        return len(mine) > len(theirs)
+    return math.fsum(mine[seed] - theirs[seed] for seed in shared) > 0
 
 
 def _entry(
@@ -289,7 +322,7 @@ def _entry(
         behind_mean=behind,
         behind_low=behind_low,
         behind_high=behind_high,
-        tied=bool(behind_low <= NEGLIGIBLE and behind_high >= -NEGLIGIBLE),
+        tied=behind_low <= NEGLIGIBLE,
         above_best_lower_control=above,
         share_of_true=share,
         reward_distance=_mean([row.reward_distance for row in ok]),

@@ -36,10 +36,10 @@ def artifact(
         except (TypeError, ValueError, RecursionError) as error:
             troubles.append(f"{cell.name}: {name} {NOT_KEPT}: {error}")
     facts = {"format": FORMAT, "cell": asdict(cell), "conditions": asdict(conditions), "learned": parts}
-    data = as_bytes(Kept(arrays, facts)) if parts else b""
+    kept = [name for name in parts if learned[name] is not None]
+    data = as_bytes(Kept(arrays, facts)) if kept else b""
     if len(data) > LARGEST:
         why = f"the file would be larger than {LARGEST >> 20} MiB"
-        kept = [name for name in parts if learned[name] is not None]
         return b"", [*troubles, *(f"{cell.name}: {name} {NOT_KEPT}: {why}" for name in kept)]
     return data, troubles
 

@@ -140,6 +140,7 @@ class Inline:
             os.environ.update(variables)
             os.chdir(folder)
             gc.collect()
+            gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
         self._ended.append((job, outcome))
 
     def finished(self) -> list[tuple[Job, Outcome]]:
@@ -152,7 +153,8 @@ class Inline:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        gc.unfreeze()
 
 
 AFTERWARDS = " Or did the cell change sys.path and then import from there? Do that as the module is imported."

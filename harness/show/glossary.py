@@ -25,11 +25,12 @@ MEANINGS = {
     ),
     "Behind the best [95 %]": (
         "How much less it scores than the best method's policy of the same name, paired by seed. 'tied': "
-        "the interval holds 0, or less than 0.005. 'no seed in common': there is nothing to compare."
+        "the interval holds 0, or less than 0.005. 'no seed in common': there is nothing to compare. The "
+        "best has the highest mean that no method with as many seeds beats on the seeds that both have."
     ),
     "Above best lower control": (
-        "Score less that of the best control whose reward has no information. A learned reward has to be "
-        "above 0 here."
+        "Score less that of the best control whose reward has no information, over the seeds that all have. "
+        "A learned reward has to be above 0 here."
     ),
     "Seeds ok": "Seeds that are finished without failure, of those that were asked for.",
     "Share of control_true": "Score in units of what RL reaches on the true reward with as many steps.",

@@ -170,6 +170,40 @@ def test_without_a_seed_in_common_with_the_best_a_method_is_neither_best_nor_tie
     assert (control.best, control.incomparable) == (False, False)
 
 
+def with_scores(scores: dict[str, dict[int, float]]) -> list[CellResult]:
+    """The reference of seeds 0 to 4, and pi_R of these methods and seeds alone."""
+    results = [r for r in make_results(("cartpole",), 5) if r.cell.method == "reference"]
+    for method, its in scores.items():
+        for seed, score in its.items():
+            row = make_row("cartpole", method, seed, "pi_R", return_mean=20 + 480 * score)
+            results.append(CellResult(Cell("cartpole", method, seed), [row]))
+    return results
+
+
+def test_a_mean_over_easy_seeds_alone_is_not_the_best() -> None:
+    """airl has seed 0 alone, where the others do better; gail has a seed that nobody else has."""
+    hard = {0: 1.1, 1: 0.8, 2: 0.8, 3: 0.8}
+    results = with_scores({"airl": {0: 1.0}, "gail": {4: 1.2}, "shaped": hard, "maxent": {0: 1.3, 1: 0.1}})
+    best, airl, gail, maxent = (entry_of(results, m, "pi_R") for m in ("shaped", "airl", "gail", "maxent"))
+    assert (best.best, airl.best, gail.best, maxent.best) == (True, False, False, False)
+    assert airl.behind_mean == pytest.approx(0.1)
+    assert gail.incomparable
+    lucky = entry_of(with_scores({"airl": {0: 1.2}, "shaped": hard | {4: 5.0}}), "airl", "pi_R")
+    assert lucky.behind_mean == pytest.approx(-0.1)  # not told to be worse
+    assert lucky.tied
+
+
+def test_controls_are_compared_with_over_the_seeds_that_both_have() -> None:
+    """On seed 0 shaped is no better than its controls, which fail on the other one."""
+    lower = {name: {0: 0.9, 1: 0.0} for name in ("control_plus1", "control_minus1", "control_untrained")}
+    scores = {"shaped": {0: 0.9}, "maxent": {4: 0.9}, "control_shuffled": {0: 0.1, 1: 0.1}, **lower}
+    results = with_scores({**scores, "control_true": {0: 0.9, 1: 0.1}})
+    shaped, apart = (entry_of(results, method, "pi_R") for method in ("shaped", "maxent"))
+    assert (shaped.above_best_lower_control, shaped.share_of_true) == pytest.approx((0, 1))
+    assert math.isnan(apart.above_best_lower_control)
+    assert math.isnan(apart.share_of_true)
+
+
 def test_a_board_has_one_best_of_each_policy_that_has_a_score() -> None:
     equal = make_results(("cartpole",))
     for result in equal:

@@ -229,3 +229,10 @@ def test_what_is_too_large_to_be_kept_is_named_and_fails_no_cell(monkeypatch: py
     nothing, (trouble,) = artifact(CELL, CONDITIONS, learned)
     assert nothing == b""
     assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: the file would be larger than")
+
+
+def test_where_nothing_can_be_kept_there_is_no_file_and_variants_fit_again() -> None:
+    """A method without a reward, whose policy is a function: the one of the README."""
+    nothing, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": lambda obs: obs, "reward": None})
+    assert nothing == b""
+    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: builtins.function is no dataclass")

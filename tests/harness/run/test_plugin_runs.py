@@ -40,6 +40,11 @@ def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
         mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,mine", "--envs", "swingup", *SMOKE
     )
     assert "1 cells to run, 2 kept from before" in told
+    # Without the plug-in what it computed would be dropped from the board.
+    before = (mine.parent / "results/latest/leaderboard.csv").read_bytes()
+    refused = command(mine.parent, "run", "--methods", "bc", "--envs", "swingup", *SMOKE, code=2)
+    assert "holds cells of mine, which is of a plug-in" in refused
+    assert (mine.parent / "results/latest/leaderboard.csv").read_bytes() == before
 
 
 def recipe(page: str) -> tuple[str, str, str]:
@@ -93,18 +98,6 @@ def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) ->
         tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=str(site), code=2
     )
     assert "the method broken cannot be loaded: AttributeError" in broken
-
-
-def test_a_run_that_has_a_plugins_cells_goes_on_with_the_plugin_alone(
-    tmp_path: Path, mine: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Or what it computed would be dropped from the board."""
-    monkeypatch.chdir(tmp_path)
-    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", str(mine))
-    before = (tmp_path / "results/latest/leaderboard.csv").read_bytes()
-    refused = command(tmp_path, "run", "--methods", "bc", "--envs", "swingup", *SMOKE, code=2)
-    assert "holds cells of mine, which is of a plug-in" in refused
-    assert (tmp_path / "results/latest/leaderboard.csv").read_bytes() == before
 
 
 def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path) -> None:
