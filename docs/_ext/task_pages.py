@@ -163,7 +163,7 @@ def variants(spec: EnvSpec) -> str:
     lines = []
     for name, made in spec.variants.items():
         changed = []
-        for value in made.values():
+        for key, value in made.items():
             if dataclasses.is_dataclass(value):
                 changed += [
                     f"`{f.name}` {told(getattr(value, f.name))} instead of {told(f.default)}"
@@ -171,7 +171,7 @@ def variants(spec: EnvSpec) -> str:
                     if getattr(value, f.name) != f.default
                 ]
             else:
-                changed += [f"`{key}` {its}" for key, its in value.items()]
+                changed.append(f"`{key}` {value}")
         lines.append((f"`{name}`", ", ".join(changed)))
     return (
         table(["Variant", "What differs"], lines)

@@ -1,44 +1,59 @@
-"""Highway driving (highway-env, Leurent 2018) with steering and acceleration.
+"""Highway driving: three lanes, an ego that steers and accelerates, and highway-env's traffic.
 
-The scene, the drivers and the reward are highway-env's own. What is chosen here is its configuration:
-an action every 0.4 s, an observation of the ego and of the gaps in its lane and the next ones, and a
-reward of speed only, with crashing and leaving the road worth less than anything else.
+The physics and the traffic, IDM drivers who change lanes, are highway-env's, compiled by JAX for many scenes
+at once (`envs.driving.traffic`). The configuration, `CONFIG`, is chosen here. Actions come every 0.4 s,
+observations tell of the ego and of the gaps in its lane and the next ones, and the reward is of speed only.
+Crashing and leaving the road are worth less than anything else.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from highway_env.utils import lmap
-from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from envs.driving.batch import Road, Scenes
-from envs.driving.fast import FastHighwayEnv, speed_up_vehicle
+from envs.driving.scene import (
+    CRASH,
+    CRUISE,
+    DRIFT,
+    DT,
+    EGO_SPACING,
+    EGO_SPEEDS,
+    FAST,
+    FRAMES,
+    LANE_WIDTH,
+    LANES,
+    LENGTH,
+    LONG,
+    PEDAL,
+    WHEEL,
+    WIDE,
+    WIDTH,
+    Scene,
+    first_scene,
+)
 from envs.learners import DDPG
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
-NO_NUMBERS = {"draw": "It draws pictures."}
+NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
+
+Ints = NDArray[np.int64]
 
 HORIZON = 75  # 30 s
-TIME_STEP = 0.4  # s
-LANES, LANE_WIDTH = 3, 4.0  # m
-REACH = 60.0  # m, how far the ego sees
-CORRIDOR = 2.5  # m, half the width of what counts as a lane; two vehicles touch at 2 m
-ELBOW_ROOM = 2.0  # m, ahead and behind, within which a vehicle is beside
-SIDE_REACH = 8.0  # m, how far the ego sees to its sides
-CRUISE = 25.0  # m/s, the speed that is observed as 0
-TARGET_SPEED = 30.0  # m/s, of the reference driver
+TIME_STEP = DT * FRAMES  # s
+VEHICLES = 12  # besides the ego
+BLOCK = 64
+"""Scenes in a compiled step: always the same, so that a scene's bits depend on no other and on no number."""
+TARGET_SPEED, IDM_DELTA = 30.0, 4.0  # m/s, and the exponent, of the reference driver
 OBS_SIZE = 18
 MARGIN = 20.0  # m, of drawn road before the last and after the first vehicle
-LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
 OBS_NAMES = (
     Quantity("offset from the middle of the road", f"{WIDE:g} m"),
     Quantity("offset from the middle of the lane", "m"),
@@ -56,38 +71,32 @@ OBS_NAMES = (
     ),
 )
 CONFIG: dict[str, Any] = {
-    # Not looked at, so as cheap as can be: the fast observation wants two vehicles and a range.
-    "observation": {
-        "type": "Kinematics",
-        "vehicles_count": 2,
-        "features": ["presence"],
-        "features_range": {"presence": [0, 1]},
-        "normalize": False,
-    },
+    "observation": {"type": "Kinematics"},  # which nobody looks at
     "action": {
         "type": "ContinuousAction",
-        "acceleration_range": [-8.0, 8.0],
-        # One degree turns 25 m/s at 2.2 m/s^2: a brisk lane change, not an emergency.
-        "steering_range": [-math.pi / 180, math.pi / 180],
-        "speed_range": [10.0, 25.0],  # stopping is no option
+        "acceleration_range": [-PEDAL, PEDAL],
+        "steering_range": [-WHEEL, WHEEL],
+        "speed_range": [*EGO_SPEEDS],
     },
     "lanes_count": LANES,
-    "vehicles_count": 12,
+    "vehicles_count": VEHICLES,
     "vehicles_density": 1.0,
-    "simulation_frequency": 5,
+    "ego_spacing": EGO_SPACING,
+    "simulation_frequency": 1 / DT,
     "policy_frequency": 1 / TIME_STEP,
     # highway-env sums up time in floats; Gymnasium's time limit counts steps.
     "duration": 10 * HORIZON,
     "offroad_terminal": True,
     "normalize_reward": False,
     "high_speed_reward": 1.0,
-    "reward_speed_range": [10.0, 25.0],
+    "reward_speed_range": [*EGO_SPEEDS],
     "right_lane_reward": 0.0,
-    "collision_reward": -25.0,
+    "collision_reward": CRASH,
 }
+"""Configuration of the same task in highway-env (`HighwayEnvFast`)."""
 
 
-class Highway(FastHighwayEnv):
+class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Observation (18,): of the ego the offset from the road's middle and from its lane's (4 m, 1 m),
     lateral speed (1 m/s), forward speed less 25 m/s (5 m/s), and the distance to the left and to the right
     (4 m, up to 8 m) of the road's edge or of a vehicle that is beside the ego or would be in a second;
@@ -99,132 +108,118 @@ class Highway(FastHighwayEnv):
     Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 25 on crashing, 0 off the road.
     """
 
-    def __init__(self, config: dict[str, Any] | None = None) -> None:
+    def __init__(self, vehicles: int = VEHICLES, density: float = 1.0, lane: int | None = None) -> None:
+        """vehicles: besides the ego. density: of them, 1 is highway-env's. lane: the ego's at first,
+        default: any."""
         bound = np.full(OBS_SIZE, 50.0, np.float32)
-        self.fixed_spaces = spaces.Box(-bound, bound), spaces.Box(-1.0, 1.0, (2,), np.float32)
-        super().__init__({**CONFIG, **(config or {})})
+        self.observation_space = spaces.Box(-bound, bound)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._traffic = vehicles, density, lane
+        self.state = np.empty((0, 0))
 
-    def define_spaces(self) -> None:
-        super().define_spaces()
-        # highway-env makes new spaces, with new generators, at every reset.
-        self.observation_space, self.action_space = self.fixed_spaces
+    @property
+    def scene(self) -> Scene:
+        """The scene as it stands: its parts (1 + vehicles,) can be written to."""
+        return Scene(*self.state)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         super().reset(seed=seed, options=options)
-        return self._observe(), {}
+        self.state = first_scene(self.np_random, *self._traffic)
+        obs: NDArray[np.float32] = look(self.state[None])[0]
+        return obs, {}
 
     def step(
-        self, action: NDArray[np.float32] | None
+        self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        _, reward, terminated, truncated, info = super().step(action)
-        return self._observe(), float(reward), bool(terminated), truncated, {"crashed": bool(info["crashed"])}
-
-    def _observe(self) -> NDArray[np.float32]:
-        cars = [self.vehicle, *(v for v in self.road.vehicles if v is not self.vehicle)]
-        values = np.array([(*v.position, v.heading, v.speed) for v in cars])
-        seen: NDArray[np.float32] = observe(*values.T[:, None])[0]
-        return seen
+        (obs,), (reward,), (terminated,) = drive(self.state[None], np.zeros(1, np.int64), action[None])
+        return obs, float(reward), bool(terminated), False, {"crashed": bool(self.scene.crashed[0])}
 
 
-def observe(x: Array, y: Array, heading: Array, speed: Array) -> NDArray[np.float32]:
-    """(B, 18): what the egos see, which come first in B scenes of vehicles, each array (B, N)."""
-    ahead = speed * np.cos(heading)
-    drift = speed[:, 0] * np.sin(heading[:, 0])
-    here = y[:, :1]
-    dx, dy, dv = x[:, 1:] - x[:, :1], y[:, 1:] - here, ahead[:, 1:] - ahead[:, :1]
-    gap = np.maximum(np.abs(dx) - Vehicle.LENGTH, 0.0)
-    near = np.abs(dx) < REACH + Vehicle.LENGTH
-    closing = np.maximum(np.where(dx > 0, -dv, dv), 0.0)  # m in a second
-    beside = near & (np.abs(dx) < Vehicle.LENGTH + ELBOW_ROOM + closing)
-    left, right = here[:, 0] + LANE_WIDTH / 2, (LANES - 0.5) * LANE_WIDTH - here[:, 0]
-    left = np.minimum(left, np.where(beside & (dy <= 0), -dy, np.inf).min(axis=1))
-    right = np.minimum(right, np.where(beside & (dy > 0), dy, np.inf).min(axis=1))
-    lane = LANE_WIDTH * np.clip(np.round(here[:, 0] / LANE_WIDTH), 0, LANES - 1)
-    seen = [
-        (here[:, 0] - (LANES - 1) / 2 * LANE_WIDTH) / WIDE,
-        here[:, 0] - lane,
-        drift / DRIFT,
-        (ahead[:, 0] - CRUISE) / FAST,
-        np.minimum(left, SIDE_REACH) / WIDE,
-        np.minimum(right, SIDE_REACH) / WIDE,
-    ]
-    for side in (-LANE_WIDTH, 0.0, LANE_WIDTH):
-        middle = here[:, 0] + side
-        there = (middle > -LANE_WIDTH / 2) & (middle < (LANES - 0.5) * LANE_WIDTH)
-        on_it = near & (np.abs(dy - side) < CORRIDOR)
-        for in_front in (dx > 0, dx < 0):
-            among = on_it & (in_front | (gap == 0))  # who is beside is in front and behind
-            distance = np.minimum(np.where(among, gap, np.inf).min(axis=1), REACH)
-            nearest = np.where(among & (gap == distance[:, None]), dv, np.inf).min(axis=1)
-            change = np.where(distance < REACH, nearest, np.minimum(nearest, 0.0))
-            seen += [np.where(there, distance / LONG, 0.0), np.where(there, change / FAST, 0.0)]
-    return np.stack(seen, axis=1).astype(np.float32)
+def first_states(seeds: Sequence[int], vehicles: int = VEHICLES, density: float = 1.0) -> Array:
+    """Return the states (R, 10, 1 + vehicles) in which the episodes of these seeds begin."""
+    return np.array([first_scene(seeding.np_random(seed)[0], vehicles, density) for seed in seeds])
+
+
+def look(states: Array) -> NDArray[np.float32]:
+    """Return what the egos of states (R, 10, N) see (R, 18)."""
+    (obs,) = _in_blocks("look", states)
+    return obs
+
+
+def drive(states: Array, places: Ints, act: NDArray[Any]) -> tuple[NDArray[np.float32], Array, NDArray[Any]]:
+    """Step the states (R, 10, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
+    rewards (B,), and whether each episode terminated."""
+    states[places], obs, rewards, terminated = _in_blocks("drive", states[places], act.astype(np.float32))
+    return obs, rewards, terminated
+
+
+def _in_blocks(program: str, *given: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return what a compiled program makes of arrays, as many rows at once as it is compiled for."""
+    import jax
+
+    count = len(given[0])
+    if count % BLOCK:  # filled up with the first rows again
+        given = tuple(np.resize(its, (count + -count % BLOCK, *its.shape[1:])) for its in given)
+    parts = []
+    with jax.enable_x64(True):
+        for row in range(0, count, BLOCK):
+            made = _programs()[program](*(its[row : row + BLOCK] for its in given))
+            parts.append([np.asarray(its) for its in made])
+    whole = parts[0] if len(parts) == 1 else [np.concatenate(its) for its in zip(*parts, strict=True)]
+    return [its[:count] for its in whole]
+
+
+@functools.cache
+def _programs() -> dict[str, Callable[..., Any]]:
+    import jax
+
+    from envs.driving import traffic
+
+    def drive(states: Any, act: Any) -> Any:
+        states, rewards, terminated = traffic.step(states, act)
+        return states, traffic.observe(states), rewards, terminated
+
+    return {"look": jax.jit(lambda states: (traffic.observe(states),)), "drive": jax.jit(drive)}
 
 
 class HighwayBatch:
     """Scenes of the task in lockstep (`envs.spec.Batch`)."""
 
-    def __init__(self, count: int, config: dict[str, Any] | None = None) -> None:
-        self._env = Highway(config)
-        # The same seeds come again: every checkpoint is checked on the same episodes.
-        self._first = functools.lru_cache(maxsize=1000)(self._build)
-        self._scenes = self._first(0)[np.zeros(count, np.int64)]
-        self._road = Road.of(self._env.road, self._env.config["action"]["speed_range"])
-
-    def _build(self, seed: int) -> Scenes:
-        self._env.reset(seed=seed)
-        return Scenes.of(self._env.road)
+    def __init__(self, count: int, vehicles: int = VEHICLES, density: float = 1.0) -> None:
+        self._traffic = vehicles, density
+        self._states = np.zeros((count, len(Scene._fields), 1 + vehicles))
 
     def reset(self, place: int, seed: int) -> Array:
-        first = self._first(seed)
-        self._scenes[np.array([place])] = first
-        return np.asarray(_seen(first)[0], np.float64)
+        first = first_states([seed], *self._traffic)
+        self._states[place] = first[0]
+        return np.asarray(look(first)[0], np.float64)
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        config, rows = self._env.config, np.array(places)
-        scenes = self._scenes[rows]
-        # In 32 bits, like the actions that highway-env is given.
-        push, turn = np.clip(act.astype(np.float32), -1, 1).T
-        scenes.acceleration[:, 0] = lmap(push, [-1, 1], config["action"]["acceleration_range"])
-        scenes.steering[:, 0] = lmap(turn, [-1, 1], config["action"]["steering_range"])
-        for _ in range(round(config["simulation_frequency"] * TIME_STEP)):
-            scenes.step(self._road, 1 / config["simulation_frequency"])
-        self._scenes[rows] = scenes
-        crashed = scenes.crashed[:, 0]
-        speed = scenes.speed[:, 0] * np.cos(scenes.heading[:, 0])
-        fast: Array = np.clip(lmap(speed, config["reward_speed_range"], [0, 1]), 0, 1)
-        on_road = scenes.on_road(self._road)[:, 0]
-        rewards = (config["collision_reward"] * crashed + fast) * on_road
-        return np.asarray(_seen(scenes), np.float64), rewards, crashed | ~on_road
+        obs, rewards, terminated = drive(self._states, np.array(places), act)
+        return obs.astype(np.float64), rewards, terminated
 
     def why_ended(self, place: int) -> str:
-        return _why(bool(self._scenes.crashed[place, 0]))
-
-
-def _seen(scenes: Scenes) -> NDArray[np.float32]:
-    return observe(scenes.x, scenes.y, scenes.heading, scenes.speed)
+        return _why(Scene(*self._states[place]))
 
 
 def idm_return(seeds: Sequence[int]) -> tuple[Array, NDArray[np.bool_]]:
-    """Undiscounted true returns and whether it crashed, for highway-env's own driver (IDM and MOBIL,
+    """Return undiscounted true returns and whether it crashed, for highway-env's own driver (IDM and MOBIL,
     target speed 30 m/s) in the ego's place: the reference that an expert must reach."""
-    scene = Highway()
-    returns, crashes = [], []
-    for seed in seeds:
-        scene.reset(seed=seed)
-        ego = scene.vehicle
-        driver = IDMVehicle(ego.road, ego.position, ego.heading, ego.speed, target_speed=TARGET_SPEED)
-        scene.road.vehicles[scene.road.vehicles.index(ego)] = scene.vehicle = driver
-        speed_up_vehicle(driver)
-        total, ended, steps = 0.0, False, 0
-        while not ended and steps < HORIZON:
-            _, reward, ended, _, _ = scene.step(None)
-            total, steps = total + reward, steps + 1
-        returns.append(total)
-        crashes.append(bool(driver.crashed))
-    return np.array(returns), np.array(crashes)
+    states = first_states(seeds)
+    scene = Scene(*(states[:, i] for i in range(len(Scene._fields))))
+    scene.target_speed[:, 0], scene.delta[:, 0] = TARGET_SPEED, IDM_DELTA
+    scene.timer[:, 0] = (scene.x[:, 0] + scene.y[:, 0]) * math.pi % 1
+    scene.target[:, 0] = scene.lane[:, 0]
+    returns, driving = np.zeros(len(states)), np.arange(len(states))
+    for _ in range(HORIZON):
+        _, rewards, ended = drive(states, driving, np.zeros((len(driving), 2)))
+        returns[driving] += rewards
+        driving = driving[~ended]
+        if not len(driving):
+            break
+    return returns, scene.crashed[:, 0] > 0
 
 
 def phi(obs: Array, act: Array) -> Array:
@@ -246,45 +241,46 @@ def phi(obs: Array, act: Array) -> Array:
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The road from above, the ego at x = 0 driving to the right: edges, dashes between lanes, and vehicles
-    as rectangles, each with an arrow as long as its way until the next action."""
-    scene = env.unwrapped
-    assert isinstance(scene, Highway)
-    ego = scene.vehicle
+    """Return the road from above, the ego at x = 0 driving to the right: edges, dashes between lanes, and
+    vehicles as rectangles, each with an arrow as long as its way until the next action."""
+    inner = env.unwrapped
+    assert isinstance(inner, Highway)
+    scene = inner.scene
     shapes = {}
-    along = [vehicle.position[0] - ego.position[0] for vehicle in scene.road.vehicles]
-    start, end = min(*along, -2 * MARGIN) - MARGIN, max(along) + 4 * MARGIN
+    here = float(scene.x[0])
+    along = scene.x - here
+    start, end = min(along.min(), -2 * MARGIN) - MARGIN, along.max() + 4 * MARGIN
     for i in range(LANES + 1):
         side = (0.5 - i) * LANE_WIDTH  # highway-env's y points to the right of the road, ours to the left
         if i in (0, LANES):
             shapes[f"lane_{i}"] = Shape(np.array([[start, side], [end, side]]), (140, 140, 140))
             continue
         for dash in range(24):  # which move as the ego passes them
-            x = 8.0 * (dash - 8) - ego.position[0] % 8.0
+            x = 8.0 * (dash - 8) - here % 8.0
             shapes[f"dash_{i}_{dash:02d}"] = Shape(np.array([[x, side], [x + 3.0, side]]), (190, 190, 190))
-    others = [vehicle for vehicle in scene.road.vehicles if vehicle is not ego]
-    names = [f"vehicle_{i:02d}" for i in range(1, len(others) + 1)]
-    for name, vehicle in [*zip(names, others, strict=True), ("ego", ego)]:
-        outline = (vehicle.polygon() - [ego.position[0], 0.0]) * [1.0, -1.0]
-        colour = (234, 134, 51) if vehicle is ego else (66, 133, 244)
-        shapes[name] = Shape(outline, colour)
-        ahead = np.array([math.cos(vehicle.heading), -math.sin(vehicle.heading)])
-        nose = (vehicle.position - [ego.position[0], 0.0]) * [1.0, -1.0] + vehicle.LENGTH / 2 * ahead
-        tip, across = nose + vehicle.speed * TIME_STEP * ahead, 0.5 * np.array([-ahead[1], ahead[0]])
+    for i in (*range(1, len(scene.x)), 0):
+        name, colour = (f"vehicle_{i:02d}", (66, 133, 244)) if i else ("ego", (234, 134, 51))
+        ahead = np.array([math.cos(scene.heading[i]), -math.sin(scene.heading[i])])
+        left, middle = np.array([-ahead[1], ahead[0]]), np.array([along[i], -scene.y[i]])
+        corners = [(-1, 1), (-1, -1), (1, -1), (1, 1), (-1, 1)]
+        sides = [middle + a * LENGTH / 2 * ahead + b * WIDTH / 2 * left for a, b in corners]
+        shapes[name] = Shape(np.array(sides), colour)
+        nose = middle + LENGTH / 2 * ahead
+        tip, across = nose + scene.speed[i] * TIME_STEP * ahead, 0.5 * left
         head = [tip - ahead + across, tip, tip - ahead - across]
         shapes[f"{name}_speed"] = Shape(np.array([nose, tip, *head]), colour)
     return shapes
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
-    """'crashed' or 'left the road'."""
-    scene = env.unwrapped
-    assert isinstance(scene, Highway)
-    return _why(scene.vehicle.crashed)
+    """Return 'crashed' or 'left the road'."""
+    inner = env.unwrapped
+    assert isinstance(inner, Highway)
+    return _why(inner.scene)
 
 
-def _why(crashed: bool) -> str:
-    return "crashed" if crashed else "left the road"
+def _why(scene: Scene) -> str:
+    return "crashed" if scene.crashed[0] else "left the road"
 
 
 SPEC = EnvSpec(
@@ -321,7 +317,7 @@ SPEC = EnvSpec(
     ),
     batch=HighwayBatch,
     # Half as many again on the same stretch of road.
-    variants={"dense": {"config": {"vehicles_density": 1.5, "vehicles_count": 18}}},
+    variants={"dense": {"vehicles": 18, "density": 1.5}},
 )
 """Each step pays the forward speed, 0 at 10 m/s and 1 at 25 m/s; a crash costs 25, and off the road a step
 pays 0. Either ends the episode. The reference driver is highway-env's IDM with MOBIL's lane changes at a

@@ -1,77 +1,67 @@
-"""Highway: the fast environment equals highway-env's, and the task is what its spec says."""
+"""Highway: the compiled traffic is highway-env's, and the task is what its spec says."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from functools import partial
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from highway_env.envs.highway_env import HighwayEnvFast
-from highway_env.road.lane import SineLane, StraightLane
-from highway_env.road.road import Road as UpstreamRoad
+from highway_env.vehicle.behavior import IDMVehicle
 
-from envs.driving import highway
-from envs.driving.batch import Road, Scenes
-from envs.driving.fast import FastHighwayEnv
-from envs.driving.highway import CONFIG, HORIZON, SPEC, idm_return
+from envs.driving import highway, traffic
+from envs.driving.highway import CONFIG, HORIZON, SPEC, TARGET_SPEED, Highway, first_states, idm_return, look
+from envs.driving.scene import CRUISE, ELBOW_ROOM, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
+from envs.spec import Array
 
-VIEW = {
-    "type": "Kinematics",
-    "features": ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "lat_off", "ang_off"],
-    "features_range": {"x": [-100, 100], "y": [-12, 12], "vx": [-30, 30]},
-}
-META = {"type": "DiscreteMetaAction"}
+ROUNDING = 1e-9
+"""How far a state may be from highway-env's, in metres, radians, m/s and s."""
 CASES: dict[str, dict[str, Any]] = {
     "task": CONFIG,
     "dense": {**CONFIG, "vehicles_density": 2.5, "vehicles_count": 30, "lanes_count": 4},
     "offroad": {**CONFIG, "offroad_terminal": False, "lanes_count": 2, "simulation_frequency": 10},
-    "meta": {"action": META, "observation": VIEW, "vehicles_density": 2, "policy_frequency": 1},
-    "shuffled": {"action": META, "observation": {**VIEW, "order": "shuffled", "see_behind": True}},
-    "absolute": {"action": META, "observation": {**VIEW, "absolute": True, "clip": False}, "lanes_count": 1},
-    # From here on at least one of the fast paths must step aside.
-    "other observation": {"action": META, "observation": {"type": "OccupancyGrid"}},
-    "unknown feature": {"action": META, "observation": {"type": "Kinematics", "features": ["x", "cos_d"]}},
-    "connected lanes": {"action": META, "neighbour_vehicles_connected_lanes": True},
-    "other drivers": {
-        "action": META,
-        "other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle",
-    },
 }
 
 
-def scene(env: Any) -> list[tuple[Any, ...]]:
-    names = ("heading", "speed", "crashed", "lane_index", "target_lane_index", "timer")
-    return [(*v.position.tolist(), *(getattr(v, name, None) for name in names)) for v in env.road.vehicles]
+def state_of(upstream: Any) -> Array:
+    """Return the state (10, N) of highway-env's own scene."""
+    rows = [
+        Scene(
+            *v.position,
+            v.heading,
+            v.speed,
+            getattr(v, "timer", 0),
+            getattr(v, "DELTA", 0),
+            getattr(v, "target_speed", 0),
+            v.lane_index[2],
+            getattr(v, "target_lane_index", v.lane_index)[2],
+            v.crashed,
+        )
+        for v in upstream.road.vehicles
+    ]
+    return np.array(rows, np.float64).T
 
 
-def assert_identical(ours: Any, theirs: Any, seed: int, steps: int) -> None:
-    """Same seed and actions, compared bit by bit until either ends."""
-    assert np.array_equal(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])
-    rng = np.random.default_rng(seed)
-    for _ in range(steps):
-        action: Any = int(rng.integers(5))
-        if theirs.action_space.shape == (2,):
-            action = (rng.normal(size=2) * [0.5, 0.1]).astype(np.float32)
-        mine, upstream = ours.step(action), theirs.step(action)
-        assert mine[0].dtype == upstream[0].dtype
-        assert np.array_equal(mine[0], upstream[0])
-        assert mine[1:4] == upstream[1:4]
-        assert {**mine[4], "action": 0} == {**upstream[4], "action": 0}
-        assert scene(ours) == scene(theirs)
-        if upstream[2] or upstream[3]:
-            break
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_identical_to_upstream(case: str) -> None:
-    for seed in range(3):
-        steps = 40 if CASES[case].get("policy_frequency") == 2.5 else 8
-        assert_identical(FastHighwayEnv(CASES[case]), HighwayEnvFast(CASES[case]), seed, steps)
+def assert_same(state: Array, upstream: Any) -> None:
+    """Same events, and the same numbers but for rounding."""
+    mine, theirs = Scene(*state), Scene(*state_of(upstream))
+    for name in Scene._fields:
+        its, other = (getattr(scene, name) for scene in (mine, theirs))
+        if name in ("timer", "target"):  # An ego that is driven from outside uses neither.
+            its, other = its[1:], other[1:]
+        if name in ("lane", "target", "crashed"):
+            assert its.tolist() == other.tolist(), name
+        else:
+            np.testing.assert_allclose(its, other, rtol=0, atol=ROUNDING, err_msg=name)
 
 
 def drive(kind: str, seed: int, time: int, env: Any) -> Any:
-    """An action of a driver who wanders, who races down the lanes, or who changes lanes."""
+    """Return an action of a driver who wanders, who races down the lanes, or who changes lanes."""
     rng = np.random.default_rng([seed, time])
     aim = {"wander": None, "race": 0.5 * np.sin(time / 7), "weave": 4.0 * ((time // 15 + seed) % 3)}[kind]
     if aim is None:
@@ -81,76 +71,139 @@ def drive(kind: str, seed: int, time: int, env: Any) -> Any:
     return np.array([1.0 if kind == "race" else rng.uniform(-0.3, 1), steering], np.float32)
 
 
-def rows_of(scenes: Scenes, row: int) -> list[tuple[Any, ...]]:
-    """Of every vehicle what `scene` tells."""
-    names = ("x", "y", "heading", "speed", "crashed", "lane", "target", "timer")
-    ego, *others = zip(*(getattr(scenes, name)[row].tolist() for name in names), strict=True)
-    return [(*ego[:6], None, None), *others]
-
-
-@pytest.mark.parametrize("kind", ["wander", "race", "weave"])
-@pytest.mark.parametrize("case", ["task", "dense", "offroad"])
-def test_scenes_side_by_side_are_identical_to_upstream(case: str, kind: str) -> None:
-    config, crashes = CASES[case], 0
+@pytest.mark.parametrize("case", CASES)
+def test_traffic_is_that_of_highway_env(case: str) -> None:
+    config = CASES[case]
     frames = round(config["simulation_frequency"] / config["policy_frequency"])
-    ours, upstream = FastHighwayEnv(config), HighwayEnvFast(config)
-    road = Road.of(ours.road, config["action"]["speed_range"])
-    together, compared, still = np.array([2, 0]), 0, 1
-    for seed in range(3):
-        scenes = Scenes.of(ours.road)[np.zeros(3, np.int64)]
-        for row in range(3):
-            ours.reset(seed=seed + row)
-            scenes[np.array([row])] = Scenes.of(ours.road)
-        start = rows_of(scenes, still)
+    dt, lanes = 1 / config["simulation_frequency"], config["lanes_count"]
+    step = jax.jit(partial(traffic.step, lanes=lanes, dt=dt, frames=frames))
+    kinds = [(kind, seed) for kind in ("wander", "race", "weave") for seed in range(3)]
+    scenes = [HighwayEnvFast(config) for _ in kinds]
+    for env, (_, seed) in zip(scenes, kinds, strict=True):
+        env.reset(seed=seed)
+    states = np.array([state_of(env) for env in scenes])
+    since = np.zeros(len(scenes), int)
+    for time in range(60):
+        acts = [drive(kind, seed, time, env) for env, (kind, seed) in zip(scenes, kinds, strict=True)]
+        with jax.enable_x64(True):
+            states, rewards, terminated = map(np.asarray, step(states, np.array(acts)))
+        # Ten steps after a crash too. Then others stand, roll back, and steer so that rounding grows.
+        for i in np.flatnonzero(since < 10):
+            _, paid, _, _, _ = scenes[i].step(acts[i])
+            ego = scenes[i].vehicle
+            assert_same(states[i], scenes[i])
+            assert rewards[i] == pytest.approx(paid, abs=ROUNDING)
+            assert terminated[i] == (ego.crashed or not ego.on_road)
+            since[i] += ego.crashed
+    assert any(env.vehicle.crashed for env in scenes)
+
+
+@pytest.mark.parametrize("variant", [None, "dense"])
+def test_first_scenes_are_those_of_highway_env(variant: str | None) -> None:
+    made: dict[str, Any] = dict(SPEC.variants[variant]) if variant else {}
+    count, density = made.get("vehicles", 12), made.get("density", 1.0)
+    upstream = HighwayEnvFast({**CONFIG, "vehicles_count": count, "vehicles_density": density})
+    for seed, first in enumerate(first_states(range(200), **made)):
         upstream.reset(seed=seed)
-        for time in range(60):  # upstream steps on after a crash
-            action = drive(kind, seed, time, upstream)
-            asked = upstream.action_type.get_action(action)
-            upstream.step(action)
-            driven = scenes[together]
-            driven.steering[:, 0], driven.acceleration[:, 0] = (
-                (0.01, asked["steering"]),
-                (1, asked["acceleration"]),
-            )
-            for _ in range(frames):
-                driven.step(road, 1 / config["simulation_frequency"])
-            scenes[together] = driven
-            theirs = [(*v[:5], *(lane and lane[2] for lane in v[5:7]), v[7]) for v in scene(upstream)]
-            assert rows_of(scenes, compared) == theirs
-        crashes += upstream.vehicle.crashed
-        assert rows_of(scenes, still) == start
-    assert crashes or kind == "wander"
+        np.testing.assert_array_equal(first, state_of(upstream))
 
 
-@pytest.mark.parametrize("change", ["meta", "connected lanes", "other drivers"])
-def test_scenes_of_another_kind_are_refused(change: str) -> None:
-    Scenes.of(FastHighwayEnv(CONFIG).road)
-    config = {**CONFIG, **CASES[change]}
-    if change != "meta":
-        config["action"] = CONFIG["action"]
-    with pytest.raises(ValueError, match="beside others"):
-        Scenes.of(FastHighwayEnv(config).road)
+def seen(upstream: Any) -> list[float]:
+    """Return what the task observes, told anew of highway-env's own scene."""
+    ego, *others = upstream.road.vehicles
+    y = ego.position[1]
+    velocity = ego.speed * np.cos(ego.heading)
+    free = {-1: y + LANE_WIDTH / 2, 1: (LANES - 0.5) * LANE_WIDTH - y}
+    gaps = []
+    for v in others:
+        dx, dy = v.position - ego.position
+        dv, gap = v.speed * np.cos(v.heading) - velocity, max(abs(dx) - LENGTH, 0)
+        closing = max(-dv if dx > 0 else dv, 0)
+        if gap < REACH and abs(dx) < LENGTH + ELBOW_ROOM + closing:
+            side = 1 if dy > 0 else -1
+            free[side] = min(free[side], abs(dy))
+        gaps.append((dx, dy, dv, gap))
+    lane = LANE_WIDTH * min(max(round(y / LANE_WIDTH), 0), LANES - 1)
+    obs = [(y - LANE_WIDTH) / WIDE, y - lane, ego.speed * np.sin(ego.heading), (velocity - CRUISE) / FAST]
+    obs += [min(free[side], 8) / WIDE for side in (-1, 1)]
+    for side in (-LANE_WIDTH, 0, LANE_WIDTH):
+        for way in (1, -1):
+            there = [
+                (gap, dv)
+                for dx, dy, dv, gap in gaps
+                if abs(dy - side) < 2.5 and gap < REACH and (way * dx > 0 or gap == 0)
+            ]
+            gap, dv = min(there, default=(REACH, 0.0))
+            on_road = -LANE_WIDTH / 2 < y + side < (LANES - 0.5) * LANE_WIDTH
+            obs += [gap / LONG, dv / FAST] if on_road else [0.0, 0.0]
+    return obs
 
 
-def test_curved_lanes_keep_upstream_methods() -> None:
-    def bend(env: Any) -> None:
-        lanes = env.road.network.graph["0"]["1"]
-        lanes[0] = SineLane(lanes[0].start, lanes[0].end, 1.0, 0.02, 0.0)
+def test_the_task_is_highway_envs() -> None:
+    upstream, env, steps = HighwayEnvFast(CONFIG), SPEC.make(), 0
+    for seed, kind in enumerate(("wander", "race", "weave")):
+        obs, terminated = env.reset(seed=seed)[0], False
+        upstream.reset(seed=seed)
+        while not terminated and steps < HORIZON * (seed + 1):
+            np.testing.assert_allclose(obs, seen(upstream), rtol=1e-6, atol=1e-7)
+            act = drive(kind, seed, steps, upstream)
+            obs, reward, terminated, _, info = env.step(act)
+            _, paid, ended, _, its = upstream.step(act)
+            assert float(reward) == pytest.approx(paid, abs=ROUNDING)
+            assert (terminated, info["crashed"]) == (ended, its["crashed"])
+            steps += 1
+    assert steps > HORIZON
 
-    class Bent(HighwayEnvFast):  # type: ignore[misc]
-        def _create_road(self) -> None:
-            super()._create_road()
-            bend(self)
 
-    class FastBent(FastHighwayEnv):
-        def _create_road(self) -> None:
-            super()._create_road()
-            bend(self)
+def test_the_reference_driver_is_highway_envs() -> None:
+    upstream, seeds = HighwayEnvFast(CONFIG), range(3)
+    returns = []
+    for seed in seeds:
+        upstream.reset(seed=seed)
+        ego = upstream.vehicle
+        driver = IDMVehicle(ego.road, ego.position, ego.heading, ego.speed, target_speed=TARGET_SPEED)
+        upstream.road.vehicles[0] = upstream.vehicle = driver
+        returns.append(sum(upstream.step(None)[1] for _ in range(HORIZON)))
+    np.testing.assert_allclose(idm_return(seeds)[0], returns, rtol=0, atol=ROUNDING)
 
-    ours = FastBent(CONFIG)
-    assert type(ours.road) is UpstreamRoad
-    assert type(ours.road.network.graph["0"]["1"][1]) is StraightLane
-    assert_identical(ours, Bent(CONFIG), seed=0, steps=20)
+
+def test_a_scene_depends_neither_on_its_place_nor_on_others() -> None:
+    rng = np.random.default_rng(0)
+    states, acts = first_states(range(100)), rng.normal(0, [0.5, 0.05], (30, 100, 2))
+    alone = states[:1].copy()
+    for act in acts:
+        obs, rewards, _ = highway.drive(states, np.arange(100)[::-1].copy(), act[::-1])
+        its, reward, _ = highway.drive(alone, np.zeros(1, np.int64), act[:1])
+        np.testing.assert_array_equal(its[0], obs[-1])
+        assert reward[0] == rewards[-1]
+        np.testing.assert_array_equal(alone[0], states[0])
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_a_larger_program_steps_and_observes_in_either_precision(wide: bool) -> None:
+    states, acts = first_states(range(64)), np.zeros((20, 64, 2))
+    one, rewards = states.copy(), []
+    for act in acts:
+        rewards.append(highway.drive(one, np.arange(64), act)[1])
+    precision = np.float64 if wide else np.float32
+
+    def step(state: Any, act: Any) -> Any:
+        state, reward, _ = traffic.step(state, act)
+        return state, reward
+
+    with jax.enable_x64(wide):
+        state, paid = jax.jit(partial(jax.lax.scan, step))(states.astype(precision), acts.astype(np.float32))
+        assert state.dtype == paid.dtype == precision
+        obs = np.asarray(jax.jit(traffic.observe)(state))
+    # In 32 bits a lane change may come a frame later.
+    assert (np.abs(np.asarray(paid) - np.array(rewards)) < (1e-9 if wide else 1e-3)).all()
+    assert (np.abs(obs - look(one)) < (1e-6 if wide else 1e-2)).mean() >= (1 if wide else 0.95)
+
+
+def test_the_task_is_imported_without_its_compiler() -> None:
+    code = "import sys, envs.driving.highway; print({'jax', 'highway_env'} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
 
 
 def test_gymnasium_checker() -> None:
@@ -230,23 +283,26 @@ def test_phi_in_range_and_of_the_observation_alone() -> None:
 def test_observation_units() -> None:
     env = SPEC.make()
     obs, _ = env.reset(seed=2)
-    inner: Any = env.unwrapped
-    ego = inner.vehicle
-    middle = (highway.LANES - 1) / 2 * highway.LANE_WIDTH
-    assert obs[0] * highway.WIDE + middle == pytest.approx(ego.position[1])
-    assert obs[3] * highway.FAST + highway.CRUISE == pytest.approx(ego.speed)
-    own = [v for v in inner.road.vehicles if v is not ego and abs(v.position[1] - ego.position[1]) < 1]
-    ahead = min((v for v in own if v.position[0] > ego.position[0]), key=lambda v: v.position[0])
-    gap = ahead.position[0] - ego.position[0] - ego.LENGTH
-    assert obs[10] * highway.LONG == pytest.approx(min(gap, highway.REACH), rel=1e-5)
-    if gap < highway.REACH:
-        assert obs[11] * highway.FAST == pytest.approx(ahead.speed - ego.speed, rel=1e-4)
+    x, y, _, speed, *_ = inner(env).scene
+    assert obs[0] * WIDE + (LANES - 1) / 2 * LANE_WIDTH == pytest.approx(y[0])
+    assert obs[3] * FAST + CRUISE == pytest.approx(speed[0])
+    ahead = (np.abs(y - y[0]) < 1) & (x > x[0])
+    nearest = np.flatnonzero(ahead)[x[ahead].argmin()]
+    gap = x[nearest] - x[0] - LENGTH
+    assert obs[10] * LONG == pytest.approx(min(gap, REACH), rel=1e-5)
+    if gap < REACH:
+        assert obs[11] * FAST == pytest.approx(speed[nearest] - speed[0], rel=1e-4)
+
+
+def inner(env: Any) -> Highway:
+    """Return the task itself."""
+    assert isinstance(env.unwrapped, Highway)
+    return env.unwrapped
 
 
 @pytest.mark.parametrize(("lane", "missing"), [(0, slice(6, 10)), (2, slice(14, 18))])
 def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> None:
-    scene = highway.Highway({"initial_lane_id": lane})
-    obs, _ = scene.reset(seed=4)
+    obs, _ = Highway(lane=lane).reset(seed=4)
     assert (obs[missing] == 0).all()
     assert (obs[[10, 12]] > 0).all()
 
@@ -265,23 +321,24 @@ def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> N
 )
 @pytest.mark.parametrize("side", [-1, 1])
 def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:
-    scene = highway.Highway({"initial_lane_id": 1, "vehicles_count": 1})
-    scene.reset(seed=0)
-    ego, other = scene.vehicle, scene.road.vehicles[1]
-    other.position = ego.position + np.array([dx, 0.9 * side * highway.LANE_WIDTH])
-    other.heading, other.speed = 0.0, ego.speed + dv
-    free = scene._observe()[4:6] * highway.WIDE
-    to_the_edge = 1.5 * highway.LANE_WIDTH
+    env = Highway(lane=1)
+    env.reset(seed=0)
+    scene = env.scene
+    scene.x[1:] = scene.x[0] + 1000
+    scene.x[1], scene.y[1] = scene.x[0] + dx, scene.y[0] + 0.9 * side * LANE_WIDTH
+    scene.speed[1] = scene.speed[0] + dv
+    free = look(env.state[None])[0, 4:6] * WIDE
+    to_the_edge = 1.5 * LANE_WIDTH
     there, elsewhere = free if side == -1 else free[::-1]
-    assert there == pytest.approx(0.9 * highway.LANE_WIDTH if beside else to_the_edge, rel=1e-5)
+    assert there == pytest.approx(0.9 * LANE_WIDTH if beside else to_the_edge, rel=1e-5)
     assert elsewhere == pytest.approx(to_the_edge)
 
 
 def test_offset_from_its_lane() -> None:
-    scene = highway.Highway({"initial_lane_id": 2})
-    scene.reset(seed=0)
-    scene.vehicle.position[1] -= 1.5
-    assert scene._observe()[1] == pytest.approx(-1.5)
+    env = Highway(lane=2)
+    env.reset(seed=0)
+    env.scene.y[0] -= 1.5
+    assert look(env.state[None])[0, 1] == pytest.approx(-1.5)
 
 
 def test_dense_traffic_is_the_same_but_half_as_far_apart_again() -> None:
@@ -289,7 +346,7 @@ def test_dense_traffic_is_the_same_but_half_as_far_apart_again() -> None:
     gaps = []
     for env in (nominal, dense):
         env.reset(seed=0)
-        gaps.append(np.diff([vehicle.position[0] for vehicle in env.unwrapped.road.vehicles]))  # type: ignore[attr-defined]
+        gaps.append(np.diff(inner(env).scene.x))
     np.testing.assert_allclose(gaps[0], 1.5 * gaps[1][: len(gaps[0])])
 
 
@@ -303,10 +360,10 @@ def test_drawing() -> None:
     after = SPEC.draw(env)
     assert list(before) == list(after)
     others = [name for name in after if name.startswith("vehicle_") and not name.endswith("_speed")]
-    assert len(others) == int(CONFIG["vehicles_count"])  # type: ignore[call-overload]
+    assert len(others) == CONFIG["vehicles_count"]
     assert {f"{name}_speed" for name in (*others, "ego")} <= {*after}
     arrow = after["ego_speed"].points
-    speed = env.unwrapped.vehicle.speed  # type: ignore[attr-defined]
+    speed = inner(env).scene.speed[0]
     assert np.linalg.norm(arrow[1] - arrow[0]) == pytest.approx(speed * highway.TIME_STEP)
     for shapes in (before, after):
         sides = np.linalg.norm(np.diff(shapes["ego"].points, axis=0), axis=1)

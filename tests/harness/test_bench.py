@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from envs.driving.fast import FastHighwayEnv
 from harness import bench, cli, growth, scale, spread
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
@@ -40,7 +39,8 @@ def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPat
     idle = lambda obs: 0 * obs[:, : spec.act_size]  # noqa: E731
     assert 20 <= bench._together(spec, idle) <= 20 * spec.horizon
     assert 2 <= bench._one_by_one(spec, idle) <= 2 * spec.horizon
-    assert 3 <= bench._drive(FastHighwayEnv) <= 3 * spec.horizon
+    assert 3 <= bench._drive_upstream() <= 3 * spec.horizon
+    assert bench._drive() == bench.BLOCK * spec.horizon
 
 
 def test_a_share_is_of_what_a_cell_took(monkeypatch: pytest.MonkeyPatch) -> None:

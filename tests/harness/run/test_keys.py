@@ -160,7 +160,7 @@ EDITS = {
     "methods/bc.py": {("cartpole", "bc"), ("highway", "bc"), ("cartpole", "control_clone")},
     "methods/shaped.py": {("cartpole", "control_shuffled")},
     "methods/network.py": {*KEYED},
-    "envs/driving/batch.py": {("highway", "bc"), ("highway", "reference")},
+    "envs/driving/traffic.py": {("highway", "bc"), ("highway", "reference")},
     "harness/learn/rl.py": {*KEYED},
     "harness/run/stages.py": {*KEYED},
     "harness/run/cells.py": {*KEYED},

@@ -1,0 +1,70 @@
+"""Scenes of highway-env's highway: vehicles on straight parallel lanes from x = 0, the ego first."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from envs.spec import Array
+
+DT, FRAMES = 0.2, 2  # s, and how many of them a step takes
+LANES, LANE_WIDTH = 3, 4.0  # m
+LENGTH, WIDTH = 5.0, 2.0  # m, of a vehicle
+SPEED_LIMIT = 30.0  # m/s
+EGO_SPEED, EGO_SPACING = 25.0, 1.5  # m/s at first, and how far ahead of the one behind, in usual distances
+EGO_SPEEDS = (10.0, 25.0)  # m/s; stopping is no option
+PEDAL = 8.0  # m/s^2, what an action of 1 means
+# One degree turns 25 m/s at 2.2 m/s^2: a brisk lane change, not an emergency.
+WHEEL = math.pi / 180
+CRASH = -25.0  # reward
+REACH = 60.0  # m, how far the ego sees
+CORRIDOR = 2.5  # m, half the width of what counts as a lane; two vehicles touch at 2 m
+ELBOW_ROOM = 2.0  # m, ahead and behind, within which a vehicle is beside
+SIDE_REACH = 8.0  # m, how far the ego sees to its sides
+CRUISE = 25.0  # m/s, the speed that is observed as 0
+LONG, FAST, WIDE, DRIFT = 20.0, 5.0, 4.0, 1.0  # m, m/s, m, m/s: what an observation of 1 means
+
+
+class Scene(NamedTuple):
+    """A scene's rows, each an entry for every vehicle; whole numbers and truths are floats, too."""
+
+    x: Any
+    """[m]"""
+    y: Any
+    """[m]"""
+    heading: Any
+    """[rad]"""
+    speed: Any
+    """[m/s]"""
+    timer: Any
+    """Time since the last thought of changing lanes [s]."""
+    delta: Any
+    """Exponent of IDM."""
+    target_speed: Any
+    """[m/s]; 0 for an ego that is driven from outside."""
+    lane: Any
+    """Number of the closest lane."""
+    target: Any
+    """Number of the lane to be in."""
+    crashed: Any
+
+
+def first_scene(rng: np.random.Generator, vehicles: int, density: float, lane: int | None = None) -> Array:
+    """Return a scene (10, 1 + vehicles) as highway-env draws it, bit for bit. density: of vehicles, 1 is the
+    usual one. lane: the ego's, default: any."""
+
+    def uniform(low: float, high: float) -> float:
+        return low + (high - low) * rng.random()  # as `rng.uniform` does, five times faster
+
+    crowd, columns, x = math.exp(-5 / 40 * LANES), list[Scene](), None
+    for ego in (True, *[False] * vehicles):
+        number = lane if ego and lane is not None else int(rng.integers(LANES))
+        speed = EGO_SPEED if ego else uniform(0.7 * SPEED_LIMIT, 0.8 * SPEED_LIMIT)
+        usual = (EGO_SPACING if ego else 1 / density) * (12 + speed) * crowd
+        x = (3 * usual if x is None else x) + usual * uniform(0.9, 1.1)
+        y = number * LANE_WIDTH
+        driver = (0.0, 0.0, 0.0) if ego else ((x + y) * math.pi % 1.0, uniform(3.5, 4.5), speed)
+        columns.append(Scene(x, y, 0.0, speed, *driver, number, number, False))
+    return np.array(columns, np.float64).T
