@@ -1,8 +1,9 @@
-"""Environments whose dynamics are written down, and run by one code: one of them, or many in lockstep."""
+"""Environments whose dynamics are written down once, over the array namespace of what they are given: by
+NumPy one of them, or many in lockstep; by JAX in the loop that reinforcement learning compiles."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -13,9 +14,20 @@ from numpy.typing import NDArray
 from envs.spec import Array
 
 
-class Dynamics(Protocol):
+class Draws(Protocol):
+    """What draws first states: a generator of NumPy's, or one that does as it."""
+
+    def uniform(self, low: Any, high: Any) -> Any:
+        """(S,): uniform between bounds (S,)."""
+
+    def standard_normal(self, size: int) -> Any:
+        """(size,)."""
+
+
+class Dynamics(Hashable, Protocol):
     """What becomes of a state under an action in [-1, 1]^A, of 32 bits. Of one, state (S,), obs (O,), act
-    (A,); of B in lockstep, (S, B), (O, B), (A, B), and what is a number of one is (B,)."""
+    (A,); of B in lockstep, (S, B), (O, B), (A, B), and what is a number of one is (B,). Arrays are NumPy's or
+    JAX's, as those given are."""
 
     @property
     def act_size(self) -> int: ...
@@ -24,19 +36,19 @@ class Dynamics(Protocol):
     def bounds(self) -> Sequence[float]:
         """(O,): how far from 0 each observation may be."""
 
-    def start(self, rng: np.random.Generator) -> Array:
+    def start(self, draws: Draws) -> Any:
         """(S,): the first state of an episode."""
 
-    def advance(self, state: Array, act: Array) -> Array:
+    def advance(self, state: Any, act: Any) -> Any:
         """The state a step later."""
 
-    def observe(self, state: Array) -> Array:
+    def observe(self, state: Any) -> Any:
         """What is seen of it."""
 
-    def pay(self, state: Array, act: Array, after: Array) -> Array:
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
         """The true reward of a step, that of failing included."""
 
-    def fails(self, state: Array) -> NDArray[np.bool_]:
+    def fails(self, state: Any) -> Any:
         """Whether the episode terminates there."""
 
     def failure(self, state: Array) -> str:
@@ -109,7 +121,17 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     return failure
 
 
-def runge_kutta(rates: Callable[[Array], Array], state: Array, seconds: float, parts: int) -> Array:
+def namespace(state: Any) -> Any:
+    """Return NumPy, or what does as it for an array of another kind."""
+    return state.__array_namespace__()
+
+
+def never(state: Any) -> Any:
+    """Return, of a state, False; of B in lockstep, so many."""
+    return namespace(state).zeros(state.shape[1:], dtype=bool)
+
+
+def runge_kutta(rates: Callable[[Any], Any], state: Any, seconds: float, parts: int) -> Any:
     """The state after so many seconds, in equal parts of the classical fourth-order method. rates: the
     state's derivative."""
     dt = seconds / parts

@@ -14,10 +14,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
-from envs.dynamics import DynamicsBatch, why_ended
+from envs.dynamics import Draws, DynamicsBatch, namespace, why_ended
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -54,13 +53,14 @@ class Physics:
     def bounds(self) -> Sequence[float]:
         return 2 * self.max_x, np.inf, 2 * self.max_angle, np.inf
 
-    def start(self, rng: np.random.Generator) -> Array:
-        return rng.uniform(-0.05, 0.05, 4)
+    def start(self, draws: Draws) -> Any:
+        return draws.uniform(np.full(4, -0.05), np.full(4, 0.05))
 
-    def advance(self, state: Array, act: Array) -> Array:
+    def advance(self, state: Any, act: Any) -> Any:
+        xp = namespace(state)
         x, x_dot, angle, angle_dot = state
         force = self.max_force * act[0]
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos, sin = xp.cos(angle), xp.sin(angle)
         pole_mass, half_length, dt = self.pole_mass, self.half_length, self.time_step
         total_mass = self.cart_mass + pole_mass
         push = (force + pole_mass * half_length * (angle_dot * angle_dot) * sin) / total_mass
@@ -70,18 +70,20 @@ class Physics:
         x_acc = push - pole_mass * half_length * angle_acc * cos / total_mass
         x, x_dot = x + dt * x_dot, x_dot + dt * x_acc
         angle, angle_dot = angle + dt * angle_dot, angle_dot + dt * angle_acc
-        return np.array([x, x_dot, angle, angle_dot])
+        return xp.stack([x, x_dot, angle, angle_dot])
 
-    def observe(self, state: Array) -> Array:
+    def observe(self, state: Any) -> Any:
         return state
 
-    def pay(self, state: Array, act: Array, after: Array) -> Array:
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
+        xp = namespace(after)
         force, angle = self.max_force * act[0], after[2]
-        alive = (10 - (1 - np.cos(angle)) - 1e-5 * (force * force)) / 10
-        return np.where(self.fails(after), 0.0, alive)
+        alive = (10 - (1 - xp.cos(angle)) - 1e-5 * (force * force)) / 10
+        return xp.where(self.fails(after), 0.0, alive)
 
-    def fails(self, state: Array) -> NDArray[np.bool_]:
-        return np.asarray((np.abs(state[0]) > self.max_x) | (np.abs(state[2]) > self.max_angle))
+    def fails(self, state: Any) -> Any:
+        xp = namespace(state)
+        return xp.asarray((xp.abs(state[0]) > self.max_x) | (xp.abs(state[2]) > self.max_angle))
 
     def failure(self, state: Array) -> str:
         return "cart left the track" if abs(state[0]) > self.max_x else "pole fell"

@@ -15,9 +15,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta
+from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never, runge_kutta
 from envs.learners import PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -53,27 +52,28 @@ class Physics:
     def bounds(self) -> Sequence[float]:
         return 1.0, 1.0, 1.0, 1.0, self.max_rate, self.max_rate
 
-    def start(self, rng: np.random.Generator) -> Array:
-        return np.asarray(rng.standard_normal(4) * np.array([0.1, 0.1, 0.01, 0.01]))
+    def start(self, draws: Draws) -> Any:
+        return draws.standard_normal(4) * np.array([0.1, 0.1, 0.01, 0.01])
 
-    def advance(self, state: Array, act: Array) -> Array:
+    def advance(self, state: Any, act: Any) -> Any:
         torque = self.max_torque * act[0]
         after = runge_kutta(partial(self.rates, torque=torque), state, self.time_step, self.parts)
-        after[2:] = np.clip(after[2:], -self.max_rate, self.max_rate)
-        return after
+        xp = namespace(after)
+        return xp.concatenate([after[:2], xp.clip(after[2:], -self.max_rate, self.max_rate)])
 
-    def rates(self, state: Array, torque: Array) -> Array:
+    def rates(self, state: Any, torque: Any) -> Any:
         """The state's derivative, by Lagrange: with mass m, length l and d = first - second,
         4/3 m l^2 first'' + 1/2 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 3/2 m g l sin(first)
         1/3 m l^2 second'' + 1/2 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 1/2 m g l sin(second)
         """
+        xp = namespace(state)
         first, second, rate, other = state
         size, weight = self.mass * self.length * self.length, self.mass * self.gravity * self.length
-        cos, sin = np.cos(first - second) / 2, np.sin(first - second) / 2
-        one = (-torque - 1.5 * weight * np.sin(first)) / size - sin * (other * other)
-        two = (torque - 0.5 * weight * np.sin(second)) / size + sin * (rate * rate)
+        cos, sin = xp.cos(first - second) / 2, xp.sin(first - second) / 2
+        one = (-torque - 1.5 * weight * xp.sin(first)) / size - sin * (other * other)
+        two = (torque - 0.5 * weight * xp.sin(second)) / size + sin * (rate * rate)
         determinant = 4 / 9 - cos * cos
-        return np.array(
+        return xp.stack(
             [rate, other, (one / 3 - cos * two) / determinant, (4 / 3 * two - cos * one) / determinant]
         )
 
@@ -84,25 +84,28 @@ class Physics:
         moving = 2 / 3 * rate * rate + other * other / 6 + np.cos(first - second) / 2 * rate * other
         return np.asarray(size * moving - weight * (1.5 * np.cos(first) + np.cos(second) / 2))
 
-    def observe(self, state: Array) -> Array:
+    def observe(self, state: Any) -> Any:
+        xp = namespace(state)
         first, second, rate, other = state
-        return np.array([np.cos(first), np.sin(first), np.cos(second), np.sin(second), rate, other])
+        return xp.stack([xp.cos(first), xp.sin(first), xp.cos(second), xp.sin(second), rate, other])
 
-    def pay(self, state: Array, act: Array, after: Array) -> Array:
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
+        xp = namespace(after)
         x, y = self.tip(after)
         above = y - 2 * self.length
-        return np.asarray(-np.sqrt(x * x + above * above))
+        return xp.asarray(-xp.sqrt(x * x + above * above))
 
-    def tip(self, state: Array) -> tuple[Array, Array]:
+    def tip(self, state: Any) -> tuple[Any, Any]:
         """Where the tip is [m], to the right of the hinge and above it."""
+        xp = namespace(state)
         first, second, _, _ = state
         return (
-            self.length * (np.sin(first) + np.sin(second)),
-            -self.length * (np.cos(first) + np.cos(second)),
+            self.length * (xp.sin(first) + xp.sin(second)),
+            -self.length * (xp.cos(first) + xp.cos(second)),
         )
 
-    def fails(self, state: Array) -> NDArray[np.bool_]:
-        return np.zeros(state.shape[1:], np.bool_)
+    def fails(self, state: Any) -> Any:
+        return never(state)
 
     def failure(self, state: Array) -> str:
         return "never"

@@ -14,10 +14,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
-from envs.dynamics import DynamicsBatch, DynamicsEnv, runge_kutta, why_ended
+from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, runge_kutta, why_ended
 from envs.learners import PPO, SAC
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -54,22 +53,23 @@ class Physics:
     def bounds(self) -> Sequence[float]:
         return np.inf, np.inf, 1.0, 1.0, np.inf
 
-    def start(self, rng: np.random.Generator) -> Array:
+    def start(self, draws: Draws) -> Any:
         middle, off = np.array([0.0, 0.0, np.pi, 0.0]), np.array([1.0, 2.0, 1.0, 3.0])
-        return np.asarray(rng.uniform(middle - off, middle + off))
+        return draws.uniform(middle - off, middle + off)
 
-    def advance(self, state: Array, act: Array) -> Array:
+    def advance(self, state: Any, act: Any) -> Any:
         force = self.max_force * act[0]
         return runge_kutta(partial(self.rates, force=force), state, self.time_step, self.parts)
 
-    def rates(self, state: Array, force: Array) -> Array:
+    def rates(self, state: Any, force: Any) -> Any:
         """The state's derivative, by Lagrange: with the pole's mass m, its centre at c = length / 2, its
         inertia I about there and the cart's mass M,
         (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
         m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
         """
+        xp = namespace(state)
         _, velocity, angle, rate = state
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos, sin = xp.cos(angle), xp.sin(angle)
         moment = self.pole_mass * self.pole_length / 2
         inertia = self.pole_mass * self.pole_length * self.pole_length / 3
         total = self.cart_mass + self.pole_mass
@@ -77,7 +77,7 @@ class Physics:
         determinant = total * inertia - (moment * cos) * (moment * cos)
         acceleration = (inertia * push - moment * cos * fall) / determinant
         turning = (total * fall - moment * cos * push) / determinant
-        return np.array([velocity, acceleration, rate, turning])
+        return xp.stack([velocity, acceleration, rate, turning])
 
     def energy(self, state: Array) -> Array:
         """Kinetic and potential [J], above the hinge's height."""
@@ -88,15 +88,18 @@ class Physics:
         both = moment * np.cos(angle) * velocity * rate
         return np.asarray(moving / 2 + both + moment * self.gravity * np.cos(angle))
 
-    def observe(self, state: Array) -> Array:
+    def observe(self, state: Any) -> Any:
+        xp = namespace(state)
         x, velocity, angle, rate = state
-        return np.array([x, velocity, np.cos(angle), np.sin(angle), rate])
+        return xp.stack([x, velocity, xp.cos(angle), xp.sin(angle), rate])
 
-    def pay(self, state: Array, act: Array, after: Array) -> Array:
-        return np.where(self.fails(after), -100.0, np.cos(after[2]))
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
+        xp = namespace(after)
+        return xp.where(self.fails(after), -100.0, xp.cos(after[2]))
 
-    def fails(self, state: Array) -> NDArray[np.bool_]:
-        return np.asarray(np.abs(state[0]) > self.max_x)
+    def fails(self, state: Any) -> Any:
+        xp = namespace(state)
+        return xp.asarray(xp.abs(state[0]) > self.max_x)
 
     def failure(self, state: Array) -> str:
         return "cart left the track"

@@ -9,9 +9,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from envs.dynamics import DynamicsBatch, DynamicsEnv
+from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -43,31 +42,33 @@ class Physics:
     def bounds(self) -> Sequence[float]:
         return 1.0, 1.0, self.max_rate
 
-    def start(self, rng: np.random.Generator) -> Array:
-        return rng.uniform((-np.pi, -1.0), (np.pi, 1.0))
+    def start(self, draws: Draws) -> Any:
+        return draws.uniform((-np.pi, -1.0), (np.pi, 1.0))
 
-    def advance(self, state: Array, act: Array) -> Array:
+    def advance(self, state: Any, act: Any) -> Any:
+        xp = namespace(state)
         angle, rate = state
-        pull = 3 * self.gravity / (2 * self.length) * np.sin(angle)
+        pull = 3 * self.gravity / (2 * self.length) * xp.sin(angle)
         push = 3.0 / (self.mass * self.length**2) * self._torque(act)
-        rate = np.clip(rate + (pull + push) * self.time_step, -self.max_rate, self.max_rate)
-        return np.array([angle + rate * self.time_step, rate])
+        rate = xp.clip(rate + (pull + push) * self.time_step, -self.max_rate, self.max_rate)
+        return xp.stack([angle + rate * self.time_step, rate])
 
-    def observe(self, state: Array) -> Array:
+    def observe(self, state: Any) -> Any:
+        xp = namespace(state)
         angle, rate = state
-        return np.array([np.cos(angle), np.sin(angle), rate])
+        return xp.stack([xp.cos(angle), xp.sin(angle), rate])
 
-    def pay(self, state: Array, act: Array, after: Array) -> Array:
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
         angle, rate = state
         off, torque = ((angle + np.pi) % (2 * np.pi)) - np.pi, self._torque(act)
-        return np.asarray(-(off * off + 0.1 * (rate * rate) + 0.001 * (torque * torque)))
+        return namespace(state).asarray(-(off * off + 0.1 * (rate * rate) + 0.001 * (torque * torque)))
 
-    def _torque(self, act: Array) -> Any:
+    def _torque(self, act: Any) -> Any:
         """In 32 bits, as Gymnasium has it."""
         return self.max_torque * act[0].astype(np.float32)
 
-    def fails(self, state: Array) -> NDArray[np.bool_]:
-        return np.zeros(state.shape[1:], np.bool_)
+    def fails(self, state: Any) -> Any:
+        return never(state)
 
     def failure(self, state: Array) -> str:
         return "never"

@@ -1,8 +1,8 @@
 """The models of RL libraries: built from a task's settings, begun with a policy, their actors read. DDPG
-(Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018), SAC (Haarnoja et al. 2018) and PPO (Schulman et al. 2017)
-are those of SBX, which is Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; DQN (Mnih et al. 2013;
-thesis, figure 3.2), where actions are discrete, is the latter's. All but PPO have n-step returns; SAC's leave
-out the entropy of the steps between.
+(Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX, which is
+Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; DQN (Mnih et al. 2013; thesis, figure 3.2), where
+actions are discrete, is the latter's; PPO is ours, or the latter's. All but PPO have n-step returns; SAC's
+leave out the entropy of the steps between.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckA
 from envs import EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn import on_policy
+from harness.learn.on_policy import OnPolicy
 from harness.learn.training_env import REWARD_SIZE, Replay, TrainingEnv
 from harness.registry import Library
 from methods.base import Array, Episodes, Policy, StochasticPolicy
 from methods.network import ADAM, Network
 from methods.stochastic import SquashedGaussian
 
-Model = sbx.TD3 | sbx.SAC | sbx.PPO | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN
+Model = sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN | OnPolicy
 """DDPG is a TD3 in both libraries."""
 Layers = Sequence[tuple[Array, Array]]
 """Weights (I, K) and biases (K,), the last two of SAC's being its heads: mean and logarithm of the standard
@@ -61,13 +62,13 @@ def build(
         "seed": seed,
         "device": "cpu",
     }
-    model: Model
+    model: sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN
     if isinstance(s, PPO):
         if demonstrations is not None:
             raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
-        model = on_policy.ppo(s, library, env, common)
-        if isinstance(model, sbx.PPO):
-            _share(s, spec.act_size, [(model.policy, "actor_state"), (model.policy, "vf_state")])
+        if library == "sbx":
+            return OnPolicy(spec, s, env.rng, seed, env.paid)
+        model = on_policy.by_sb3(s, env, common)
     else:
         model = _off_policy(s, library, env, demonstrations, common | {"learning_starts": warm_up})
     model.set_logger(Logger(None, []))  # its own would leave a folder behind
@@ -80,7 +81,7 @@ def _off_policy(
     env: TrainingEnv,
     demonstrations: Episodes | None,
     common: dict[str, Any],
-) -> Model:
+) -> sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.DQN:
     size, gamma = env.spec.act_size, env.spec.gamma
     network: dict[str, Any] = {"net_arch": list(s.net)}
     kept = {"n_steps": s.n_steps, "gamma": gamma, "source": env, "demonstrations": demonstrations}
@@ -163,16 +164,16 @@ def _put(model: Any, layers: Mapping[str, Mapping[str, Any]]) -> None:
 
 def follow_reward(model: Model, noise: float) -> None:
     """Has it go on under what its environment pays now; what it has seen is paid by that, too."""
-    if isinstance(model, sbx.PPO | sb3.PPO):
+    if isinstance(model, sb3.PPO):
         on_policy.forget_rewards(model)
         on_policy.explore(model, noise)
-    else:
+    elif not isinstance(model, OnPolicy):
         replay(model).relabel()
 
 
 def replay(model: Model) -> Replay:
     """Raises ValueError where it has none."""
-    if isinstance(model, sbx.PPO | sb3.PPO):
+    if isinstance(model, OnPolicy | sb3.PPO):
         raise ValueError("PPO keeps no steps")
     assert isinstance(model.replay_buffer, Replay)
     return model.replay_buffer
@@ -190,10 +191,10 @@ def actor(model: Model, spec: EnvSpec) -> Network:
     0): (B, A); of SAC (B, 2A), as `SquashedGaussian` has it; of DQN, which has none, values."""
     size = spec.obs_size
     zeros, scale = np.zeros(size), np.array(spec.obs_scale)
-    if isinstance(model, sbx.TD3 | sbx.SAC | sbx.PPO):
-        layers = {**model.policy.actor_state.params["params"]}
-        layers.pop("log_std", None)
-        net = Network.from_flax(layers, zeros, scale)
+    if isinstance(model, OnPolicy):
+        return model.network
+    if isinstance(model, sbx.TD3 | sbx.SAC):
+        net = Network.from_flax(model.policy.actor_state.params["params"], zeros, scale)
     elif isinstance(model, sb3.PPO):
         net = Network.from_torch(on_policy.layers(model), zeros, scale)
     else:

@@ -1,83 +1,194 @@
-"""PPO (Schulman et al. 2017) by the RL libraries. Its actor's mean ends in a tanh, as other learners' actors
-do; rewards are scaled by the deviation of their discounted sums, as is usual in the libraries."""
+"""An agent that learns by PPO: ours (`harness.learn.ppo`), and that of Stable-Baselines3, which ours is
+checked against. There rewards are scaled by the deviation of their discounted sums, as is usual."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-import flax.linen as nn
+import jax
 import jax.numpy as jnp
 import numpy as np
-import sbx
 import stable_baselines3 as sb3
-import tensorflow_probability.substrates.jax as tfp
 import torch
-from sbx.ppo.policies import Actor
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
+from envs import EnvSpec
+from envs.copies import Copies
+from envs.dynamics import Dynamics, DynamicsBatch
 from envs.learners import PPO
+from harness.learn import ppo
+from harness.learn.ppo import Kind, Steps
+from harness.learn.seeds import training_seeds
 from harness.learn.training_env import TrainingEnv
-from harness.registry import Library
-from methods.network import ADAM
+from methods.base import Array, Transitions
+from methods.network import ADAM, Network
 
-FIRST_ACTIONS = 0.01
-"""Size of an untrained actor's last weights, as Stable-Baselines3 draws them."""
-EPSILON = 1e-5  # of Adam, as in the libraries
-
-
-class TanhActor(Actor):
-    """SBX's, whose mean is a tanh."""
-
-    @nn.compact
-    def __call__(self, x: jnp.ndarray) -> Any:
-        for units in self.net_arch:
-            x = self.activation_fn(nn.Dense(units)(x))
-        first = nn.initializers.orthogonal(FIRST_ACTIONS)
-        mean = jnp.tanh(nn.Dense(self.action_dim, kernel_init=first)(x))
-        log_std = self.param("log_std", nn.initializers.zeros, (self.action_dim,))
-        return tfp.distributions.MultivariateNormalDiag(mean, jnp.exp(log_std))
+REWARD_SIZE = 0.3
+"""Mean absolute reward of the first bout after scaling; the scale is kept until the reward changes."""
 
 
-def ppo(s: PPO, library: Library, env: TrainingEnv, common: dict[str, Any]) -> sbx.PPO | sb3.PPO:
-    """An untrained model. common: what it is made with besides."""
-    common = common | {
-        "env": VecNormalize(env, norm_obs=False, gamma=env.spec.gamma),
-        "n_steps": s.steps,
-        "n_epochs": s.epochs,
-        "gae_lambda": s.gae_lambda,
-    }
-    network: dict[str, Any] = {"net_arch": list(s.net)}
-    if library == "sbx":
-        network |= {"activation_fn": nn.relu, "actor_class": TanhActor}
-        return sbx.PPO(**common, policy_kwargs=network)
-    network |= {"activation_fn": torch.nn.ReLU, "optimizer_kwargs": ADAM | {"eps": EPSILON}}
-    model = sb3.PPO(**common, policy_kwargs=network)
+class OnPolicy:
+    """PPO in one task. paid: what steps (N,) pay, given what the environment paid for them."""
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        settings: PPO,
+        rng: np.random.Generator,
+        seed: int,
+        paid: Callable[[Transitions, Array], Array],
+    ) -> None:
+        self._spec, self._settings, self._paid = spec, settings, paid
+        kind = Kind(settings, spec.obs_size, spec.act_size, spec.discrete, spec.gamma)
+        self._functions = ppo.functions(kind)
+        self._scale = np.array(spec.obs_scale, np.float32)
+        self.set_random_seed(seed)
+        self._state = self._functions.begin(self._next_key())
+        physics = dynamics_of(spec)
+        self._collect: _Compiled | _Stepped = (
+            _Stepped(kind, spec, rng) if physics is None else _Compiled(kind, physics, spec, self._next_key())
+        )
+        self._latest: Transitions | None = None
+
+    def set_random_seed(self, seed: int) -> None:
+        self._key = jax.random.key(seed)
+
+    def learn(self, steps: int, rate: Callable[[int], float], done: Callable[[int], None]) -> None:
+        """Learn for so many environment steps, and begin with as much noise at least as the settings say.
+        rate: of learning, when so many steps are taken. done: called with that after each bout."""
+        s, size = self._settings, 0.0
+        params = self._state.params
+        if "log_std" in params:
+            least = jnp.maximum(params["log_std"], np.float32(np.log(s.noise)))
+            self._state = self._state._replace(params={**params, "log_std": least})
+        for taken in range(s.unit, steps + 1, s.unit):
+            seen = self._collect(self._state.params, self._scale, self._next_key())
+            self._latest = _transitions(self._spec, seen)
+            paid = self._paid(self._latest, np.asarray(seen.true, np.float64).ravel())
+            if taken == s.unit:
+                size = max(float(np.abs(paid).mean()) / REWARD_SIZE, 1e-9)
+            rewards = (paid / size).reshape(s.steps, s.copies).astype(np.float32)
+            now = np.float32(rate(taken))
+            self._state = self._functions.learn(
+                self._state, seen, rewards, self._scale, now, self._next_key()
+            )
+            done(taken)
+
+    @property
+    def network(self) -> Network:
+        """The actor, before any tanh."""
+        layers = [[np.asarray(part, np.float64) for part in layer] for layer in self._state.params["actor"]]
+        weights, biases = zip(*layers, strict=True)
+        return Network(np.zeros(self._spec.obs_size), np.array(self._spec.obs_scale), weights, biases)
+
+    def _next_key(self) -> Any:
+        self._key, key = jax.random.split(self._key)
+        return key
+
+
+def dynamics_of(spec: EnvSpec) -> Dynamics | None:
+    """Return what a task's written dynamics are, None where it has none."""
+    known = isinstance(spec.batch, partial) and spec.batch.func is DynamicsBatch
+    return spec.kwargs["physics"] if known else None
+
+
+class _Compiled:
+    """Collects bouts of steps of written dynamics."""
+
+    def __init__(self, kind: Kind, physics: Dynamics, spec: EnvSpec, key: Any) -> None:
+        first, self._go_on = ppo.collector(kind, physics, spec.horizon)
+        with jax.enable_x64(True):
+            self._scene = first(key)
+
+    def __call__(self, params: Any, scale: Any, key: Any) -> Steps:
+        with jax.enable_x64(True):
+            self._scene, steps = self._go_on(params, self._scene, scale, key)
+        return Steps(*steps)
+
+
+class _Stepped:
+    """Collects bouts of steps of any other task."""
+
+    def __init__(self, kind: Kind, spec: EnvSpec, rng: np.random.Generator) -> None:
+        self._kind, self._spec, self._rng = kind, spec, rng
+        copies = kind.settings.copies
+        self._batch = Copies(spec, copies)
+        self._obs = np.stack([self._reset(place) for place in range(copies)])
+        self._age = np.arange(copies) * spec.horizon // copies
+
+    def _reset(self, place: int) -> Array:
+        return self._batch.reset(place, training_seeds(self._rng, 1)[0])
+
+    def __call__(self, params: Any, scale: Any, key: Any) -> Steps:
+        spec, places = self._spec, list(range(self._kind.settings.copies))
+        act = ppo.functions(self._kind).act
+        rows = []
+        for number in range(self._kind.settings.steps):
+            obs = self._obs
+            drawn, log_prob = map(np.asarray, act(params, (obs / scale).astype(np.float32), key, number))
+            after, true, terminated, truncated = self._batch.step(places, _executed(spec, drawn))
+            self._age += 1
+            cut = ~terminated & (truncated | (self._age == spec.horizon))
+            rows.append((obs, drawn, after, log_prob, true, terminated, cut))
+            self._obs = after.copy()
+            for place in np.flatnonzero(terminated | cut):
+                self._obs[place], self._age[place] = self._reset(int(place)), 0
+        return Steps(*map(np.stack, zip(*rows, strict=True)))
+
+
+def _executed(spec: EnvSpec, drawn: Any) -> Array:
+    """Return what actions (..., A), or choices (...), amount to, (..., A)."""
+    act: Array = np.eye(spec.act_size)[drawn] if spec.discrete else np.clip(drawn, -1, 1).astype(np.float64)
+    return act
+
+
+def _transitions(spec: EnvSpec, seen: Steps) -> Transitions:
+    terminated = np.asarray(seen.terminated).ravel()
+    act = _executed(spec, np.asarray(seen.act)).reshape(-1, spec.act_size)
+    obs, after = (np.asarray(o, np.float64).reshape(-1, spec.obs_size) for o in (seen.obs, seen.next_obs))
+    return Transitions(obs, act, after, np.zeros_like(terminated), terminated)
+
+
+def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
+    """Return an untrained model of Stable-Baselines3. common: what it is made with besides."""
+    model = sb3.PPO(
+        **common
+        | {
+            "env": VecNormalize(env, norm_obs=False, gamma=env.spec.gamma),
+            "n_steps": s.steps,
+            "n_epochs": s.epochs,
+            "gae_lambda": s.gae_lambda,
+            "clip_range": s.clip,
+            "ent_coef": s.entropy,
+        },
+        policy_kwargs={
+            "net_arch": list(s.net),
+            "activation_fn": torch.nn.ReLU,
+            "log_std_init": float(np.log(s.first_noise)),
+            "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
+        },
+    )
     model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
     return model
 
 
-def forget_rewards(model: sbx.PPO | sb3.PPO) -> None:
-    """Has it scale rewards by those to come alone."""
+def forget_rewards(model: sb3.PPO) -> None:
+    """Have it scale rewards by those to come alone."""
     env = model.get_vec_normalize_env()
     assert env is not None
     env.ret_rms = RunningMeanStd(shape=())
     env.returns = np.zeros(env.num_envs)
 
 
-def explore(model: sbx.PPO | sb3.PPO, noise: float) -> None:
-    """Has it explore by so much at least: after it has learned it hardly does, and another reward may ask for
-    other actions."""
-    least = np.log(noise)
-    if isinstance(model, sb3.PPO):
-        model.policy.log_std.data.clamp_(min=least)
-        return
-    state = model.policy.actor_state
-    params = state.params["params"]
-    params = {"params": {**params, "log_std": jnp.maximum(params["log_std"], least)}}
-    model.policy.actor_state = state.replace(params=params)
+def explore(model: sb3.PPO, noise: float) -> None:
+    """Have it explore by so much at least: after it has learned it hardly does, and another reward may ask
+    for other actions."""
+    model.policy.log_std.data.clamp_(min=np.log(noise))
 
 
 def layers(model: sb3.PPO) -> torch.nn.Module:
-    """The actor's."""
+    """Return the actor's."""
     return torch.nn.ModuleList([model.policy.mlp_extractor.policy_net, model.policy.action_net])

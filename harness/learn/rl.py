@@ -19,6 +19,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from envs import EnvSpec
 from envs.learners import DQN, PPO, SAC, Learner
 from harness.learn import models
+from harness.learn.on_policy import OnPolicy
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.training_env import Replay, TrainingEnv
@@ -106,21 +107,33 @@ class Agent:
         if self._model is None:
             if not isinstance(self.settings, PPO):
                 warm_up = min(WARM_UP, steps // 2) // unit * unit
-            model = self._build(warm_up, seed)
-            if warm_up:
-                model.learn(warm_up)
-            self._model = model
+            built = self._build(warm_up, seed)
+            if warm_up and not isinstance(built, OnPolicy):
+                built.learn(warm_up)
+            self._model = built
         else:
             self._model.set_random_seed(seed)
-        models.follow_reward(self._model, self.settings.noise)
+        model = self._model
+        models.follow_reward(model, self.settings.noise)
         episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
         self._check_seeds = training_seeds(self._rng, episodes)
         self._checkpoints = [(warm_up, self.policy)]
         if self._env.pays_nothing:
             steps = warm_up
+        elif isinstance(model, OnPolicy):
+
+            def rate(taken: int) -> float:
+                self._progress = taken / steps
+                return self._learning_rate
+
+            def done(taken: int) -> None:
+                if taken % self.settings.checkpoint_every == 0 or taken == steps:
+                    self.keep(taken)
+
+            model.learn(steps, rate, done)
         else:
             keeper = _Keeper(self, warm_up, steps)
-            self._model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
+            model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
             self.keep(steps)
         self.env_steps += steps
 

@@ -55,7 +55,7 @@ class TrainingEnv(VecEnv):
         self._obs_scale = np.array(spec.obs_scale)
         self._state = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
-        self._rng = rng
+        self.rng = rng
         self._staggered = staggered
         self._obs = np.zeros((copies, spec.obs_size))
         self._age = np.zeros(copies, np.int64)
@@ -86,6 +86,17 @@ class TrainingEnv(VecEnv):
             raise FloatingPointError("the reward must give one finite number for each step")
         return paid
 
+    def paid(self, steps: Transitions, true: Array) -> Array:
+        """(N,): what each step pays one who learns that beyond its end nothing is to be had; what the
+        absorbing state pays for ever is part of the last step."""
+        found = self.raw_rewards(steps, true)
+        if self._state and not isinstance(self.reward, Reward) and steps.next_absorbing.any():
+            one = np.zeros(1, bool)
+            there = Transitions(steps.obs[:1], steps.act[:1], steps.obs[:1], ~one, ~one)
+            forever = float(self.raw_rewards(there, np.zeros(1))[0]) / (1 - self.spec.gamma)
+            found = found + self.spec.gamma * forever * steps.next_absorbing
+        return found
+
     @property
     def pays_nothing(self) -> bool:
         """Whether the agent learns on 0 everywhere."""
@@ -114,7 +125,7 @@ class TrainingEnv(VecEnv):
             parts.append(
                 (
                     np.concatenate([obs[:-1], there]),
-                    np.concatenate([act, self.spec.random_actions(stay, self._rng)]),
+                    np.concatenate([act, self.spec.random_actions(stay, self.rng)]),
                     np.concatenate([obs[1:], there]),
                     time >= len(act),
                     (time >= len(act) - 1) & terminated,
@@ -172,7 +183,7 @@ class TrainingEnv(VecEnv):
 
     def _reset(self, place: int) -> None:
         self._obs = self._obs.copy()  # what was seen stays as it was
-        self._obs[place] = self._batch.reset(place, training_seeds(self._rng, 1)[0])
+        self._obs[place] = self._batch.reset(place, training_seeds(self.rng, 1)[0])
         self._age[place], self._absorbed_for[place] = 0, NOT_ABSORBED
 
     def _seen(self) -> NDArray[np.float32]:

@@ -17,6 +17,7 @@ from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner, soft
+from harness.learn import ppo
 from harness.learn.rl import Agent
 from harness.learn.seeds import TRAINING, evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
@@ -183,21 +184,33 @@ def test_the_learning_rate_falls_within_each_solve(
     falling = dataclasses.replace(settings, learning_rate=1e-3, final_learning_rate=1e-4)
     spec = dataclasses.replace(steady, rl=falling)
     rates: list[float] = []
-    solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, type(settings).__name__)
-    train, on_policy = solver.train, isinstance(settings, PPO)
+    on_policy = isinstance(settings, PPO)
+    if on_policy and library == "sbx":
+        ours = ppo.functions
 
-    def spy(self: Any, *given: Any, **named: Any) -> None:
-        train(self, *given, **named)
-        if library == "sbx":
-            states = self.policy.actor_state, self.policy.vf_state if on_policy else self.policy.qf_state
-            optimizers = [state.opt_state[1] if on_policy else state.opt_state for state in states]
-            both = {float(optimizer.hyperparams["learning_rate"]) for optimizer in optimizers}
-        else:
-            nets = [self.policy] if on_policy else [self.actor, self.critic]
-            both = {net.optimizer.param_groups[0]["lr"] for net in nets}
-        rates.append(*both)
+        def watched(kind: ppo.Kind) -> ppo.Functions:
+            def learn(*given: Any) -> Any:
+                rates.append(float(given[4]))
+                return ours(kind).learn(*given)
 
-    monkeypatch.setattr(solver, "train", spy)
+            return ours(kind)._replace(learn=learn)
+
+        monkeypatch.setattr(ppo, "functions", watched)
+    else:
+        solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, type(settings).__name__)
+        train = solver.train
+
+        def spy(self: Any, *given: Any, **named: Any) -> None:
+            train(self, *given, **named)
+            if library == "sbx":
+                states = self.policy.actor_state.opt_state, self.policy.qf_state.opt_state
+                both = {float(state.hyperparams["learning_rate"]) for state in states}
+            else:
+                nets = [self.policy] if on_policy else [self.actor, self.critic]
+                both = {net.optimizer.param_groups[0]["lr"] for net in nets}
+            rates.append(*both)
+
+        monkeypatch.setattr(solver, "train", spy)
     agent = Agent(spec, "absorbing", np.random.default_rng(0), library)
     agent.solve(Seek(), 400)
     first = list(rates)
@@ -240,7 +253,7 @@ def test_what_one_agent_compiled_serves_the_next(
     steady: EnvSpec, caplog: pytest.LogCaptureFixture, settings: Learner
 ) -> None:
     spec = dataclasses.replace(steady, rl=settings)
-    update = "_one_update" if isinstance(settings, PPO) else "_train"
+    update = "learn" if isinstance(settings, PPO) else "_train"
 
     def compiled() -> int:
         caplog.clear()

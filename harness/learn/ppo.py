@@ -1,0 +1,224 @@
+"""Proximal policy optimisation (Schulman et al. 2017), compiled: how an agent acts, how it learns from the
+steps of one bout, and how steps are collected where a task's dynamics are written down.
+
+The mean action is a tanh of the actor's output, and actions beyond [-1, 1] count as the bound. Advantages are
+generalised ones (Schulman et al. 2016). Beyond an end of the task nothing is to be had; where a time limit
+cuts an episode, the critic says what is (Pardo et al. 2018).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from envs.dynamics import Dynamics
+from envs.learners import PPO
+
+EPSILON = 1e-5
+"""Of Adam."""
+LARGEST_GRADIENT = 0.5
+"""The norm that gradients are clipped to."""
+VALUE_WEIGHT = 0.5
+"""The critic's share of the loss."""
+LAST_LAYER = 0.01
+"""The size of an untrained actor's last weights."""
+
+
+class Kind(NamedTuple):
+    """What compiled functions depend on, besides a task's dynamics."""
+
+    settings: PPO
+    obs_size: int
+    act_size: int
+    discrete: bool
+    gamma: float
+
+
+class Steps(NamedTuple):
+    """T steps of N copies: obs and next_obs (T, N, O); act, as it was drawn, (T, N, A), or choices (T, N);
+    log_prob, true (the environment's reward), terminated and cut (by a time limit) (T, N)."""
+
+    obs: Any
+    act: Any
+    next_obs: Any
+    log_prob: Any
+    true: Any
+    terminated: Any
+    cut: Any
+
+
+class State(NamedTuple):
+    """Parameters of an agent, and what its optimizer remembers."""
+
+    params: Any
+    moments: Any
+
+
+class Functions(NamedTuple):
+    """The compiled parts of an agent. Observations are in units of the task's.
+
+    begin: an untrained `State` from a key.
+    act: from params, observations (N, O), a key and a number that makes it another key, to actions and the
+    logarithm of their density.
+    learn: from a `State`, `Steps`, their rewards (T, N), the scale of observations (O,), the learning rate
+    and a key, to the next `State`.
+    """
+
+    begin: Callable[..., Any]
+    act: Callable[..., Any]
+    learn: Callable[..., Any]
+
+
+def _through(layers: Any, x: Any) -> Any:
+    for weight, bias in layers[:-1]:
+        x = jax.nn.relu(x @ weight + bias)
+    weight, bias = layers[-1]
+    return x @ weight + bias
+
+
+def _value(params: Any, seen: Any) -> Any:
+    return _through(params["critic"], seen)[..., 0]
+
+
+def _log_prob(kind: Kind, params: Any, seen: Any, act: Any) -> tuple[Any, Any]:
+    """Return the logarithm of actions' density, (N,), and the entropy of what they are drawn from, (N,)."""
+    out = _through(params["actor"], seen)
+    if kind.discrete:
+        logs = jax.nn.log_softmax(out)
+        return jnp.take_along_axis(logs, act[..., None], -1)[..., 0], -(jnp.exp(logs) * logs).sum(-1)
+    log_std, constant = params["log_std"], 0.5 * math.log(2 * math.pi)
+    z = (act - jnp.tanh(out)) * jnp.exp(-log_std)
+    entropy = jnp.broadcast_to((log_std + constant + 0.5).sum(), z.shape[:-1])
+    return (-0.5 * z * z - log_std - constant).sum(-1), entropy
+
+
+def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
+    out = _through(params["actor"], seen)
+    if kind.discrete:
+        act = jax.random.categorical(key, out)
+    else:
+        noise = jax.random.normal(key, out.shape, jnp.float32)
+        act = jnp.tanh(out) + jnp.exp(params["log_std"]) * noise
+    return act, _log_prob(kind, params, seen, act)[0]
+
+
+@functools.cache
+def functions(kind: Kind) -> Functions:
+    """Return the compiled parts of agents of a kind."""
+    s = kind.settings
+    optimizer = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optax.scale_by_adam(eps=EPSILON))
+
+    @jax.jit
+    def begin(key: Any) -> State:
+        keys = iter(jax.random.split(key, 2 * len(s.net) + 2))
+
+        def layers(outputs: int, last: float) -> list[Any]:
+            sizes, gains = (kind.obs_size, *s.net, outputs), [np.sqrt(2)] * len(s.net) + [last]
+            return [
+                (jax.nn.initializers.orthogonal(gain)(next(keys), (i, o)), jnp.zeros(o))
+                for i, o, gain in zip(sizes[:-1], sizes[1:], gains, strict=True)
+            ]
+
+        params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
+        if not kind.discrete:
+            params["log_std"] = jnp.full(kind.act_size, np.log(s.first_noise))
+        return State(params, optimizer.init(params))
+
+    @jax.jit
+    def act(params: Any, seen: Any, key: Any, number: Any) -> tuple[Any, Any]:
+        return _draw(kind, params, seen, jax.random.fold_in(key, number))
+
+    def loss(params: Any, seen: Any, act: Any, before: Any, advantage: Any, target: Any) -> Any:
+        log_prob, entropy = _log_prob(kind, params, seen, act)
+        ratio = jnp.exp(log_prob - before)
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        clipped = jnp.clip(ratio, 1 - s.clip, 1 + s.clip)
+        gain = jnp.minimum(ratio * advantage, clipped * advantage).mean()
+        error = jnp.square(_value(params, seen) - target).mean()
+        return VALUE_WEIGHT * error - gain - s.entropy * entropy.mean()
+
+    @jax.jit
+    def learn(state: State, steps: Steps, rewards: Any, scale: Any, rate: Any, key: Any) -> State:
+        seen, ended = steps.obs / scale, steps.terminated | steps.cut
+        value = _value(state.params, seen)
+        following = jnp.where(steps.terminated, 0.0, _value(state.params, steps.next_obs / scale))
+        surprise = rewards + kind.gamma * following - value
+
+        def back(after: Any, at: Any) -> tuple[Any, Any]:
+            delta, end = at
+            here = delta + kind.gamma * s.gae_lambda * jnp.where(end, 0.0, after)
+            return here, here
+
+        _, advantage = jax.lax.scan(back, jnp.zeros(s.copies), (surprise, ended), reverse=True)
+        columns = (seen, steps.act, steps.log_prob, advantage, advantage + value)
+        flat = [column.reshape(s.unit, *column.shape[2:]) for column in columns]
+
+        def minibatch(state: State, rows: Any) -> tuple[State, None]:
+            slope = jax.grad(loss)(state.params, *(column[rows] for column in flat))
+            way, moments = optimizer.update(slope, state.moments)
+            return State(jax.tree.map(lambda p, d: p - rate * d, state.params, way), moments), None
+
+        def epoch(state: State, key: Any) -> tuple[State, None]:
+            order = jax.random.permutation(key, s.unit)
+            return jax.lax.scan(minibatch, state, order.reshape(-1, s.batch))
+
+        return jax.lax.scan(epoch, state, jax.random.split(key, s.epochs))[0]
+
+    return Functions(begin, act, learn)
+
+
+class JaxDraws:
+    """Draws of first states, as NumPy's generators make them (`envs.dynamics.Draws`)."""
+
+    def __init__(self, key: Any) -> None:
+        self._key = key
+
+    def uniform(self, low: Any, high: Any) -> Any:
+        low, high = np.asarray(low), np.asarray(high)
+        return low + (high - low) * jax.random.uniform(self._key, low.shape, jnp.float64)
+
+    def standard_normal(self, size: int) -> Any:
+        return jax.random.normal(self._key, (size,), jnp.float64)
+
+
+@functools.cache
+def collector(kind: Kind, physics: Dynamics, horizon: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return two compiled functions, to be called where JAX has 64 bits: of a key, first states and ages of
+    episodes, which are cut at even intervals at first; and of params, these, the scale of observations and a
+    key, these after a bout, and its `Steps`."""
+    copies = kind.settings.copies
+
+    def starts(key: Any) -> Any:
+        return jax.vmap(lambda one: physics.start(JaxDraws(one)), out_axes=1)(jax.random.split(key, copies))
+
+    def step(params: Any, scale: Any, scene: Any, key: Any) -> Any:
+        state, age = scene
+        acting, starting = jax.random.split(key)
+        obs = physics.observe(state).T.astype(jnp.float32)
+        drawn, log_prob = _draw(kind, params, obs / scale, acting)
+        act = jnp.clip(drawn, -1, 1).T.astype(jnp.float64)
+        after = physics.advance(state, act)
+        true, terminated = physics.pay(state, act, after), physics.fails(after)
+        cut = ~terminated & (age + 1 == horizon)
+        following = physics.observe(after).T.astype(jnp.float32)
+        steps = Steps(obs, drawn, following, log_prob, true.astype(jnp.float32), terminated, cut)
+        ended = terminated | cut
+        return (jnp.where(ended, starts(starting), after), jnp.where(ended, 0, age + 1)), steps
+
+    @jax.jit
+    def first(key: Any) -> Any:
+        return starts(key), jnp.arange(copies) * horizon // copies
+
+    @jax.jit
+    def collect(params: Any, scene: Any, scale: Any, key: Any) -> tuple[Any, Steps]:
+        keys = jax.random.split(key, kind.settings.steps)
+        return jax.lax.scan(lambda scene, key: step(params, scale, scene, key), scene, keys)
+
+    return first, collect

@@ -1,0 +1,89 @@
+"""What PPO of our own learns from: the task's own steps, paid as ends and the absorbing state ask."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from envs.learners import PPO
+from harness.learn.on_policy import OnPolicy, dynamics_of
+from harness.learn.rl import Agent
+from harness.learn.training_env import TrainingEnv
+from harness.registry import SPECS
+from methods.base import Array, Transitions
+
+SMALL = PPO(copies=4, steps=600, batch=600, epochs=1, net=(8,))
+
+
+def steps_of(spec: EnvSpec, settings: PPO = SMALL) -> tuple[Transitions, Array]:
+    """The steps (T, N) of one bout, one after the other, and what the environment paid for them."""
+    seen: list[tuple[Transitions, Array]] = []
+
+    def paid(steps: Transitions, true: Array) -> Array:
+        seen.append((steps, true))
+        return true
+
+    agent = OnPolicy(spec, settings, np.random.default_rng(0), 0, paid)
+    agent.learn(settings.unit, lambda taken: 1e-3, lambda taken: None)
+    return seen[0]
+
+
+def test_steps_of_the_compiled_loop_are_the_tasks() -> None:
+    spec = SPECS["cartpole"]
+    physics: Any = dynamics_of(spec)
+    steps, true = steps_of(spec)
+    obs, act, after = steps.obs.T, steps.act.T, steps.next_obs.T
+    np.testing.assert_allclose(physics.advance(obs, act), after, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(physics.pay(obs, act, after), true, atol=1e-6)
+    assert np.array_equal(physics.fails(after), steps.next_absorbing)
+    assert np.abs(act).max() <= 1
+    assert (np.abs(act) == 1).any()
+    ended = steps.next_absorbing.reshape(SMALL.steps, SMALL.copies)
+    following, last = (o.reshape(SMALL.steps, SMALL.copies, -1) for o in (steps.obs, steps.next_obs))
+    begun = (following[1:] != last[:-1]).any(axis=2)
+    assert begun[ended[:-1]].all()
+    assert (np.abs(following[1:][begun]) <= 0.05 + 1e-6).all()
+
+
+def test_an_episode_is_cut_at_the_horizon_and_first_ones_at_even_intervals() -> None:
+    spec = SPECS["swingup"]
+    steps, _ = steps_of(spec)
+    obs, after = (o.reshape(SMALL.steps, SMALL.copies, -1) for o in (steps.obs, steps.next_obs))
+    for copy in range(SMALL.copies):
+        (cuts,) = np.nonzero((obs[1:, copy] != after[:-1, copy]).any(axis=1))
+        first = spec.horizon - copy * spec.horizon // SMALL.copies
+        assert (cuts + 1).tolist() == list(range(first, SMALL.steps, spec.horizon))
+    assert not steps.next_absorbing.any()
+
+
+def test_other_tasks_are_stepped_alike(fragile: EnvSpec) -> None:
+    assert dynamics_of(fragile) is None
+    steps, true = steps_of(fragile, PPO(copies=4, steps=50, batch=50, epochs=1, net=(8,)))
+    missed = np.abs(steps.obs - steps.act)[:, 0]
+    np.testing.assert_allclose(true, 1 - missed, atol=1e-6)
+    assert np.array_equal(missed > 0.5, steps.next_absorbing)
+
+
+@pytest.mark.parametrize(("protocol", "forever"), [("absorbing", 1.0), ("state", 1.0), ("native", 0.0)])
+def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
+    fragile: EnvSpec, protocol: str, forever: float
+) -> None:
+    env = TrainingEnv(fragile, protocol, np.random.default_rng(0), 1)
+    env.reward = lambda steps: np.where(steps.absorbing, -2.0, 1.0)
+    ends = np.array([False, True])
+    steps = Transitions(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
+    beyond = forever * fragile.gamma * -2.0 / (1 - fragile.gamma)
+    np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
+
+
+def test_the_bits_of_a_solve_depend_on_its_seed_alone() -> None:
+    def curve(seed: int) -> list[tuple[float, float]]:
+        settings = PPO(copies=8, steps=50, batch=100, net=(8,), checkpoint_every=400, check_episodes=2)
+        agent = Agent(SPECS["swingup"], "absorbing", np.random.default_rng(seed), "sbx", settings)
+        return agent.solve(None, 1200).curve
+
+    first, other, again = curve(100), curve(101), curve(100)
+    assert first == again != other
