@@ -1,5 +1,5 @@
-"""Environments whose dynamics are written down once, over the array namespace of what they are given: by
-NumPy one of them, or many in lockstep; by JAX in the loop that reinforcement learning compiles."""
+"""Environments whose dynamics are written down once, over the array namespace of their arguments. NumPy runs
+one of them, or many in lockstep; JAX runs them in the loop that reinforcement learning compiles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from envs.spec import Array
 
 
 class Draws(Protocol):
-    """What draws first states: a generator of NumPy's, or one that does as it."""
+    """A source of first states: NumPy's generator, or one with the same methods."""
 
     def uniform(self, low: Any, high: Any) -> Any:
         """(S,): uniform between bounds (S,)."""
@@ -122,12 +122,12 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
 
 
 def namespace(state: Any) -> Any:
-    """Return NumPy, or what does as it for an array of another kind."""
+    """Return the module whose functions take such an array: NumPy, or JAX's."""
     return state.__array_namespace__()
 
 
 def never(state: Any) -> Any:
-    """Return, of a state, False; of B in lockstep, so many."""
+    """Return False for each state, for dynamics that never fail."""
     return namespace(state).zeros(state.shape[1:], dtype=bool)
 
 

@@ -89,26 +89,20 @@ class DQN(OffPolicy):
 @dataclass(frozen=True)
 class PPO(Common):
     """Schulman et al. 2017: it learns from its latest steps alone, and takes many. It explores by its own
-    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least, and by
-    which equal checkpoints are disturbed."""
+    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least (the
+    first has 1), and by which equal checkpoints are disturbed."""
 
     learning_rate: float = 3e-4
     final_learning_rate: float = 3e-4
     batch: int = 500
     copies: int = 50
     checkpoint_every: int = 25_000
-    first_noise: float = 1.0
-    """The standard deviation that the first solve begins with."""
     steps: int = 50
     """Of each copy, between bouts of learning."""
     epochs: int = 10
     """How often each bout goes through those steps, at least 1."""
     gae_lambda: float = 0.95
     """Of generalised advantage estimation (Schulman et al. 2016), in [0, 1]."""
-    clip: float = 0.2
-    """How far from 1 ratios of probabilities count."""
-    entropy: float = 0.0
-    """What a nat of an action's entropy is worth, where advantages have a deviation of 1."""
 
     @property
     def unit(self) -> int:

@@ -1,7 +1,8 @@
-"""The models of RL libraries: built from a task's settings, begun with a policy, their actors read. DDPG
-(Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX, which is
-Stable-Baselines3 in JAX, or of Stable-Baselines3 itself; DQN (Mnih et al. 2013; thesis, figure 3.2), where
-actions are discrete, is the latter's; PPO is ours, or the latter's. All but PPO have n-step returns; SAC's
+"""The models of RL libraries: built from a task's settings, begun with a policy, their actors read.
+
+DDPG (Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX,
+Stable-Baselines3 in JAX, or of Stable-Baselines3 itself. DQN (Mnih et al. 2013; thesis, figure 3.2), where
+actions are discrete, is the latter's. PPO is ours, or the latter's. All but PPO have n-step returns; SAC's
 leave out the entropy of the steps between.
 """
 
@@ -30,8 +31,9 @@ from methods.base import Array, Episodes, Policy, StochasticPolicy
 from methods.network import ADAM, Network
 from methods.stochastic import SquashedGaussian
 
-Model = sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN | OnPolicy
+OffPolicy = sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.DQN
 """DDPG is a TD3 in both libraries."""
+Model = OffPolicy | sb3.PPO | OnPolicy
 Layers = Sequence[tuple[Array, Array]]
 """Weights (I, K) and biases (K,), the last two of SAC's being its heads: mean and logarithm of the standard
 deviation."""
@@ -62,12 +64,12 @@ def build(
         "seed": seed,
         "device": "cpu",
     }
-    model: sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.PPO | sb3.DQN
+    model: OffPolicy | sb3.PPO
     if isinstance(s, PPO):
         if demonstrations is not None:
             raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
         if library == "sbx":
-            return OnPolicy(spec, s, env.rng, seed, env.paid)
+            return OnPolicy(env, s, seed)
         model = on_policy.by_sb3(s, env, common)
     else:
         model = _off_policy(s, library, env, demonstrations, common | {"learning_starts": warm_up})
@@ -81,7 +83,7 @@ def _off_policy(
     env: TrainingEnv,
     demonstrations: Episodes | None,
     common: dict[str, Any],
-) -> sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.DQN:
+) -> OffPolicy:
     size, gamma = env.spec.act_size, env.spec.gamma
     network: dict[str, Any] = {"net_arch": list(s.net)}
     kept = {"n_steps": s.n_steps, "gamma": gamma, "source": env, "demonstrations": demonstrations}

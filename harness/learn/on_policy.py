@@ -16,7 +16,6 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from envs import EnvSpec
-from envs.copies import Copies
 from envs.dynamics import Dynamics, DynamicsBatch
 from envs.learners import PPO
 from harness.learn import ppo
@@ -31,17 +30,11 @@ REWARD_SIZE = 0.3
 
 
 class OnPolicy:
-    """PPO in one task. paid: what steps (N,) pay, given what the environment paid for them."""
+    """PPO in one environment, of which it steps the copies and asks what steps pay."""
 
-    def __init__(
-        self,
-        spec: EnvSpec,
-        settings: PPO,
-        rng: np.random.Generator,
-        seed: int,
-        paid: Callable[[Transitions, Array], Array],
-    ) -> None:
-        self._spec, self._settings, self._paid = spec, settings, paid
+    def __init__(self, env: TrainingEnv, settings: PPO, seed: int) -> None:
+        spec = env.spec
+        self._env, self._settings = env, settings
         kind = Kind(settings, spec.obs_size, spec.act_size, spec.discrete, spec.gamma)
         self._functions = ppo.functions(kind)
         self._scale = np.array(spec.obs_scale, np.float32)
@@ -49,16 +42,17 @@ class OnPolicy:
         self._state = self._functions.begin(self._next_key())
         physics = dynamics_of(spec)
         self._collect: _Compiled | _Stepped = (
-            _Stepped(kind, spec, rng) if physics is None else _Compiled(kind, physics, spec, self._next_key())
+            _Stepped(kind, env) if physics is None else _Compiled(kind, physics, spec, self._next_key())
         )
-        self._latest: Transitions | None = None
 
     def set_random_seed(self, seed: int) -> None:
         self._key = jax.random.key(seed)
 
     def learn(self, steps: int, rate: Callable[[int], float], done: Callable[[int], None]) -> None:
-        """Learn for so many environment steps, and begin with as much noise at least as the settings say.
-        rate: of learning, when so many steps are taken. done: called with that after each bout."""
+        """Learn for a number of environment steps, beginning with the settings' noise at least.
+
+        rate: gives the learning rate after a number of steps. done: called with that number after each bout.
+        """
         s, size = self._settings, 0.0
         params = self._state.params
         if "log_std" in params:
@@ -66,8 +60,8 @@ class OnPolicy:
             self._state = self._state._replace(params={**params, "log_std": least})
         for taken in range(s.unit, steps + 1, s.unit):
             seen = self._collect(self._state.params, self._scale, self._next_key())
-            self._latest = _transitions(self._spec, seen)
-            paid = self._paid(self._latest, np.asarray(seen.true, np.float64).ravel())
+            true = np.asarray(seen.true, np.float64).ravel()
+            paid = self._env.paid(_transitions(self._env.spec, seen), true)
             if taken == s.unit:
                 size = max(float(np.abs(paid).mean()) / REWARD_SIZE, 1e-9)
             rewards = (paid / size).reshape(s.steps, s.copies).astype(np.float32)
@@ -82,7 +76,8 @@ class OnPolicy:
         """The actor, before any tanh."""
         layers = [[np.asarray(part, np.float64) for part in layer] for layer in self._state.params["actor"]]
         weights, biases = zip(*layers, strict=True)
-        return Network(np.zeros(self._spec.obs_size), np.array(self._spec.obs_scale), weights, biases)
+        scale = np.array(self._env.spec.obs_scale)
+        return Network(np.zeros_like(scale), scale, weights, biases)
 
     def _next_key(self) -> Any:
         self._key, key = jax.random.split(self._key)
@@ -90,13 +85,13 @@ class OnPolicy:
 
 
 def dynamics_of(spec: EnvSpec) -> Dynamics | None:
-    """Return what a task's written dynamics are, None where it has none."""
+    """Return a task's written dynamics, None where it has none."""
     known = isinstance(spec.batch, partial) and spec.batch.func is DynamicsBatch
     return spec.kwargs["physics"] if known else None
 
 
 class _Compiled:
-    """Collects bouts of steps of written dynamics."""
+    """The collector of bouts of steps by written dynamics."""
 
     def __init__(self, kind: Kind, physics: Dynamics, spec: EnvSpec, key: Any) -> None:
         first, self._go_on = ppo.collector(kind, physics, spec.horizon)
@@ -106,30 +101,30 @@ class _Compiled:
     def __call__(self, params: Any, scale: Any, key: Any) -> Steps:
         with jax.enable_x64(True):
             self._scene, steps = self._go_on(params, self._scene, scale, key)
-        return Steps(*steps)
+        found: Steps = steps
+        return found
 
 
 class _Stepped:
-    """Collects bouts of steps of any other task."""
+    """The collector of bouts of steps of any other task."""
 
-    def __init__(self, kind: Kind, spec: EnvSpec, rng: np.random.Generator) -> None:
-        self._kind, self._spec, self._rng = kind, spec, rng
+    def __init__(self, kind: Kind, env: TrainingEnv) -> None:
+        self._kind, self._env = kind, env
         copies = kind.settings.copies
-        self._batch = Copies(spec, copies)
         self._obs = np.stack([self._reset(place) for place in range(copies)])
-        self._age = np.arange(copies) * spec.horizon // copies
+        self._age = np.arange(copies) * env.spec.horizon // copies
 
     def _reset(self, place: int) -> Array:
-        return self._batch.reset(place, training_seeds(self._rng, 1)[0])
+        return self._env.batch.reset(place, training_seeds(self._env.rng, 1)[0])
 
     def __call__(self, params: Any, scale: Any, key: Any) -> Steps:
-        spec, places = self._spec, list(range(self._kind.settings.copies))
+        spec, places = self._env.spec, list(range(self._kind.settings.copies))
         act = ppo.functions(self._kind).act
         rows = []
         for number in range(self._kind.settings.steps):
             obs = self._obs
             drawn, log_prob = map(np.asarray, act(params, (obs / scale).astype(np.float32), key, number))
-            after, true, terminated, truncated = self._batch.step(places, _executed(spec, drawn))
+            after, true, terminated, truncated = self._env.batch.step(places, _executed(spec, drawn))
             self._age += 1
             cut = ~terminated & (truncated | (self._age == spec.horizon))
             rows.append((obs, drawn, after, log_prob, true, terminated, cut))
@@ -161,13 +156,11 @@ def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
             "n_steps": s.steps,
             "n_epochs": s.epochs,
             "gae_lambda": s.gae_lambda,
-            "clip_range": s.clip,
-            "ent_coef": s.entropy,
+            "clip_range": ppo.CLIP,
         },
         policy_kwargs={
             "net_arch": list(s.net),
             "activation_fn": torch.nn.ReLU,
-            "log_std_init": float(np.log(s.first_noise)),
             "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
         },
     )

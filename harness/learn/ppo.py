@@ -1,5 +1,5 @@
-"""Proximal policy optimisation (Schulman et al. 2017), compiled: how an agent acts, how it learns from the
-steps of one bout, and how steps are collected where a task's dynamics are written down.
+"""Proximal policy optimisation (Schulman et al. 2017), compiled. An agent acts, and learns from the steps of
+one bout. Where a task's dynamics are written down, collecting those steps is compiled, too.
 
 The mean action is a tanh of the actor's output, and actions beyond [-1, 1] count as the bound. Advantages are
 generalised ones (Schulman et al. 2016). Beyond an end of the task nothing is to be had; where a time limit
@@ -22,7 +22,9 @@ from envs.dynamics import Dynamics
 from envs.learners import PPO
 
 EPSILON = 1e-5
-"""Of Adam."""
+"""Adam's."""
+CLIP = 0.2
+"""How far from 1 ratios of probabilities count."""
 LARGEST_GRADIENT = 0.5
 """The norm that gradients are clipped to."""
 VALUE_WEIGHT = 0.5
@@ -32,7 +34,7 @@ LAST_LAYER = 0.01
 
 
 class Kind(NamedTuple):
-    """What compiled functions depend on, besides a task's dynamics."""
+    """All that compiled functions depend on, besides a task's dynamics."""
 
     settings: PPO
     obs_size: int
@@ -42,8 +44,8 @@ class Kind(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """T steps of N copies: obs and next_obs (T, N, O); act, as it was drawn, (T, N, A), or choices (T, N);
-    log_prob, true (the environment's reward), terminated and cut (by a time limit) (T, N)."""
+    """T steps of N copies. obs, next_obs: (T, N, O). act: as drawn, (T, N, A), or choices (T, N). log_prob,
+    true (the environment's reward), terminated, cut (by a time limit): (T, N)."""
 
     obs: Any
     act: Any
@@ -62,13 +64,13 @@ class State(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """The compiled parts of an agent. Observations are in units of the task's.
+    """The compiled parts of an agent.
 
-    begin: an untrained `State` from a key.
-    act: from params, observations (N, O), a key and a number that makes it another key, to actions and the
-    logarithm of their density.
-    learn: from a `State`, `Steps`, their rewards (T, N), the scale of observations (O,), the learning rate
-    and a key, to the next `State`.
+    begin(key): an untrained `State`.
+    act(params, seen, key, number): actions at scaled observations (N, O), and the logarithm of their
+    density. The number makes another key of the key.
+    learn(state, steps, rewards, scale, rate, key): the next `State`. rewards: (T, N). scale: (O,), of
+    observations. rate: of learning.
     """
 
     begin: Callable[..., Any]
@@ -87,16 +89,14 @@ def _value(params: Any, seen: Any) -> Any:
     return _through(params["critic"], seen)[..., 0]
 
 
-def _log_prob(kind: Kind, params: Any, seen: Any, act: Any) -> tuple[Any, Any]:
-    """Return the logarithm of actions' density, (N,), and the entropy of what they are drawn from, (N,)."""
+def _log_prob(kind: Kind, params: Any, seen: Any, act: Any) -> Any:
+    """Return the logarithm of actions' density, (N,)."""
     out = _through(params["actor"], seen)
     if kind.discrete:
-        logs = jax.nn.log_softmax(out)
-        return jnp.take_along_axis(logs, act[..., None], -1)[..., 0], -(jnp.exp(logs) * logs).sum(-1)
+        return jnp.take_along_axis(jax.nn.log_softmax(out), act[..., None], -1)[..., 0]
     log_std, constant = params["log_std"], 0.5 * math.log(2 * math.pi)
     z = (act - jnp.tanh(out)) * jnp.exp(-log_std)
-    entropy = jnp.broadcast_to((log_std + constant + 0.5).sum(), z.shape[:-1])
-    return (-0.5 * z * z - log_std - constant).sum(-1), entropy
+    return (-0.5 * z * z - log_std - constant).sum(-1)
 
 
 def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
@@ -106,7 +106,7 @@ def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
     else:
         noise = jax.random.normal(key, out.shape, jnp.float32)
         act = jnp.tanh(out) + jnp.exp(params["log_std"]) * noise
-    return act, _log_prob(kind, params, seen, act)[0]
+    return act, _log_prob(kind, params, seen, act)
 
 
 @functools.cache
@@ -128,7 +128,7 @@ def functions(kind: Kind) -> Functions:
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.full(kind.act_size, np.log(s.first_noise))
+            params["log_std"] = jnp.zeros(kind.act_size)
         return State(params, optimizer.init(params))
 
     @jax.jit
@@ -136,13 +136,12 @@ def functions(kind: Kind) -> Functions:
         return _draw(kind, params, seen, jax.random.fold_in(key, number))
 
     def loss(params: Any, seen: Any, act: Any, before: Any, advantage: Any, target: Any) -> Any:
-        log_prob, entropy = _log_prob(kind, params, seen, act)
-        ratio = jnp.exp(log_prob - before)
+        ratio = jnp.exp(_log_prob(kind, params, seen, act) - before)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        clipped = jnp.clip(ratio, 1 - s.clip, 1 + s.clip)
+        clipped = jnp.clip(ratio, 1 - CLIP, 1 + CLIP)
         gain = jnp.minimum(ratio * advantage, clipped * advantage).mean()
         error = jnp.square(_value(params, seen) - target).mean()
-        return VALUE_WEIGHT * error - gain - s.entropy * entropy.mean()
+        return VALUE_WEIGHT * error - gain
 
     @jax.jit
     def learn(state: State, steps: Steps, rewards: Any, scale: Any, rate: Any, key: Any) -> State:
@@ -190,9 +189,11 @@ class JaxDraws:
 
 @functools.cache
 def collector(kind: Kind, physics: Dynamics, horizon: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return two compiled functions, to be called where JAX has 64 bits: of a key, first states and ages of
-    episodes, which are cut at even intervals at first; and of params, these, the scale of observations and a
-    key, these after a bout, and its `Steps`."""
+    """Return two compiled functions, to be called where JAX has 64 bits.
+
+    first(key): a scene, which is states and the ages of episodes. First ones are cut at even intervals.
+    collect(params, scene, scale, key): the scene after a bout, and its `Steps`.
+    """
     copies = kind.settings.copies
 
     def starts(key: Any) -> Any:

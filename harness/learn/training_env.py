@@ -51,7 +51,7 @@ class TrainingEnv(VecEnv):
         super().__init__(copies, spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32), actions)
         self.reward: Reward | Payment | None = None
         self.spec = spec
-        self._batch = Copies(spec, copies)
+        self.batch = Copies(spec, copies)
         self._obs_scale = np.array(spec.obs_scale)
         self._state = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
@@ -87,8 +87,10 @@ class TrainingEnv(VecEnv):
         return paid
 
     def paid(self, steps: Transitions, true: Array) -> Array:
-        """(N,): what each step pays one who learns that beyond its end nothing is to be had; what the
-        absorbing state pays for ever is part of the last step."""
+        """Return what steps pay an agent that expects nothing after an end, (N,).
+
+        What the absorbing state would pay for ever is part of the last step. The rest as of `raw_rewards`.
+        """
         found = self.raw_rewards(steps, true)
         if self._state and not isinstance(self.reward, Reward) and steps.next_absorbing.any():
             one = np.zeros(1, bool)
@@ -158,7 +160,7 @@ class TrainingEnv(VecEnv):
         next_obs, true = obs.copy(), np.zeros(self.num_envs)
         terminated, cut = np.zeros((2, self.num_envs), bool)
         if alive.any():
-            stepped = self._batch.step(np.flatnonzero(alive).tolist(), act[alive])
+            stepped = self.batch.step(np.flatnonzero(alive).tolist(), act[alive])
             next_obs[alive], true[alive], terminated[alive], cut[alive] = stepped
         self.latest = Transitions(obs, act, next_obs, ~alive, terminated | ~alive), true
         raw = self.raw_rewards(*self.latest)
@@ -183,7 +185,7 @@ class TrainingEnv(VecEnv):
 
     def _reset(self, place: int) -> None:
         self._obs = self._obs.copy()  # what was seen stays as it was
-        self._obs[place] = self._batch.reset(place, training_seeds(self.rng, 1)[0])
+        self._obs[place] = self.batch.reset(place, training_seeds(self.rng, 1)[0])
         self._age[place], self._absorbed_for[place] = 0, NOT_ABSORBED
 
     def _seen(self) -> NDArray[np.float32]:

@@ -22,12 +22,13 @@ def steps_of(spec: EnvSpec, settings: PPO = SMALL) -> tuple[Transitions, Array]:
     """The steps (T, N) of one bout, one after the other, and what the environment paid for them."""
     seen: list[tuple[Transitions, Array]] = []
 
-    def paid(steps: Transitions, true: Array) -> Array:
-        seen.append((steps, true))
-        return true
+    class Watched(TrainingEnv):
+        def paid(self, steps: Transitions, true: Array) -> Array:
+            seen.append((steps, true))
+            return super().paid(steps, true)
 
-    agent = OnPolicy(spec, settings, np.random.default_rng(0), 0, paid)
-    agent.learn(settings.unit, lambda taken: 1e-3, lambda taken: None)
+    env = Watched(spec, "absorbing", np.random.default_rng(0), settings.copies)
+    OnPolicy(env, settings, 0).learn(settings.unit, lambda taken: 1e-3, lambda taken: None)
     return seen[0]
 
 

@@ -163,10 +163,10 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
         return check(self, policies, seeds)
 
     def reset(self: TrainingEnv, place: int) -> None:
-        batch = self._batch.reset
-        self._batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
+        batch = self.batch.reset
+        self.batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
         begin(self, place)
-        self._batch.reset = batch
+        self.batch.reset = batch
 
     monkeypatch.setattr(Simulator, "run_each", run_each)
     monkeypatch.setattr(TrainingEnv, "_reset", reset)
