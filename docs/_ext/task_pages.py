@@ -65,7 +65,7 @@ def page(spec: EnvSpec) -> str:
 
 
 def doc_of(module: str, name: str) -> str:
-    """What is written below the assignment to this name."""
+    """Return the text below the assignment to this name."""
     body = ast.parse(inspect.getsource(sys.modules[module])).body
     for node, after in zip(body, [*body[1:], None], strict=True):
         if (
@@ -112,7 +112,7 @@ def budgets(numbers: Mapping[str, int]) -> str:
 
 
 def learner(rl: Any) -> str:
-    """Its name, and what it has otherwise than by default."""
+    """Return its name, and the settings that differ from the defaults."""
     changed = [f for f in dataclasses.fields(rl) if getattr(rl, f.name) != f.default]
     said = ", ".join(f"`{f.name}` {told(getattr(rl, f.name))}" for f in changed)
     return f"{type(rl).__name__}" + (f" with {said}" if said else "")
