@@ -109,7 +109,23 @@ class PPO(Common):
         return self.copies * self.steps
 
 
+SMALL_PPO = PPO(
+    copies=32,
+    steps=64,
+    batch=256,
+    epochs=6,
+    learning_rate=1e-3,
+    final_learning_rate=0.0,
+    checkpoint_every=8192,
+)
+"""PPO where some ten thousand steps are enough."""
+
 Learner = DDPG | TD3 | SAC | DQN | PPO
+
+
+def stochastic(learner: Learner) -> SAC | DQN | PPO:
+    """Return the learner where its policy is by chance, and else soft actor-critic, as `soft` has it."""
+    return learner if isinstance(learner, PPO) else soft(learner)
 
 
 def soft(learner: Learner) -> SAC | DQN:

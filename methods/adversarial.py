@@ -9,6 +9,7 @@ reinforcement learning goes on under the mean of the latest rewards, and its bes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -46,8 +47,8 @@ class Game:
     """Hidden layers of the reward's networks."""
     iterations: int = 30
     """Turns of each player."""
-    rl_steps: int = 1000
-    """Environment steps of each turn of the agent; of its first one, twice as many."""
+    rl_share: float = 0.04
+    """Environment steps of each turn of the agent, of those of a solve from scratch."""
     reward_steps: int = 100
     """Gradient steps of each turn of the reward."""
     learning_rate: float = 1e-3
@@ -55,14 +56,14 @@ class Game:
     batch: int = 256
     """Steps of demonstrations in each of the discriminator's gradient steps, and as many of the agent's."""
     latest: int = 3000
-    """Steps of the agent, its last, that are sampled from."""
+    """Steps of the agent, its last, that are sampled from; an agent that learns by PPO remembers fewer."""
     slope_penalty: float = 1.0
     """Weight of the reward's mean squared slope between the two (`slope_among_living`), observations being
     standardised."""
     averaged: int = 15
     """Latest rewards, of whose mean the agent learns at the end."""
-    final_steps: int = 5000
-    """Environment steps of that."""
+    final_share: float = 0.5
+    """Environment steps of that, of those of a solve from scratch."""
     rollouts: int = 10
     """Episodes of random actions, with which observations are standardised; where the model is known, also of
     the agent in each turn."""
@@ -86,15 +87,15 @@ class Game:
         """Each player takes its turns, the agent under `first` to begin with, and the reward's by `answer` to
         the agent's latest steps."""
         turns = [first]
-        for i in range(self.iterations):
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), turns[-1].payment)
+        for _ in range(self.iterations):
+            agent.learn(math.ceil(self.rl_share * world.solve_steps), turns[-1].payment)
             if world.model is None:
                 seen = agent.replay().last(self.latest)
             else:
                 seen = Transitions.of(world.rollout(agent.policy, self.rollouts, rng))
             turns.append(answer(seen))
         mean = MeanReward(tuple(turn.reward for turn in turns[1:][-self.averaged :]))
-        agent.learn(self.final_steps, mean)
+        agent.learn(math.ceil(self.final_share * world.solve_steps), mean)
         return Outcome(agent.best(mean), turns[-1].reward, mean)
 
     def discriminator(self, logit: torch.nn.Module, generator: torch.Generator) -> Discriminator:

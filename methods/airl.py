@@ -30,7 +30,6 @@ from torch.nn.functional import softplus
 from envs.spec import Model
 from methods.adversarial import Game, Turn
 from methods.base import (
-    ABSORBING_STEPS,
     Array,
     Episodes,
     Learned,
@@ -51,6 +50,8 @@ class AIRL(Game):
 
     actions: bool = True
     """Whether g sees actions, besides observations."""
+    entropy: float = 1.0
+    """What a nat of the entropy of its policy is worth to an agent that learns by PPO."""
     most_sure: float = 1.0
     """Bound, for each entry of actions, on the logarithm of their density over that of uniform ones."""
     known_steps: int = 1000
@@ -69,7 +70,7 @@ class AIRL(Game):
         g = mlp(inputs, *self.layers, 1, generator=generator)
         h = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
         discriminator = self.discriminator(Logit(g, h, world.gamma), generator)
-        agent = world.agent(rng, soft=True)
+        agent = world.agent(rng, kind="stochastic", entropy=self.entropy)
         size = 1 if world.discrete else world.act_size
         uniform = -np.log(world.act_size) if world.discrete else -size * np.log(2)
         losses: list[float] = []
@@ -94,7 +95,7 @@ class AIRL(Game):
         shown = demonstrated(demos, model).sum(axis=0)
         g, _ = known(self, shown / shown.sum(), model, world.gamma, world.horizon)
         reward = TabularReward(model.obs, np.broadcast_to(g, shown.shape))
-        return Learned(world.solve(reward, rng, self.rl_steps), reward)
+        return Learned(world.solve(reward, rng, world.solve_steps), reward)
 
 
 def known(method: AIRL, shown: Array, model: Model, gamma: float, horizon: int) -> tuple[Array, Array]:
@@ -124,13 +125,7 @@ def as_transitions(demos: Episodes) -> Transitions:
     some are not shown."""
     if not demos.whole:
         raise Unsuitable("AIRL learns from demonstrations of which every step is shown")
-    steps = Transitions.of(demos)
-    ends = np.cumsum(demos.lengths)[np.array(demos.terminated)] - 1
-    rows = np.concatenate([np.arange(len(steps)), np.repeat(ends, ABSORBING_STEPS)])
-    there = np.arange(len(rows)) >= len(steps)
-    return Transitions(
-        steps.obs[rows], steps.act[rows], steps.next_obs[rows], there, there | np.isin(rows, ends)
-    )
+    return Transitions.of(demos).absorbed()
 
 
 def log_density(policy: StochasticPolicy, steps: Transitions, uniform: float, most: float) -> Array:

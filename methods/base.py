@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,12 +83,22 @@ class Transitions:
         """The last so many, or all where there are fewer."""
         return Transitions(*(column[-count:] for column in vars(self).values()))
 
+    def absorbed(self) -> Transitions:
+        """Return the steps, each that ends an episode followed by `ABSORBING_STEPS` in the absorbing state.
+        None of those given may be there."""
+        rows = np.repeat(np.arange(len(self)), 1 + ABSORBING_STEPS * self.next_absorbing)
+        obs, act, next_obs, _, ended, demonstrated = (column[rows] for column in vars(self).values())
+        return Transitions(obs, act, next_obs, np.diff(rows, prepend=-1) == 0, ended, demonstrated)
+
     @classmethod
     def of(cls, episodes: Episodes) -> Transitions:
-        """Every step of whole episodes, without any in the absorbing state."""
+        """Return every step of whole episodes, without any in the absorbing state."""
         obs, act = episodes.pairs()
-        living = np.zeros(len(act), bool)
-        return cls(obs, act, np.concatenate([seen[1:] for seen in episodes.obs]), living, living)
+        ended = np.zeros(len(act), bool)
+        ended[episodes.lengths.cumsum() - 1] = episodes.terminated
+        return cls(
+            obs, act, np.concatenate([seen[1:] for seen in episodes.obs]), np.zeros(len(act), bool), ended
+        )
 
 
 Payment = Callable[[Transitions], Array]
@@ -177,12 +187,18 @@ class Episodes:
         return Episodes(obs, act, self.terminated, times, self.steps)
 
 
+Kind = Literal["own", "stochastic", "soft"]
+"""An agent that learns by the task's own learner; by that where its policy is by chance, and else as the
+third; by soft actor-critic or, where actions are choices, by one for these."""
+
+
 class Agent(Protocol):
     """Learns by reinforcement, and goes on from where it is under whatever reward comes next. Where the model
     is known it knows at once, without a step."""
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
-        """For so many environment steps. All that it has seen counts, paid by this reward alone."""
+        """Learn for so many environment steps, at least 1, and for a few more where its learner takes steps
+        in bouts. All that it remembers is paid by this reward alone."""
 
     def best(self, reward: Reward) -> Policy:
         """The checkpoint of what was learned last that does best under the reward."""
@@ -193,12 +209,12 @@ class Agent(Protocol):
 
     @property
     def behaviour(self) -> StochasticPolicy:
-        """What it explores with. Raises ValueError where nothing was learned yet, and unless it learns by
-        soft actor-critic or, where actions are choices, by Q-learning."""
+        """What it explores with. Raises ValueError where nothing was learned yet, and where its policy is not
+        by chance."""
 
     def replay(self) -> Transitions:
-        """The latest steps that it has seen, of all that it learned, the oldest first. Raises ValueError
-        where the model is known, where it learns by PPO, and where nothing was learned yet."""
+        """The latest steps that it has seen, the oldest first: all that it remembers. Raises ValueError where
+        the model is known, and where nothing was learned yet."""
 
 
 class World(Protocol):
@@ -208,6 +224,8 @@ class World(Protocol):
     act_size: int
     horizon: int
     gamma: float
+    solve_steps: int
+    """Environment steps that a solve takes here from scratch, at the run's budget."""
     discrete: bool
     """Whether actions are choices."""
     model: Model | None
@@ -230,17 +248,19 @@ class World(Protocol):
         self,
         rng: np.random.Generator,
         *,
-        soft: bool = False,
+        kind: Kind = "own",
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
     ) -> Agent:
-        """One that has not learned yet, by the task's own learner.
+        """One that has not learned yet.
 
-        soft: by soft actor-critic, whatever that is; but where actions are choices, by that.
         init: what it begins with, a `Network` of its actor's shape or, for soft actor-critic, a
         `SquashedGaussian` of it.
         demonstrations: half of what it learns from at each gradient step, paid as its own steps are.
-        Raises ValueError for another `init`, and for either of them where the model is known.
+        entropy: what a nat of its policy's entropy is worth, uniform actions having 0, where it learns from
+        its latest steps alone (PPO). Soft actor-critic weighs entropy by itself, and others have none.
+        Raises ValueError for another `init`, and for either of the first two where the model is known.
         """
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:

@@ -76,7 +76,7 @@ class CSIL(BehaviourCloning):
         reward = CoherentReward(q, self.floor)
         clone = super().fit(demos, world, rng)
         mixed = demos if demos.whole else None
-        agent = world.agent(rng, soft=True, init=clone.policy, demonstrations=mixed)
+        agent = world.agent(rng, kind="soft", init=clone.policy, demonstrations=mixed)
         agent.learn(self.rl_steps, reward)
         return Learned(agent.best(reward), reward, clone.curves, {"width": q.width, "noise": q.noise})
 

@@ -52,7 +52,7 @@ class FIRL(Game):
         discriminator = self.discriminator(logit, generator)
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
         shown = visitations(demos, ABSORBING_STEPS, mean, std, False)
-        agent = world.agent(rng, soft=True)
+        agent = world.agent(rng, kind="stochastic")
         losses: list[float] = []
 
         def turn() -> Turn:
@@ -93,7 +93,7 @@ class FIRL(Game):
             losses.append(divergence)
         values = np.repeat(r.detach().numpy()[:, None], model.P.shape[1], axis=1)
         reward = TabularReward(model.obs, values)
-        return Learned(world.solve(reward, rng, self.rl_steps), reward, {"divergence": losses})
+        return Learned(world.solve(reward, rng, world.solve_steps), reward, {"divergence": losses})
 
 
 def forward_divergence(

@@ -54,6 +54,6 @@ class GAIL(Game):
             losses.append(discriminator.tell(shown, visited(seen, mean, std, self.actions), rng))
             return turn()
 
-        found = self.play(world, world.agent(rng, soft=True), turn(), answer, rng)
+        found = self.play(world, world.agent(rng, kind="stochastic"), turn(), answer, rng)
         reward = found.mean if self.mean else found.last
         return Learned(found.policy, reward, {"discriminator's loss": losses})

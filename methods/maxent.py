@@ -22,6 +22,7 @@ what steps of these do.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,15 +46,17 @@ class MaxEnt:
     """Whether the reward sees actions, besides observations. Where the model is known it never does."""
     iterations: int = 30
     """Reward updates, each followed by reinforcement learning that goes on."""
-    rl_steps: int = 1000
-    """Environment steps of each iteration; where reinforcement learning begins, twice as many."""
+    rl_share: float = 0.04
+    """Environment steps of each iteration, of those of a solve from scratch."""
+    entropy: float = 0.0
+    """What a nat of the entropy of its policy is worth to an agent that learns by PPO."""
     restart_every: int | None = None
     """Iterations after which reinforcement learning begins anew, so that R* is one that it finds its way by
     from the start, and not only from where the policy was; None is never."""
     averaged: int = 15
     """Latest iterations, of whose networks R* is the mean."""
-    final_steps: int = 5000
-    """Environment steps under R*, from which pi* is the best checkpoint."""
+    final_share: float = 0.5
+    """Environment steps under R*, of those of a solve; pi* is the best checkpoint of these."""
     reward_steps: int = 100
     """Gradient steps on the reward in each iteration."""
     learning_rate: float = 1e-3
@@ -90,7 +93,7 @@ class MaxEnt:
             optimizer.step()  # 9
             likelihoods.append(likelihood)
         reward = StateReward(Network.from_torch(network, mean, std))
-        policy = world.solve(reward, rng, self.rl_steps)
+        policy = world.solve(reward, rng, world.solve_steps)
         return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
 
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
@@ -105,7 +108,7 @@ class MaxEnt:
         visits_policy: list[Array] = []
         rewards: list[NetworkReward] = []
         gaps: list[float] = []
-        agent = world.agent(rng)
+        agent = world.agent(rng, entropy=self.entropy)
         for i in range(self.iterations):
             rollouts = random if i == 0 else world.rollout(agent.policy, self.rollouts, rng)
             visits = visitations(rollouts, world.horizon - rollouts.lengths, mean, std, self.actions)
@@ -123,10 +126,10 @@ class MaxEnt:
             rewards.append(deterred(reward, demos, random, float(paid(reward, random).mean())))
             begins = i % (self.restart_every or self.iterations) == 0
             if begins and i > 0:
-                agent = world.agent(rng)
-            agent.learn(self.rl_steps * (2 if begins else 1), rewards[-1])
+                agent = world.agent(rng, entropy=self.entropy)
+            agent.learn(math.ceil(self.rl_share * world.solve_steps), rewards[-1])
         mean_reward = MeanReward(tuple(rewards[-self.averaged :]))
-        agent.learn(self.final_steps, mean_reward)
+        agent.learn(math.ceil(self.final_share * world.solve_steps), mean_reward)
         return Learned(
             agent.best(mean_reward), mean_reward, {"mean reward, demonstrations minus rollouts": gaps}
         )

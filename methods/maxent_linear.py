@@ -16,6 +16,7 @@ absorption pays is learned like any state's reward.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +35,8 @@ class MaxEntLinear:
 
     iterations: int = 5
     """Reward updates, each followed by a reinforcement-learning solve."""
-    rl_steps: int = 3000
-    """Environment steps of each solve; the first takes twice as many."""
+    rl_share: float = 0.3
+    """Environment steps of each, of those of a solve from scratch."""
     rollouts: int = 10
     """Episodes that estimate a policy's mean features."""
     prior: float = 0.5
@@ -64,7 +65,7 @@ class MaxEntLinear:
 
         w = optimize.minimize(loss, np.zeros(phi.shape[2]), jac=True, method="L-BFGS-B").x
         reward = LinearReward(world.phi, np.append(w, 0.0))
-        policy = world.solve(reward, rng, self.rl_steps)
+        policy = world.solve(reward, rng, world.solve_steps)
         return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
 
     def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
@@ -75,7 +76,7 @@ class MaxEntLinear:
         second: list[Array] = []
         gaps: list[float] = []
         agent = world.agent(rng)
-        for i in range(self.iterations):
+        for _ in range(self.iterations):
             mean, moment = moments(world.rollout(policy, self.rollouts, rng), world)
             means.append(mean)
             second.append(moment)
@@ -84,7 +85,7 @@ class MaxEntLinear:
             w = np.linalg.solve(precision + self.weight_prior * np.eye(len(gap)), gap)
             gaps.append(float(w @ gap))
             reward = LinearReward(world.phi, w)
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), reward)
+            agent.learn(math.ceil(self.rl_share * world.solve_steps), reward)
             policy = agent.best(reward)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
 

@@ -19,6 +19,7 @@ the smallest |mu_E - mu(j)|.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -43,12 +44,12 @@ class MaxMargin:
 
     iterations: int = 20
     """At most as many times the learner goes on under new weights."""
-    rl_steps: int = 1600
-    """Environment steps of each; the first takes twice as many."""
+    rl_share: float = 0.05
+    """Environment steps of each, of those of a solve from scratch."""
     averaged: int = 10
     """Latest iterations, of whose weights R* has the mean, each counting by its margin."""
-    final_steps: int = 5000
-    """Environment steps under R*."""
+    final_share: float = 0.5
+    """Environment steps under R*, of those of a solve from scratch."""
     epsilon: float = 0.01
     """Stops where the margin t is at most this. Feature expectations are scaled to sums of 1."""
     rollouts: int = 10
@@ -74,8 +75,8 @@ class MaxMargin:
         w, margin = separate(expert, found)
         margins, policies, weights = [margin], list[Policy](), list[Array]()
         agent = world.agent(rng)
-        for i in range(self.iterations):
-            agent.learn(self.rl_steps * (2 if i == 0 else 1), LinearReward(phi, w))
+        for _ in range(self.iterations):
+            agent.learn(math.ceil(self.rl_share * world.solve_steps), LinearReward(phi, w))
             policies.append(agent.policy)
             weights.append(w)
             found.append(self._expectations(policies[-1], world, phi, rng))
@@ -86,7 +87,7 @@ class MaxMargin:
         latest = slice(-self.averaged, None)
         separated = np.maximum(margins[: len(weights)][latest], TINY)
         reward = LinearReward(phi, np.average(weights[latest], axis=0, weights=separated))
-        agent.learn(self.final_steps, reward)
+        agent.learn(math.ceil(self.final_share * world.solve_steps), reward)
         policies.append(agent.best(reward))
         found.append(self._expectations(policies[-1], world, phi, rng))
         distances = [float(np.linalg.norm(expert - mu)) for mu in found[1:]]

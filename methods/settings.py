@@ -17,14 +17,12 @@ SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is the f of the thesis's model."""
 BASES = {"methods.adversarial:Game": GAMES, "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED)}
 """Methods that derive from classes that are no methods themselves."""
-MANY_STEPS = ("acrobot", "double_pendulum", "hopper", "walker2d")
-"""Environments where RL is PPO, which takes many steps."""
 LARGE = ("halfcheetah", "hopper", "walker2d")
 """Environments whose experts the usual networks are too small to clone."""
 ANY: tuple[str, ...] = ()
 CLONE = {"steps": 10_000, "iterations": 100, "final_iterations": 100}
 SMOKE_CLONE = {"steps": 300, "iterations": 10}
-SMOKE_RL = {"iterations": 1, "rl_steps": 320, "rollouts": 3}
+SMOKE_RL = {"iterations": 1, "rollouts": 3}
 SMOKE_RANKS = {"rollouts": 2, "comparisons": 200, "reward_steps": 50, "networks": 2}
 
 SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, Any]]] = [
@@ -34,57 +32,20 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("maxent_state",), ANY, ANY, {"actions": False}),
     (MAXENT, ANY, ("quick",), {"iterations": 15, "averaged": 8}),
     (MAXENT, ("gridworld",), ANY, {"iterations": 300, "learning_rate": 1e-2}),
-    (ITERATIVE, ANY, ("quick",), {"final_steps": 4000}),
-    (ITERATIVE, ("highway",), ("full",), {"final_steps": 10_000}),
-    (MAXMARGIN, ("highway",), ("full",), {"rl_steps": 2000}),
-    (MAXENT, ("highway",), ("full",), {"rl_steps": 1600}),
-    (ITERATIVE, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
-    (ITERATIVE, MANY_STEPS, ("smoke",), {"rl_steps": 20_000, "final_steps": 20_000}),
-    (ITERATIVE, MANY_STEPS, ("quick", "full"), {"rl_steps": 20_000, "final_steps": 100_000}),
-    (ITERATIVE, ("acrobot",), ("full",), {"rl_steps": 60_000, "final_steps": 200_000}),
-    (ITERATIVE, ("cartpole_swingup",), ("full",), {"rl_steps": 2000}),
-    (MAXMARGIN, ("cartpole_swingup",), ("full",), {"final_steps": 20_000}),
-    (
-        *(MAXENT, ("cartpole_swingup",), ("full",)),
-        {"iterations": 60, "restart_every": 12, "averaged": 30, "final_steps": 40_000},
-    ),
-    (
-        *(MAXENT, ("hopper",), ("full",)),
-        {"iterations": 200, "rl_steps": 8000, "reward_steps": 20, "averaged": 100, "remembered": 8},
-    ),
+    ((*ITERATIVE, *GAMES, "maxent_linear"), ANY, ("smoke",), SMOKE_RL),
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
     (("gail_mean_state", "airl_state"), ANY, ANY, {"actions": False}),
-    (GAMES, ANY, ("quick",), {"iterations": 10, "rl_steps": 600, "averaged": 5, "final_steps": 3000}),
-    (GAMES, ("cartpole", "pendulum"), ("full",), {"final_steps": 15_000}),
-    (
-        *(GAMES, ("cartpole_swingup",), ("full",)),
-        {"rl_steps": 2000, "iterations": 60, "latest": 6000, "averaged": 30, "final_steps": 40_000},
-    ),
-    (GAMES, ("point_maze",), ("full",), {"iterations": 60, "averaged": 30, "final_steps": 10_000}),
-    (
-        *(GAMES, ("halfcheetah",), ("quick", "full")),
-        {"rl_steps": 5000, "latest": 15_000, "averaged": 30, "final_steps": 20_000},
-    ),
-    (
-        *(GAMES, ("hopper", "walker2d"), ("full",)),
-        {"iterations": 100, "rl_steps": 2000, "latest": 10_000, "averaged": 50, "final_steps": 50_000},
-    ),
-    (GAMES, ANY, ("smoke",), {**SMOKE_RL, "final_steps": 320}),
     (("airl", "airl_state", "f_irl"), ("gridworld",), ("smoke",), {"known_steps": 20}),
     (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 8000}),
-    (("sqil",), ANY, ("smoke",), {"rl_steps": 320}),
+    (("sqil", "csil"), ANY, ("smoke",), {"rl_steps": 320}),
     (("csil",), ("cartpole_swingup", "halfcheetah"), ANY, {"layers": (128, 128)}),
-    (("csil",), ANY, ("smoke",), {**SMOKE_CLONE, "rl_steps": 320}),
-    (("maxent_linear",), ANY, ("smoke",), SMOKE_RL),
-    (("maxent_linear",), MANY_STEPS, ANY, {"rl_steps": 100_000}),
-    (("bc", "dagger", *SHAPED), ANY, ("smoke",), SMOKE_CLONE),
+    (("csil", "bc", "dagger", *SHAPED), ANY, ("smoke",), SMOKE_CLONE),
     (("dagger",), ANY, ("smoke",), {"rounds": 1, "rollouts": 2}),
     (("bc", "dagger"), LARGE, ("quick", "full"), {"layers": (128, 128), **CLONE}),
     (SHAPED, LARGE, ("quick", "full"), {"f_layers": (128, 128), **CLONE}),
     (("shaped_decay",), ANY, ANY, {"weight_decay": 1e-3}),
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
-    (("shaped_ranked",), ("swingup",), ("quick", "full"), {"rl_steps": 5000}),
-    (("shaped_ranked",), ("cartpole_swingup", "halfcheetah"), ("quick", "full"), {"rl_steps": 20_000}),
+    (("shaped_ranked",), ("swingup", "cartpole_swingup"), ("quick", "full"), {"rl_rounds": 2}),
     (("shaped_ranked",), ("halfcheetah",), ("quick", "full"), {"rl_rounds": 4}),
     (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
 ]

@@ -8,7 +8,7 @@ less noise than j, and touches the environment for the rollouts alone.
 
     max over r of E log sigma(sum_(s in i) r(s) - sum_(s in j) r(s))
 
-Only where `rl_steps` says so there is a little reinforcement learning: R* may pay well
+Only where `rl_rounds` says so there is a little reinforcement learning: R* may pay well
 for states that no rollout visits. RL finds them, and each of its states is compared with one of f's: what
 cannot be told from f's pays like them, and what can pays less.
 
@@ -61,11 +61,9 @@ class ShapedRanked(Shaped):
     reward_rate: float = 1e-3
     """Learning rate of these."""
 
-    rl_steps: int | None = None
-    """Environment steps of each solve of reinforcement learning under a reward, whose states rank below f's
-    in the next one. None is no such solve."""
-    rl_rounds: int = 2
-    """So many of these, one after the other and each from scratch."""
+    rl_rounds: int = 0
+    """Solves from scratch by reinforcement learning, each under the latest reward, whose states rank below
+    f's in the next one."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
@@ -74,9 +72,9 @@ class ShapedRanked(Shaped):
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         found = list[Episodes]()
         reward, curves = self._rank(ladder, found, demos, world, rng)
-        for _ in range(0 if self.rl_steps is None else self.rl_rounds):
+        for _ in range(self.rl_rounds):
             agent = world.agent(rng)
-            agent.learn(self.rl_steps or 0, reward)
+            agent.learn(world.solve_steps, reward)
             found.append(world.rollout(agent.policy, self.rollouts, rng))
             reward, curves = self._rank(ladder, found, demos, world, rng)
         return Learned(learned.policy, reward, {**learned.curves, **curves})

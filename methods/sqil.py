@@ -44,7 +44,7 @@ class SQIL:
             return Learned(TabularPolicy(world.model.obs, greedy(q)), None)
         if not demos.whole:
             raise Unsuitable("SQIL learns from demonstrations of which every step is shown")
-        agent = world.agent(rng, soft=True, demonstrations=demos)
+        agent = world.agent(rng, kind="soft", demonstrations=demos)
         agent.learn(self.rl_steps, imitate)
         return Learned(agent.policy, None)
 

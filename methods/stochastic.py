@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from methods.base import Array, Policy
 from methods.network import Network
@@ -72,3 +73,40 @@ class EpsilonGreedy:
         values = self.mean(obs)
         chosen: Array = np.eye(values.shape[1])[values.argmax(axis=1)]
         return chosen
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Normal actions about a mean, independent; what lies beyond [-1, 1] counts as the bound. log_std (A,):
+    logarithm of the standard deviation, the same at all observations."""
+
+    mean: Policy
+    log_std: Array
+
+    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+        """Return an action for each observation (B, O), (B, A)."""
+        mean = self.mean(obs)
+        return np.clip(mean + np.exp(self.log_std) * rng.standard_normal(mean.shape), -1, 1)
+
+    def log_prob(self, obs: Array, act: Array) -> Array:
+        """Return the logarithm of the normal density of actions (B, A) at observations (B, O), (B,)."""
+        z = (act - self.mean(obs)) / np.exp(self.log_std)
+        return np.asarray((-0.5 * (z**2 + np.log(2 * np.pi)) - self.log_std).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Softmax:
+    """Choices whose probabilities are in proportion to exp(mean(obs))."""
+
+    mean: Policy
+
+    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+        """Return 1 for the choice at each observation (B, O), and 0 for others, (B, A)."""
+        values = self.mean(obs)
+        chosen: Array = np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)]
+        return chosen
+
+    def log_prob(self, obs: Array, act: Array) -> Array:
+        """Return the logarithm of the probability of the choices (B, A) at observations (B, O), (B,)."""
+        values = self.mean(obs)
+        return np.asarray((values * act).sum(axis=1) - logsumexp(values, axis=1))

@@ -17,6 +17,7 @@ import numpy as np
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, namespace, why_ended
+from envs.learners import DDPG, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -118,14 +119,15 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
-    rl_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
+    rl_steps={"smoke": 4096, "quick": 32_768, "full": 65_536},
+    rl=SMALL_PPO,
     ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=60_000, bar=499.5),
+    shipped=Shipped(steps=60_000, bar=499.5, rl=DDPG()),
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
     variants={

@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
 from envs.balancing import cartpole
-from envs.balancing.cartpole import NOMINAL, Physics
-from envs.dynamics import why_ended
-from envs.learners import DQN
+from envs.balancing.cartpole import Physics
+from envs.dynamics import DynamicsBatch, namespace, why_ended
+from envs.learners import DQN, SMALL_PPO
 from envs.spec import EnvSpec, Quantity, Shipped
+
+
+@dataclass(frozen=True)
+class Choices(Physics):
+    """The same, of two choices, 1 for the one that is made: a push to the left, or to the right. Each step
+    pays 1."""
+
+    act_size = 2
+
+    def advance(self, state: Any, act: Any) -> Any:
+        return super().advance(state, (act[1] - act[0])[None])
+
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
+        return namespace(after).ones_like(after[0])
+
+
+NOMINAL = Choices()
 
 
 class DiscreteCartPole(CartPoleEnv):
@@ -42,16 +63,21 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
-    rl_steps={"smoke": 600, "quick": 10_000, "full": 30_000},
+    rl_steps={"smoke": 4096, "quick": 32_768, "full": 65_536},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
     draw=cartpole.draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=60_000, bar=500.0),
+    shipped=Shipped(steps=60_000, bar=500.0, rl=DQN()),
     discrete=True,
-    rl=DQN(),
-    variants=cartpole.SPEC.variants,
+    rl=SMALL_PPO,
+    kwargs={"physics": NOMINAL},
+    batch=partial(DynamicsBatch, physics=NOMINAL),
+    variants={
+        name: {"physics": Choices(**asdict(changed["physics"]))}
+        for name, changed in cartpole.SPEC.variants.items()
+    },
 )
 """The same cart and pole, pushed by 10 N to the left or to the right. A step pays 1. An episode ends where
 the cart leaves the track or the pole leans by more than 12 degrees."""

@@ -161,8 +161,18 @@ SPEC = EnvSpec(
     draw=draw,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=3_000_000, bar=-223.6),
-    rl=PPO(copies=100, steps=100, batch=1000, checkpoint_every=50_000),
+    shipped=Shipped(
+        steps=3_000_000, bar=-223.6, rl=PPO(copies=100, steps=100, batch=1000, checkpoint_every=50_000)
+    ),
+    rl=PPO(
+        copies=100,
+        steps=100,
+        batch=1000,
+        epochs=8,
+        learning_rate=1e-3,
+        final_learning_rate=5e-5,
+        checkpoint_every=50_000,
+    ),
     variants={
         "long": {"physics": Physics(length=1.5)},
         "heavy": {"physics": Physics(mass=1.0)},

@@ -17,7 +17,7 @@ import numpy as np
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, runge_kutta, why_ended
-from envs.learners import PPO, SAC
+from envs.learners import PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -144,7 +144,7 @@ SPEC = EnvSpec(
     gamma=0.98,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 430.0,
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 80_000},
+    rl_steps={"smoke": 8192, "quick": 327_680, "full": 409_600},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
@@ -158,14 +158,14 @@ SPEC = EnvSpec(
         checkpoint_every=10_000,
         rl=PPO(final_learning_rate=5e-5),
     ),
-    rl=SAC(
-        net=(128, 128),
-        final_learning_rate=3e-4,
-        batch=256,
-        copies=20,
-        checkpoint_every=5000,
-        tau=0.01,
-        n_steps=1,
+    rl=PPO(
+        copies=64,
+        steps=64,
+        batch=512,
+        epochs=8,
+        learning_rate=1e-3,
+        final_learning_rate=0.0,
+        checkpoint_every=20_480,
     ),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5)},

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never
+from envs.learners import DDPG, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -110,14 +111,15 @@ SPEC = EnvSpec(
     gamma=0.98,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: -180.0,
-    rl_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
+    rl_steps={"smoke": 4096, "quick": 122_880, "full": 163_840},
+    rl=SMALL_PPO,
     ddpg_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
-    shipped=Shipped(steps=20_000, bar=-150.0, checkpoint_every=20),
+    shipped=Shipped(steps=20_000, bar=-150.0, checkpoint_every=20, rl=DDPG()),
     variants={
         "long": {"physics": Physics(length=1.5)},
         "heavy": {"physics": Physics(mass=2.0)},

@@ -20,14 +20,14 @@ RL = "RL at this budget"
 def asked(method: Any, rl_steps: int) -> float:
     """Return about how many environment steps the settings of a method stand for.
 
-    Of two methods of one class the ratio counts. rl_steps: those of the task, for settings that name none.
+    Of two methods of one class the ratio counts. rl_steps: those of a solve in the task.
     """
-    if not hasattr(method, "rl_steps"):
-        return float(getattr(method, "rounds", 0) * getattr(method, "rollouts", 0))
-    clones = hasattr(method, "final_iterations")  # whose iterations are gradient steps
-    turns = 1 if clones or not hasattr(method, "rollouts") else method.iterations
-    turns *= getattr(method, "rl_rounds", 1)
-    return float(turns * (method.rl_steps or rl_steps) + getattr(method, "final_steps", 0))
+    if hasattr(method, "rl_share"):
+        return float(rl_steps * (method.iterations * method.rl_share + getattr(method, "final_share", 0)))
+    if hasattr(method, "rl_rounds"):
+        return float(method.rl_rounds * rl_steps)
+    rolled = getattr(method, "rounds", 0) * getattr(method, "rollouts", 0)
+    return float(getattr(method, "rl_steps", rolled))
 
 
 def warnings(results: Sequence[CellResult], budget: str) -> list[str]:

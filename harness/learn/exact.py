@@ -23,6 +23,10 @@ class ExactSolver:
         self._reward: Reward | None = None
         self._has_learned = False
 
+    def whole(self, steps: int) -> int:
+        """Return the steps as they are, for they do not matter."""
+        return steps
+
     def learn(self, steps: int, reward: Reward | Payment | None) -> None:
         """Takes the reward to heart; `steps` do not matter. Raises ValueError for a `Payment`."""
         if reward is not None and not isinstance(reward, Reward):

@@ -4,6 +4,7 @@ checked against. There rewards are scaled by the deviation of their discounted s
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ from harness.learn.seeds import training_seeds
 from harness.learn.training_env import TrainingEnv
 from methods.base import Array, Transitions
 from methods.network import ADAM, Network
+from methods.stochastic import Gaussian, Softmax
 
 REWARD_SIZE = 0.3
 """Mean absolute reward of the first bout after scaling; the scale is kept until the reward changes."""
@@ -41,6 +43,9 @@ class OnPolicy:
         self.set_random_seed(seed)
         self._state = self._functions.begin(self._next_key())
         physics = dynamics_of(spec)
+        self._uniform = -np.log(spec.act_size) if spec.discrete else -spec.act_size * np.log(2)
+        self.latest: Transitions
+        """The steps of the latest bout."""
         self._collect: _Compiled | _Stepped = (
             _Stepped(kind, env) if physics is None else _Compiled(kind, physics, spec, self._next_key())
         )
@@ -48,10 +53,14 @@ class OnPolicy:
     def set_random_seed(self, seed: int) -> None:
         self._key = jax.random.key(seed)
 
-    def learn(self, steps: int, rate: Callable[[int], float], done: Callable[[int], None]) -> None:
+    def learn(
+        self, steps: int, rate: Callable[[float], float], done: Callable[[int], None], entropy: float
+    ) -> None:
         """Learn for a number of environment steps, beginning with the settings' noise at least.
 
-        rate: gives the learning rate after a number of steps. done: called with that number after each bout.
+        rate: gives the learning rate of a share of the steps, that in the middle of each bout. done: called
+        with the number of steps after each bout. entropy: what a nat of it is worth to the agent, the
+        entropy of uniform actions being 0.
         """
         s, size = self._settings, 0.0
         params = self._state.params
@@ -61,15 +70,27 @@ class OnPolicy:
         for taken in range(s.unit, steps + 1, s.unit):
             seen = self._collect(self._state.params, self._scale, self._next_key())
             true = np.asarray(seen.true, np.float64).ravel()
-            paid = self._env.paid(_transitions(self._env.spec, seen), true)
+            self.latest = _transitions(self._env.spec, seen)
+            paid = self._env.paid(self.latest, true)
+            if entropy:
+                log_prob = np.asarray(seen.log_prob, np.float64).ravel()
+                paid = paid - entropy * (log_prob - self._uniform)
             if taken == s.unit:
                 size = max(float(np.abs(paid).mean()) / REWARD_SIZE, 1e-9)
             rewards = (paid / size).reshape(s.steps, s.copies).astype(np.float32)
-            now = np.float32(rate(taken))
+            now = np.float32(rate((taken - s.unit / 2) / steps))
             self._state = self._functions.learn(
                 self._state, seen, rewards, self._scale, now, self._next_key()
             )
             done(taken)
+
+    @property
+    def behaviour(self) -> Gaussian | Softmax:
+        """The policy that it explores with."""
+        if self._env.spec.discrete:
+            return Softmax(self.network)
+        log_std = np.asarray(self._state.params["log_std"], np.float64)
+        return Gaussian(replace(self.network, tanh=True), log_std)
 
     @property
     def network(self) -> Network:

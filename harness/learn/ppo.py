@@ -29,6 +29,8 @@ LARGEST_GRADIENT = 0.5
 """The norm that gradients are clipped to."""
 VALUE_WEIGHT = 0.5
 """The critic's share of the loss."""
+LARGEST_LOG_STD = 0.0
+"""Of actions' standard deviation, the logarithm; the first is as large."""
 LAST_LAYER = 0.01
 """The size of an untrained actor's last weights."""
 
@@ -128,7 +130,7 @@ def functions(kind: Kind) -> Functions:
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.zeros(kind.act_size)
+            params["log_std"] = jnp.full(kind.act_size, LARGEST_LOG_STD)
         return State(params, optimizer.init(params))
 
     @jax.jit
@@ -162,7 +164,10 @@ def functions(kind: Kind) -> Functions:
         def minibatch(state: State, rows: Any) -> tuple[State, None]:
             slope = jax.grad(loss)(state.params, *(column[rows] for column in flat))
             way, moments = optimizer.update(slope, state.moments)
-            return State(jax.tree.map(lambda p, d: p - rate * d, state.params, way), moments), None
+            params = jax.tree.map(lambda p, d: p - rate * d, state.params, way)
+            if not kind.discrete:
+                params |= {"log_std": jnp.minimum(params["log_std"], LARGEST_LOG_STD)}
+            return State(params, moments), None
 
         def epoch(state: State, key: Any) -> tuple[State, None]:
             order = jax.random.permutation(key, s.unit)
@@ -204,7 +209,8 @@ def collector(kind: Kind, physics: Dynamics, horizon: int) -> tuple[Callable[...
         acting, starting = jax.random.split(key)
         obs = physics.observe(state).T.astype(jnp.float32)
         drawn, log_prob = _draw(kind, params, obs / scale, acting)
-        act = jnp.clip(drawn, -1, 1).T.astype(jnp.float64)
+        done = jax.nn.one_hot(drawn, kind.act_size) if kind.discrete else jnp.clip(drawn, -1, 1)
+        act = done.T.astype(jnp.float64)
         after = physics.advance(state, act)
         true, terminated = physics.pay(state, act, after), physics.fails(after)
         cut = ~terminated & (age + 1 == horizon)

@@ -54,8 +54,8 @@ class Agent:
     """A learner in one environment, with that one's settings unless others are given. It goes on learning
     with the same networks and the same experience, whatever it was paid by before.
 
-    init, demonstrations: as of `methods.base.World.agent`. told: called now and then with how many steps of
-    the present solve are done.
+    init, demonstrations, entropy: as of `methods.base.World.agent`. told: called now and then with
+    how many steps of the present solve are done.
     env_steps, check_steps: what it took so far, as in `Solution`.
     """
 
@@ -69,6 +69,7 @@ class Agent:
         *,
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
         told: Callable[[int], None] = lambda done: None,
     ) -> None:
         if protocol not in PROTOCOLS:
@@ -81,7 +82,7 @@ class Agent:
         staggered = isinstance(self.settings, PPO)
         self._env = TrainingEnv(spec, protocol, rng, self.settings.copies, staggered)
         self._checks = Simulator(spec)
-        self._demonstrations, self._told = demonstrations, told
+        self._demonstrations, self._entropy, self._told = demonstrations, entropy, told
         self._init = None if init is None else models.actor_layers(init, spec, self.settings)
         self._model: models.Model | None = None
         self._progress = 0.0
@@ -93,12 +94,14 @@ class Agent:
         """Learns for `steps` environment steps under the reward; None is the environment's own, for the
         expert and the control that learns from the truth.
 
-        Raises ValueError unless `steps` is a multiple of the settings' unit, twice that at least, and for
-        None where there are demonstrations; FloatingPointError on rewards that are not finite.
+        Raises ValueError unless `steps` is a multiple of the settings' unit, twice that at least where there
+        is a replay buffer, and for None where there are demonstrations; FloatingPointError on rewards that
+        are not finite.
         """
         unit = self.settings.unit
-        if steps < 2 * unit or steps % unit:
-            raise ValueError(f"a solve takes a multiple of {unit} steps, at least {2 * unit}, not {steps}")
+        if steps != self.whole(steps):
+            least = self.whole(1)
+            raise ValueError(f"a solve takes a multiple of {unit} steps, at least {least}, not {steps}")
         if reward is None and self._demonstrations is not None:
             raise ValueError("what the environment paid for demonstrations is not known")
         seed = int(self._rng.integers(1 << 31))
@@ -122,20 +125,26 @@ class Agent:
             steps = warm_up
         elif isinstance(model, OnPolicy):
 
-            def rate(taken: int) -> float:
-                self._progress = taken / steps
+            def rate(progress: float) -> float:
+                self._progress = progress
                 return self._learning_rate
 
             def done(taken: int) -> None:
                 if taken % self.settings.checkpoint_every == 0 or taken == steps:
                     self.keep(taken)
 
-            model.learn(steps, rate, done)
+            model.learn(steps, rate, done, self._entropy)
         else:
             keeper = _Keeper(self, warm_up, steps)
             model.learn(steps - warm_up, callback=keeper, reset_num_timesteps=False)
             self.keep(steps)
         self.env_steps += steps
+
+    def whole(self, steps: int) -> int:
+        """Return the least number of steps, at least as many, that `learn` takes."""
+        unit = self.settings.unit
+        least = 1 if isinstance(self.settings, PPO) else 2
+        return unit * max(least, -(-steps // unit))
 
     def best(self, reward: Reward | None) -> Solution:
         """The best checkpoint of what was learned last, under the reward. Raises ValueError where nothing was
@@ -170,7 +179,11 @@ class Agent:
         return replace(self.best(reward), env_steps=self.env_steps - before)
 
     def replay(self) -> Transitions:
-        """The latest steps. Raises ValueError where nothing was learned yet, and of PPO, which keeps none."""
+        """The latest steps: of PPO those of its last bout. Raises ValueError where nothing was learned yet,
+        and of the PPO of Stable-Baselines3, which keeps none."""
+        if isinstance(self._built, OnPolicy):
+            latest = self._built.latest
+            return latest.absorbed() if self._env.absorbs else latest
         return self._replay.steps()
 
     @property
@@ -221,13 +234,15 @@ class Agent:
         return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)
 
     @property
-    def behaviour(self) -> SquashedGaussian | EpsilonGreedy:
-        """What it explores with now. Raises ValueError where nothing was learned yet, and unless it learns by
-        soft actor-critic or DQN."""
+    def behaviour(self) -> StochasticPolicy:
+        """What it explores with now. Raises ValueError where nothing was learned yet, and where it learns by
+        DDPG, TD3 or the PPO of Stable-Baselines3."""
+        if isinstance(self._built, OnPolicy):
+            return self._built.behaviour
         if isinstance(self.settings, DQN):
             return EpsilonGreedy(self.policy, self.settings.noise)
         if not isinstance(self.settings, SAC):
-            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy; SAC and DQN have")
+            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy")
         return SquashedGaussian(models.actor(self._built, self.spec))
 
     def check(self, policies: Sequence[Policy]) -> list[tuple[float, float]]:

@@ -53,7 +53,7 @@ class TrainingEnv(VecEnv):
         self.spec = spec
         self.batch = Copies(spec, copies)
         self._obs_scale = np.array(spec.obs_scale)
-        self._state = protocol in ("absorbing", "state")
+        self.absorbs = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
         self.rng = rng
         self._staggered = staggered
@@ -92,7 +92,7 @@ class TrainingEnv(VecEnv):
         What the absorbing state would pay for ever is part of the last step. The rest as of `raw_rewards`.
         """
         found = self.raw_rewards(steps, true)
-        if self._state and not isinstance(self.reward, Reward) and steps.next_absorbing.any():
+        if self.absorbs and not isinstance(self.reward, Reward) and steps.next_absorbing.any():
             one = np.zeros(1, bool)
             there = Transitions(steps.obs[:1], steps.act[:1], steps.obs[:1], ~one, ~one)
             forever = float(self.raw_rewards(there, np.zeros(1))[0]) / (1 - self.spec.gamma)
@@ -111,7 +111,7 @@ class TrainingEnv(VecEnv):
         alive = [paid[~steps.absorbing] for paid, (steps, _) in zip(raw, seen, strict=True)]
         size = float(np.mean([np.abs(paid).mean() for paid in alive]))
         self._size = size / REWARD_SIZE if size > 1e-9 else 1.0
-        self._centre = float(np.mean([paid.mean() for paid in alive])) if self._state else 0.0
+        self._centre = float(np.mean([paid.mean() for paid in alive])) if self.absorbs else 0.0
         return [(paid - self._centre) / self._size for paid in raw]
 
     def demonstrated(self, episodes: Episodes) -> tuple[Transitions, NDArray[np.bool_]]:
@@ -121,7 +121,7 @@ class TrainingEnv(VecEnv):
             raise ValueError("an agent learns from demonstrations of which every step is shown")
         parts = []
         for obs, act, terminated in zip(episodes.obs, episodes.act, episodes.terminated, strict=True):
-            stay = ABSORBING_STEPS if terminated and self._state else 0
+            stay = ABSORBING_STEPS if terminated and self.absorbs else 0
             there = np.repeat(obs[-1:], stay, axis=0)
             time = np.arange(len(act) + stay)
             parts.append(
@@ -167,7 +167,7 @@ class TrainingEnv(VecEnv):
         self._obs = next_obs
         self._age += 1
         self._absorbed_for[~alive] += 1
-        ended = terminated & (not self._state)
+        ended = terminated & (not self.absorbs)
         self._absorbed_for[terminated & ~ended] = 0
         at_limit = alive & ~terminated & (cut | (self._age == spec.horizon))
         truncated = at_limit | (self._absorbed_for == ABSORBING_STEPS)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs import EnvSpec
-from envs.learners import soft as learner_of
+from envs.learners import Learner, soft, stochastic
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.seeds import training_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import Library
-from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPolicy, Transitions
+from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TaskWorld:
     """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave.
 
     expert: whom a method that is marked so may ask. told: called now and then with how many environment
-    steps were taken.
+    steps were taken. solve_steps: as of a `World`.
     answers: actions that the expert told.
     """
 
@@ -42,7 +42,9 @@ class TaskWorld:
         library: Library,
         expert: Policy | None = None,
         told: Callable[[int], None] = lambda done: None,
+        solve_steps: int = 1000,
     ) -> None:
+        self.solve_steps = solve_steps
         self.obs_size = spec.obs_size
         self.act_size = spec.act_size
         self.horizon = spec.horizon
@@ -78,15 +80,17 @@ class TaskWorld:
         self,
         rng: np.random.Generator,
         *,
-        soft: bool = False,
+        kind: Kind = "own",
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
     ) -> WorldAgent:
         solver = solver_for(
             *(self._spec, self._protocol, rng, self._library),
-            soft=soft,
+            kind=kind,
             init=init,
             demonstrations=demonstrations,
+            entropy=entropy,
             told=lambda done: self._told(self.env_steps + done),
         )
         return WorldAgent(self, solver)
@@ -105,8 +109,10 @@ class WorldAgent:
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
         _check_told(reward)
+        if steps < 1:
+            raise ValueError(f"a solve takes one step at least, not {steps}")
         before = self._solver.env_steps
-        self._solver.learn(steps, reward)
+        self._solver.learn(self._solver.whole(steps), reward)
         self._world.env_steps += self._solver.env_steps - before
         self._world.rl_solves += 1
 
@@ -141,17 +147,25 @@ def solver_for(
     rng: np.random.Generator,
     library: Library,
     *,
-    soft: bool = False,
+    kind: Kind = "own",
     init: Policy | StochasticPolicy | None = None,
     demonstrations: Episodes | None = None,
+    entropy: float = 0.0,
     told: Callable[[int], None] = lambda done: None,
 ) -> Agent | ExactSolver:
     """What solves an environment: dynamic programming where its model is known, else RL by that library. The
     rest as of `methods.base.World.agent`, and `Agent`."""
     if spec.tabular is None:
-        settings = learner_of(spec.rl) if soft else spec.rl
+        chosen: dict[Kind, Callable[[Learner], Learner]] = {"stochastic": stochastic, "soft": soft}
+        if library == "sb3":  # whose PPO does not tell what it has seen
+            chosen["stochastic"] = soft
+        settings = chosen[kind](spec.rl) if kind != "own" else spec.rl
         return Agent(
-            *(spec, protocol, rng, library, settings), init=init, demonstrations=demonstrations, told=told
+            *(spec, protocol, rng, library, settings),
+            init=init,
+            demonstrations=demonstrations,
+            entropy=entropy,
+            told=told,
         )
     if init is not None or demonstrations is not None:
         raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")

@@ -98,6 +98,7 @@ class Task:
         return TaskWorld(
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
             told=lambda steps: self.tell(f"fit, {steps:,} steps so far"),
+            solve_steps=self.rl_steps,
         )
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from envs.spec import Model, Tabular
 from methods.base import (
-    ABSORBING_STEPS,
     Array,
     Episodes,
+    Kind,
     Payment,
     Policy,
     Reward,
@@ -31,6 +31,7 @@ class _Account:
     act_size: int
     discrete: bool
     model: Model | None
+    solve_steps = 1000
 
     def __init__(self, asked: bool, unit: int) -> None:
         self.asked, self.unit = asked, unit
@@ -120,11 +121,12 @@ class FakeAgent:
         world: Any,
         rng: np.random.Generator,
         *,
-        soft: bool = False,
+        kind: Kind = "own",
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
     ) -> None:
-        self.world, self.rng, self.soft, self.demonstrations = world, rng, soft, demonstrations
+        self.world, self.rng, self.kind, self.demonstrations = world, rng, kind, demonstrations
         self.reward: Reward | Payment | None = None
         if world.model is not None and (init is not None or demonstrations is not None):
             raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
@@ -133,8 +135,9 @@ class FakeAgent:
 
     def _check_init(self, init: Policy | StochasticPolicy) -> None:
         """Raise ValueError unless an actor could be that policy, whatever its hidden layers."""
-        stochastic = self.soft and isinstance(init, SquashedGaussian)
-        net = init.network if isinstance(init, SquashedGaussian) and self.soft else init
+        soft = self.kind == "soft"
+        stochastic = soft and isinstance(init, SquashedGaussian)
+        net = init.network if isinstance(init, SquashedGaussian) and soft else init
         if not isinstance(net, Network):
             raise ValueError(f"an agent cannot begin with a {type(init).__name__}")
         sizes = len(net.weights[0]), len(net.biases[-1])
@@ -147,10 +150,9 @@ class FakeAgent:
             if not isinstance(reward, Reward):
                 raise ValueError("where the model is known, an agent learns under rewards alone")
         else:
-            if steps < 2 * self.world.unit or steps % self.world.unit:
-                raise ValueError(
-                    f"a solve takes a multiple of {self.world.unit} steps, twice as many at least"
-                )
+            if steps < 1:
+                raise ValueError(f"a solve takes one step at least, not {steps}")
+            steps = -(-steps // self.world.unit) * self.world.unit
             if self.demonstrations is not None and not self.demonstrations.whole:
                 raise ValueError("an agent learns from demonstrations of which every step is shown")
             self._check_paid(reward)
@@ -188,8 +190,8 @@ class FakeAgent:
     def behaviour(self) -> StochasticPolicy:
         """Normal actions about 0, squashed, whatever is learned."""
         self._check_learned()
-        if self.world.model is not None or not self.soft:
-            raise ValueError("only an agent that learns by soft actor-critic has a stochastic policy")
+        if self.world.model is not None or self.kind == "own":
+            raise ValueError("only an agent whose policy is by chance explores by it")
         size = self.world.obs_size, 2 * self.world.act_size
         still = Network(np.zeros(size[0]), np.ones(size[0]), (np.zeros(size),), (np.zeros(size[1]),))
         return SquashedGaussian(still)
@@ -202,13 +204,7 @@ class FakeAgent:
         counted = self.world.env_steps
         episodes = self.world.rollout(self.policy, 5, self.rng)
         self.world.env_steps = counted
-        steps = Transitions.of(episodes)
-        stay = ABSORBING_STEPS * sum(episodes.terminated)
-        there = np.arange(len(steps) + stay) >= len(steps)
-        obs, act, after = (np.pad(c, ((0, stay), (0, 0))) for c in (steps.obs, steps.act, steps.next_obs))
-        into = there.copy()
-        into[episodes.lengths.cumsum()[list(episodes.terminated)] - 1] = True
-        return Transitions(obs, act, after, there, into)
+        return Transitions.of(episodes).absorbed()
 
     def _check_learned(self) -> None:
         if self.reward is None:
