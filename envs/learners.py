@@ -123,16 +123,13 @@ SMALL_PPO = PPO(
 Learner = DDPG | TD3 | SAC | DQN | PPO
 
 
-def stochastic(learner: Learner) -> SAC | DQN | PPO:
-    """Return the learner where its policy is by chance, and else soft actor-critic, as `soft` has it."""
-    return learner if isinstance(learner, PPO) else soft(learner)
-
-
-def soft(learner: Learner) -> SAC | DQN:
-    """Soft actor-critic in a task whose learner is another, with what it shares with that; where actions are
-    choices, that one."""
+def soft(learner: Learner, discrete: bool) -> SAC | DQN:
+    """Return soft actor-critic for a task whose learner is another, with what it shares with that; where
+    actions are choices, DQN."""
     if isinstance(learner, SAC | DQN):
         return learner
+    if discrete:
+        return DQN(net=learner.net)
     if isinstance(learner, PPO):
         return SAC(net=learner.net, n_steps=1, checkpoint_every=5000, check_episodes=learner.check_episodes)
     return SAC(**{shared.name: getattr(learner, shared.name) for shared in fields(OffPolicy)})

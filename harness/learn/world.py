@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs import EnvSpec
-from envs.learners import Learner, soft, stochastic
+from envs.learners import PPO, soft
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.seeds import training_seeds
@@ -156,10 +156,9 @@ def solver_for(
     """What solves an environment: dynamic programming where its model is known, else RL by that library. The
     rest as of `methods.base.World.agent`, and `Agent`."""
     if spec.tabular is None:
-        chosen: dict[Kind, Callable[[Learner], Learner]] = {"stochastic": stochastic, "soft": soft}
-        if library == "sb3":  # whose PPO does not tell what it has seen
-            chosen["stochastic"] = soft
-        settings = chosen[kind](spec.rl) if kind != "own" else spec.rl
+        # The PPO of Stable-Baselines3 does not tell what it has seen.
+        suits = kind == "own" or (kind == "stochastic" and isinstance(spec.rl, PPO) and library == "sbx")
+        settings = spec.rl if suits else soft(spec.rl, spec.discrete)
         return Agent(
             *(spec, protocol, rng, library, settings),
             init=init,

@@ -146,12 +146,12 @@ class FakeAgent:
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
         _check_told(reward)
+        if steps < 1:
+            raise ValueError(f"a solve takes one step at least, not {steps}")
         if self.world.model is not None:
             if not isinstance(reward, Reward):
                 raise ValueError("where the model is known, an agent learns under rewards alone")
         else:
-            if steps < 1:
-                raise ValueError(f"a solve takes one step at least, not {steps}")
             steps = -(-steps // self.world.unit) * self.world.unit
             if self.demonstrations is not None and not self.demonstrations.whole:
                 raise ValueError("an agent learns from demonstrations of which every step is shown")

@@ -95,8 +95,8 @@ def test_steps_of_demonstrations_lead_into_the_absorbing_state_where_they_end(
     demonstrate: Callable[..., Episodes],
 ) -> None:
     dies = as_transitions(demonstrate(lambda obs: obs[:, :2], count=2, lifetime=3))
-    assert dies.next_absorbing.tolist() == [False, False, True] * 2 + [True] * 2 * ABSORBING_STEPS
-    assert dies.absorbing.tolist() == [False] * 6 + [True] * 2 * ABSORBING_STEPS
+    assert dies.next_absorbing.tolist() == [*[False] * 2, *[True] * (1 + ABSORBING_STEPS)] * 2
+    assert dies.absorbing.tolist() == [*[False] * 3, *[True] * ABSORBING_STEPS] * 2
     lives = demonstrate(lambda obs: obs[:, :2], count=2)
     assert not as_transitions(lives).next_absorbing.any()
     with pytest.raises(ValueError, match="every step is shown"):
@@ -122,7 +122,7 @@ def test_it_plays_with_a_soft_agent_and_returns_the_mean(
 ) -> None:
     demos = demonstrate(lambda obs: obs[:, :2])
     learned = AIRL(iterations=3, averaged=2, reward_steps=20).fit(demos, world, np.random.default_rng(0))
-    assert world.given == [{"soft": True}]
+    assert world.given == [{"kind": "stochastic", "entropy": 1.0}]
     payments = [payment for payment, _, _ in world.solves]
     assert [type(payment) for payment in payments] == [Shaped] * 3 + [MeanReward]
     assert learned.reward is payments[-1]

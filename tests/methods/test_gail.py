@@ -83,7 +83,7 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(
 ) -> None:
     demos = demonstrate(constant(0.7, -0.4))
     last, mean = (
-        GAIL(iterations=4, averaged=3, rl_steps=70, final_steps=500, mean=mean).fit(
+        GAIL(iterations=4, averaged=3, rl_share=0.07, final_share=0.5, mean=mean).fit(
             demos, world, np.random.default_rng(0)
         )
         for mean in (False, True)
@@ -93,7 +93,7 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(
     assert len(mean.reward.rewards) == 3
     half = len(world.solves) // 2
     assert [(steps, warm) for _, steps, warm in world.solves[:half]] == [
-        *((140, False), (70, True), (70, True), (70, True), (500, True))
+        *((70, False), (70, True), (70, True), (70, True), (500, True))
     ]
     # Both play one game, and end it alike.
     rewards = [reward for reward, _, _ in world.solves[half:]]

@@ -24,7 +24,7 @@ WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
 class KnownWorld:
     """An objectworld whose features are its observations, solved exactly and greedily."""
 
-    obs_size, act_size, horizon, gamma = 6, 5, HORIZON, GAMMA
+    obs_size, act_size, horizon, gamma, solve_steps = 6, 5, HORIZON, GAMMA, 1000
     model: Model | None = MODEL
 
     def phi(self, obs: Array, act: Array) -> Array:
@@ -132,7 +132,7 @@ def constant(*action: float) -> Callable[[Array], Array]:
 class Bandit:
     """Observations say nothing; features are the action and its square; `solve` tries a grid of actions."""
 
-    obs_size, act_size, horizon, gamma, model = 1, 1, 10, 0.9, None
+    obs_size, act_size, horizon, gamma, solve_steps, model = 1, 1, 10, 0.9, 1000, None
 
     def __init__(self, lifetime: int = 10) -> None:
         self.lifetime = lifetime
@@ -165,12 +165,12 @@ class Bandit:
 def test_on_average_its_policies_match_the_demonstrated_features(action: float) -> None:
     world: Any = Bandit()
     demos = world.rollout(constant(action), 5, np.random.default_rng(0))
-    learned = MaxEntLinear(iterations=30, rl_steps=7).fit(demos, world, np.random.default_rng(0))
+    learned = MaxEntLinear(iterations=30, rl_share=0.007).fit(demos, world, np.random.default_rng(0))
     chosen = np.concatenate([policy(np.zeros((1, 1))) for *_, policy in world.solves])
     np.testing.assert_allclose(world.phi(chosen, chosen).mean(axis=0), [action, action**2], atol=0.1)
     (gaps,) = learned.curves.values()
     assert gaps[-1] < 0.1 * gaps[0]
-    assert [solve[1:3] for solve in world.solves] == [(14, False), *[(7, True)] * 29]
+    assert [solve[1:3] for solve in world.solves] == [(7, False), *[(7, True)] * 29]
     assert learned.reward is world.solves[-1][0]
     assert learned.policy is world.solves[-1][3]
 

@@ -74,6 +74,8 @@ def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
 class Taught(Line):
     """A world in which reinforcement learning always ends in this action."""
 
+    solve_steps = 30
+
     def __init__(self, action: float) -> None:
         super().__init__()
         self.action, self.learned = action, list[int]()
@@ -89,8 +91,8 @@ def taught(action: float) -> tuple[Any, Any]:
     world: Any = Taught(action)
     demos = world.rollout(expert, 5, np.random.default_rng(0))
     before, after = (
-        replace(METHOD, rl_steps=steps).fit(demos, world, np.random.default_rng(2)).reward
-        for steps in (None, 30)
+        replace(METHOD, rl_rounds=rounds).fit(demos, world, np.random.default_rng(2)).reward
+        for rounds in (0, 2)
     )
     assert world.learned == [30, 30]
     return before, after

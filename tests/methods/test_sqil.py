@@ -20,7 +20,7 @@ def test_demonstrated_steps_pay_one_whoever_ends() -> None:
 def test_a_soft_agent_learns_from_both(world: Any, demonstrate: Callable[..., Episodes]) -> None:
     demos = demonstrate(lambda obs: obs[:, :2])
     learned = SQIL(rl_steps=700).fit(demos, world, np.random.default_rng(0))
-    assert world.given == [{"soft": True, "demonstrations": demos}]
+    assert world.given == [{"kind": "soft", "demonstrations": demos}]
     assert world.solves == [(imitate, 700, False)]
     assert learned.reward is None
 

@@ -248,9 +248,8 @@ def test_a_policy_that_the_actor_cannot_be_is_refused(settings: Learner, init: A
 
 
 def test_values_of_choices_do_not_begin_with_a_policy() -> None:
-    assert isinstance(SPECS["cartpole_discrete"].rl, DQN)
     with pytest.raises(ValueError, match="DQN cannot begin with a Network"):
-        Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", init=network(4, 64, 64, 2))
+        Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", DQN(), init=network(4, 64, 64, 2))
 
 
 def test_ppo_keeps_no_steps_and_learns_from_no_others(steady: EnvSpec) -> None:

@@ -28,7 +28,7 @@ def steps_of(spec: EnvSpec, settings: PPO = SMALL) -> tuple[Transitions, Array]:
             return super().paid(steps, true)
 
     env = Watched(spec, "absorbing", np.random.default_rng(0), settings.copies)
-    OnPolicy(env, settings, 0).learn(settings.unit, lambda taken: 1e-3, lambda taken: None)
+    OnPolicy(env, settings, 0).learn(settings.unit, lambda progress: 1e-3, lambda taken: None, 0.0)
     return seen[0]
 
 

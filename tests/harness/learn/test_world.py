@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from envs.learners import DDPG, PPO, SAC, Learner
+from envs.learners import DDPG, DQN, PPO, SAC, Learner
 from envs.spec import Model, Tabular
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
-from harness.registry import SPECS
+from harness.registry import SPECS, Library
 from methods.base import Array, Transitions
 from methods.network import Network
 from methods.rewards import Constant
@@ -152,7 +152,7 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
         name: value for name, value in vars(TaskWorld(steady, "absorbing", "sb3")).items() if name[0] != "_"
     }
     assert set(public) == {
-        *("obs_size", "act_size", "horizon", "gamma", "phi", "model", "discrete"),
+        *("obs_size", "act_size", "horizon", "gamma", "phi", "model", "discrete", "solve_steps"),
         *("env_steps", "check_steps", "rl_solves", "answers"),
     }
     assert public.pop("model") is None
@@ -247,7 +247,7 @@ def test_a_soft_agent_is_one_whatever_the_tasks_own_is(steady: EnvSpec, own: Lea
     given, asked = (
         TaskWorld(dataclasses.replace(steady, rl=learner), "absorbing", "sb3") for learner in (own, soft)
     )
-    agents = given.agent(rng(), soft=True), asked.agent(rng())
+    agents = given.agent(rng(), kind="soft"), asked.agent(rng())
     for agent in agents:
         agent.learn(40, Seek())
     obs = np.linspace(-0.8, 0.8, 9)[:, None]
@@ -256,9 +256,43 @@ def test_a_soft_agent_is_one_whatever_the_tasks_own_is(steady: EnvSpec, own: Lea
     assert len(agents[0].replay()) == 40
 
 
-def test_where_actions_are_choices_a_soft_agent_is_the_tasks_own() -> None:
-    world = TaskWorld(SPECS["cartpole_discrete"], "absorbing", "sb3")
-    assert world.agent(rng(), soft=True)._solver.settings == SPECS["cartpole_discrete"].rl
-    known = TaskWorld(SPECS["gridworld"], "absorbing", "sb3").agent(rng(), soft=True)
+def test_where_actions_are_choices_a_soft_agent_learns_their_values() -> None:
+    spec = dataclasses.replace(SPECS["cartpole_discrete"], rl=DQN(n_steps=2))
+    world = TaskWorld(spec, "absorbing", "sb3")
+    assert world.agent(rng(), kind="soft")._solver.settings == spec.rl
+    spec = dataclasses.replace(spec, rl=PPO(net=(8,)))
+    assert TaskWorld(spec, "absorbing", "sb3").agent(rng(), kind="soft")._solver.settings == DQN(net=(8,))
+
+
+@pytest.mark.parametrize(
+    ("own", "library", "its"),
+    [
+        (DDPG(net=(8,)), "sbx", SAC(net=(8,))),
+        (SAC(net=(8,), entropy=0.1), "sbx", SAC(net=(8,), entropy=0.1)),
+        (PPO(net=(8,)), "sbx", PPO(net=(8,))),
+        # Whose PPO does not tell what it has seen.
+        (PPO(net=(8,)), "sb3", SAC(net=(8,), n_steps=1, checkpoint_every=5000)),
+    ],
+)
+def test_a_stochastic_agent_is_the_tasks_own_where_that_is(
+    steady: EnvSpec, own: Learner, library: Library, its: Learner
+) -> None:
+    world = TaskWorld(dataclasses.replace(steady, rl=own), "absorbing", library)
+    assert world.agent(rng(), kind="stochastic")._solver.settings == its
+
+
+def test_a_solve_is_rounded_up_to_what_its_learner_takes(steady: EnvSpec) -> None:
+    world = TaskWorld(
+        dataclasses.replace(steady, rl=PPO(net=(8,), copies=4, steps=5, batch=10)), "absorbing", "sbx"
+    )
+    agent = world.agent(rng())
+    agent.learn(21, ZERO)
+    assert world.env_steps == 40
+    with pytest.raises(ValueError, match="one step at least, not 0"):
+        agent.learn(0, ZERO)
+
+
+def test_in_a_known_model_an_agent_is_exact_of_any_kind() -> None:
+    known = TaskWorld(SPECS["gridworld"], "absorbing", "sb3").agent(rng(), kind="soft")
     known.learn(1, ZERO)
     assert known.best(ZERO)

@@ -350,8 +350,8 @@ class Long(GAIL):
 class Plain(GAIL): ...
 
 class Init(GAIL):
-    def __init__(self, rl_steps=77, final_steps=5000):
-        super().__init__(rl_steps=rl_steps, final_steps=final_steps)
+    def __init__(self, rl_share=0.077, final_share=0.5):
+        super().__init__(rl_share=rl_share, final_share=final_share)
 
 @dataclass(frozen=True)
 class Mine(Game):
@@ -378,7 +378,7 @@ def test_what_derives_from_a_method_gets_its_settings(tmp_path: Path, env: str, 
     of = lambda name: plugins.settings_for(name, env, budget)  # noqa: E731
     assert of("rate") == of("plain") == of("itself") == gail
     assert of("long") == {name: value for name, value in gail.items() if name != "iterations"}
-    assert of("init") == {name: value for name, value in gail.items() if name == "final_steps"}
+    assert of("init") == {name: value for name, value in gail.items() if name == "final_share"}
     assert of("game") == {name: value for name, value in gail.items() if airl.get(name) == value}
     assert of("airl_itself") == airl
     assert of("margin") == settings_for("maxmargin", env, budget)
