@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from methods.base import Array, Episodes, Reward
-from methods.network import ROWS, Network
+from methods.network import ROWS, MeanNetwork, Network
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,17 @@ class NetworkReward:
         return cls(network, size, size * float(network(absorbed[None])[0, 0]), actions)
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.size * self.network(self.inputs(obs, act))[:, 0]
+
+    def inputs(self, obs: Array, act: Array) -> Array:
+        """Return what the network sees of living steps."""
         seen = [obs, act] if self.actions else [obs]
-        inputs = np.concatenate([*seen, np.zeros((len(obs), 1))], axis=1)
-        return self.size * self.network(inputs)[:, 0]
+        return np.concatenate([*seen, np.zeros((len(obs), 1))], axis=1)
+
+    @cached_property
+    def compiled(self) -> Reward:
+        """A form in float32, which is faster for many rows; a subclass's is itself."""
+        return CompiledReward((self,)) if type(self) is NetworkReward else self
 
 
 def deterred(reward: NetworkReward, demos: Episodes, random: Episodes, most: float) -> NetworkReward:
@@ -112,3 +121,30 @@ class MeanReward:
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         return np.asarray(np.mean([reward(obs, act, next_obs) for reward in self.rewards], axis=0))
+
+    @cached_property
+    def compiled(self) -> Reward:
+        """A form in float32, if all are rewards of networks that differ in numbers alone; else itself."""
+        networks = tuple(reward for reward in self.rewards if type(reward) is NetworkReward)
+        forms = {(reward.actions, *reward.network.form) for reward in networks}
+        stack = type(self) is MeanReward and len(networks) == len(self.rewards) and len(forms) == 1
+        return CompiledReward(networks) if stack else self
+
+
+@dataclass(frozen=True)
+class CompiledReward:
+    """The mean of rewards, whose networks differ in numbers alone, in float32."""
+
+    rewards: tuple[NetworkReward, ...]
+
+    @property
+    def absorbing(self) -> float:
+        return float(np.mean([reward.absorbing for reward in self.rewards]))
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self._network(self.rewards[0].inputs(obs, act))[:, 0]
+
+    @cached_property
+    def _network(self) -> MeanNetwork:
+        networks, sizes = zip(*((reward.network, reward.size) for reward in self.rewards), strict=True)
+        return MeanNetwork(networks, sizes)

@@ -29,7 +29,7 @@ from envs.copies import Copies
 from envs.spec import LARGEST
 from harness.learn.seeds import training_seeds
 from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Reward, Transitions
-from methods.rewards import Constant
+from methods.rewards import Constant, MeanReward, NetworkReward
 
 NOT_ABSORBED = -1
 REWARD_SIZE = 0.1
@@ -69,6 +69,8 @@ class TrainingEnv(VecEnv):
         """(N,): what each step pays before normalisation. true: what the environment paid. Raises
         FloatingPointError if that is not finite."""
         reward = self.reward
+        if isinstance(reward, MeanReward | NetworkReward):
+            reward = reward.compiled
         if reward is None:
             paid = true
         elif isinstance(reward, Reward):
