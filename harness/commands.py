@@ -64,7 +64,9 @@ def run(args: argparse.Namespace) -> int:
     if args.solves and args.no_retrain:
         raise BadInput("--solves is how often RL solves R*; leave out --no-retrain")
     if args.learner == "ddpg" and (choices := [env for env in envs if plugins.task(env).discrete]):
-        raise BadInput(f"actions of {', '.join(choices)} are choices, and DDPG has none; leave out --learner")
+        raise BadInput(
+            f"actions of {', '.join(choices)} are choices, and DDPG has none; leave them out of --envs"
+        )
     if args.experts == "none":
         _check_without_expert(args, methods)
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)

@@ -32,8 +32,7 @@ def made(request: Request, results: Sequence[CellResult]) -> list[str]:
     return [
         *([f"not complete: {there} of the {len(asked)} cells asked for"] if there < len(asked) else []),
         f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, "
-        f"RL library {conditions.rl}, learner {conditions.learner}, "
-        f"solves of a reward {conditions.in_words('solves')}, instructions {instructions}",
+        f"RL library {conditions.rl}, instructions {instructions}",
         f"experts {conditions.experts}: {told}",
         *([f"demonstrations of a file, {conditions.demonstrations}"] if conditions.demonstrations else []),
         f"computed {spans or 'once'} by irl-bench {', '.join(commits) or 'of an unknown commit'}",

@@ -46,6 +46,10 @@ MEANINGS = {
     ),
     "Return [95 %]": "Undiscounted return under the true reward, mean over seeds.",
     "Discounted return": "The same, discounted with the task's gamma.",
+    "Solved": (
+        "Share of seeds on which π_R earns, under R*, 95 % of what π* earns above the random policy. On "
+        "others its score says nothing about the reward, only about RL."
+    ),
     "Own return": "Mean return under the learned reward, counted from what absorption pays.",
     "Of demonstrations": "The demonstrations' return under the learned reward, counted alike.",
     "Seconds": "Wall time of what made this policy, mean over seeds: the fit for π*, RL on R* for π_R.",
