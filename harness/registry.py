@@ -31,7 +31,7 @@ EngineName = Literal["isolated", "inline", "ray"]
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
-"""Of a run: each task's own, or DDPG, the thesis's."""
+"""Learners of a run: each task's own, or DDPG, the thesis's."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")

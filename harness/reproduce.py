@@ -35,9 +35,9 @@ from harness.show.terminal import score_of
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
 LEARNER: LearnerName = "ddpg"
-"""The thesis's."""
+"""The thesis's learner."""
 SOLVES = 3
-"""Of each learned reward."""
+"""RL solves of each learned reward."""
 STUDIED = ("shaped", "shaped_decay", "bc")
 """The thesis's model, without and with the weight regularisation that its section 5.3 suspects, and behaviour
 cloning on as much."""

@@ -78,8 +78,8 @@ class Entry:
     above_best_lower_control: float
     """Of pi_R rows: mean score minus the best mean score of the lower controls, over seeds that all have."""
     share_of_true: float
-    """Of pi_R rows: the mean score in units of what RL reaches on the true reward with as many steps, over
-    the seeds that both have."""
+    """Of pi_R rows: the mean score in units of what RL reaches on the true reward in one solve, over the
+    seeds that both have."""
     reward_distance: float
     reward_floor: float
     reward_rank: float
@@ -87,7 +87,7 @@ class Entry:
     own_return: float
     own_return_shown: float
     solved: float
-    """Of pi_R rows of methods: the share of the seeds whose reward RL solved (`harness.judge.solved`)."""
+    """Share of the seeds whose reward RL solved (`harness.judge.solved`), in pi_R rows of methods."""
     return_mean: float
     return_low: float
     return_high: float

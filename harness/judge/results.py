@@ -98,7 +98,7 @@ class Conditions:
     demonstrations: Text = ""
     """Where they were given in a file: the digest of what it holds, and how much that is."""
     learner: LearnerName = "own"
-    """What every RL of the run learns by."""
+    """The learner of all RL of the run: each task's own, or DDPG."""
     solves: Annotated[int, Meta(ge=0, le=MOST_SOLVES)] = 0
     """Independent solves of a learned reward; 0: as many as the task has at the budget."""
 
@@ -203,11 +203,11 @@ class Row:
     own_return_shown: float = math.nan
     """Of the same rows of methods: that of the demonstrations, where every step of theirs is shown."""
     own_return_random: float = math.nan
-    """Of the same rows of methods: that of the random policy, over the same evaluation episodes."""
+    """The random policy's return under R*, over the same evaluation episodes, in the same rows."""
     solves: Count = 0
-    """Of pi_R rows: RL solves of the reward, of which pi_R is the one that earns most."""
+    """Number of RL solves that pi_R was chosen from; 0 in other rows."""
     solved: float = math.nan
-    """Of pi_R rows of methods: 1 where RL found what R* asks for, else 0 (`harness.judge.solved`)."""
+    """1 where RL solved R*, 0 where it did not, in pi_R rows of methods (`harness.judge.solved`)."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0

@@ -1,4 +1,4 @@
-"""Whether RL found what a reward asks for, by returns under the reward itself."""
+"""The verdict on RL: did it find what a reward asks for?"""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ ROUNDING = 1e-9
 
 
 def is_solved(own: float, star: float, random: float) -> float:
-    """Return 1 where a policy that earns `own` under R* shows that RL solved it, 0 where it shows the
-    opposite, and NaN where one of the returns is not known. star, random: returns of pi_star and of the
-    random policy. Where pi_star earns no more than that one, RL must earn as much as the random policy.
+    """Return 1 where RL solved R*, 0 where it did not, and NaN where one of the returns is not known.
+
+    own, star, random: mean returns under R* of RL's policy, of pi_star, and of the random policy. Where
+    pi_star earns no more than the random policy, RL must earn as much as the random policy.
     """
     if not all(map(usable, (own, star, random))):
         return math.nan

@@ -20,7 +20,7 @@ NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers 
 
 FILE = "seconds.json"
 SOLVE = ", a solve"
-"""How the name of what RL on a reward takes once ends, apart from all else of the job."""
+"""End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
 SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""
 BEGINNING, STEPS_PER_SECOND = 5.0, 1200.0
@@ -48,7 +48,7 @@ class Costs:
             if rest not in ("", SHARED) and not name.endswith(SOLVE):
                 by_env.setdefault(env, []).append(self._known(name))
         self._usual = {env: tuple(map(_median, zip(*its, strict=True))) for env, its in by_env.items()}
-        """Of an environment's cells the medians of what `_known` has."""
+        """Medians of `_known` over an environment's cells."""
 
     def known(self, job: Job) -> bool:
         """Whether a job like it was measured."""
@@ -74,7 +74,7 @@ class Costs:
             return 1
 
     def note(self, job: Job, seconds: float, retraining: float = 0.0) -> None:
-        """Remembers what it took, of it RL on a reward."""
+        """Remember the seconds that it took, and how many of them RL on a reward took."""
         self._noted[name_of(job)] = max(seconds - retraining, 1e-3)
         if retraining:
             self._noted[name_of(job) + SOLVE] = max(retraining / self.solves(job), 1e-3)
@@ -92,7 +92,7 @@ class Costs:
         return self._measured[name], self._measured.get(name + SOLVE, 0.0)
 
     def _parts(self, job: Job) -> tuple[float, ...]:
-        """Return what `_known` does, of a job that was not measured a guess."""
+        """Return the two numbers of `_known`, or a guess where the job was not measured."""
         env, c = job.cells[0].env, self._conditions
         if self.known(job):
             return self._known(name_of(job))

@@ -34,7 +34,7 @@ MOST_NAMED = 5
 EARLIER_RECORD = "first"
 """What runs of earlier versions were told to record; they may go on with whatever is recorded now."""
 LATER = ("demonstrations", "learner", "solves")
-"""Conditions that earlier versions have not, which run.json names where they are not the default."""
+"""Conditions that earlier versions lack. run.json names them where they are not the default."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 

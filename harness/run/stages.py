@@ -99,7 +99,7 @@ class Task:
 
     @property
     def solves(self) -> int:
-        """How often RL solves a reward."""
+        """The number of RL solves of the reward."""
         asked = self.conditions.solves or self.spec.solves[self.conditions.budget]
         return 1 if takes_one_solve(self.cell) else asked
 
@@ -120,7 +120,7 @@ class Made:
 
     reward: what it was trained on or found with, None where that is the true one or none.
     columns: of its row, besides the scores.
-    solves: of pi_R, the policy of each solve and what that earns on the judging episodes.
+    solves: of pi_R, the policy of each solve and its return under R* on the judging episodes.
     """
 
     name: PolicyName
@@ -246,8 +246,8 @@ def control(task: Task) -> Reward | None:
 
 
 def retrain(task: Task, reward: Reward | None) -> Made:
-    """Return pi_R: the solve, of several, that earns the most under the reward on the judging episodes. Ties
-    go to the first. Each solve learns from scratch with the expert's budget."""
+    """Return pi_R: the solve that earns the most under the reward on the judging episodes. Ties go to the
+    first solve. Each learns from scratch with the expert's budget."""
     with task.during("retrain"):
         solutions = [solve(task, reward, number) for number in range(task.solves)]
         judged, judged_by = [math.nan], 0
@@ -265,8 +265,8 @@ def retrain(task: Task, reward: Reward | None) -> Made:
 
 
 def solve(task: Task, reward: Reward | None, number: int) -> Solution:
-    """Return what RL finds from scratch under the reward. number: of the solve, whose numbers depend on no
-    other solve."""
+    """Return what RL finds from scratch under the reward. number: of the solve. It alone decides the random
+    numbers, so that one solve depends on no other."""
     before, steps = number * task.rl_steps, task.solves * task.rl_steps
     solver = solver_for(
         *(task.place, task.conditions.protocol, task.rng(f"pi_R {number}"), task.conditions.rl),
@@ -276,7 +276,7 @@ def solve(task: Task, reward: Reward | None, number: int) -> Solution:
 
 
 def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[float], int]:
-    """Return what each policy earns under the reward on the judging episodes, and their steps."""
+    """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
     seeds = judging_seeds(task.cell.seed, task.place.eval_episodes[task.conditions.budget])
     played = list(Simulator(task.place).run_each(policies, seeds))
     earned = [float(np.mean([total(reward, one.obs, one.act) for one in its])) for its in played]
@@ -284,7 +284,7 @@ def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[
 
 
 def solves(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> list[Solve]:
-    """Return what each solve of pi_R scores, as pi_R itself does."""
+    """Return every solve of pi_R, with its returns on the evaluation episodes."""
     found = []
     for policy, judged in made.solves:
         its = scored[made.name] if policy is made.policy else score(task, policy, made.reward)
@@ -294,7 +294,7 @@ def solves(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> l
 
 
 def solved_by(task: Task, its: Evaluation, scored: Mapping[PolicyName, Evaluation]) -> float:
-    """Return whether RL solved R*, by what its policy earns, as `is_solved` has it."""
+    """Return `is_solved` of a policy that RL found under R*."""
     star = scored["pi_star"].own_return if "pi_star" in scored else math.nan
     return is_solved(its.own_return, star, task.noted.get("own_return_random", math.nan))
 

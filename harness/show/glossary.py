@@ -33,7 +33,7 @@ MEANINGS = {
         "A learned reward has to be above 0 here."
     ),
     "Seeds ok": "Seeds that are finished without failure, of those that were asked for.",
-    "Share of control_true": "Score in units of what RL reaches on the true reward with as many steps.",
+    "Share of control_true": "Score in units of what RL reaches on the true reward in one solve.",
     "Reward: distance (floor)": (
         "From the true reward, by the advantages that it gives to actions: 0 the same up to scale, 1 the "
         "opposite. The floor is the distance of the reward from a shaped copy of itself: below it nothing "

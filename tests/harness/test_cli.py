@@ -218,7 +218,7 @@ def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
         ("run --learner sac", "invalid choice: 'sac'"),
         (
             "run --envs swingup,gridworld --learner ddpg",
-            "actions of gridworld are choices, and DDPG has none",
+            "of gridworld are choices, and DDPG has none",
         ),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --protocol naive", "invalid choice: 'naive'"),

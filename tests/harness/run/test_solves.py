@@ -89,7 +89,7 @@ def many(solves: int) -> Conditions:
 
 
 def earned(policy: Policy, seeds: range) -> tuple[float, float]:
-    """What it earns by the reward, and by the true one."""
+    """Return what a policy earns under the reward, and under the true one."""
     its = evaluate(CARTPOLE, policy, seeds, PaysForce())
     return its.own_return, float(its.returns.mean())
 
