@@ -52,6 +52,9 @@ from harness.run.experts import Shared, task_for
 from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 
+JUDGING_EPISODES = 20
+"""Episodes by which a solve is chosen."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -277,7 +280,7 @@ def solve(task: Task, reward: Reward | None, number: int) -> Solution:
 
 def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[float], int]:
     """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
-    seeds = judging_seeds(task.cell.seed, task.place.eval_episodes[task.conditions.budget])
+    seeds = judging_seeds(task.cell.seed, JUDGING_EPISODES)
     played = list(Simulator(task.place).run_each(policies, seeds))
     earned = [float(np.mean([total(reward, one.obs, one.act) for one in its])) for its in played]
     return earned, sum(len(one.act) for its in played for one in its)

@@ -23,7 +23,7 @@ from harness.run import experts, stages
 from harness.run.codec import checksum, decode, encode
 from harness.run.experts import Expert, Shared
 from harness.run.request import merged, stored_request, write_request
-from harness.run.stages import Task
+from harness.run.stages import JUDGING_EPISODES, Task
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 
@@ -99,7 +99,7 @@ def test_the_solve_that_earns_most_on_judging_episodes_counts(
 ) -> None:
     result = run(CELL, tmp_path, many(4))
     star, trained = result.rows
-    judging, evaluation = judging_seeds(1, 5), evaluation_seeds(1, 5)
+    judging, evaluation = judging_seeds(1, JUDGING_EPISODES), evaluation_seeds(1, 5)
     for force, solve in zip(FORCES, result.solves, strict=True):
         judged, _ = earned(Push(force), judging)
         assert (solve.judged, solve.own_return, solve.return_mean) == (
