@@ -182,8 +182,7 @@ def as_lines(found: Plan) -> list[str]:
         f"measured: what it took last on this machine ({cache_folder() / FILE}); a guess: the median of the "
         "task's cells, or by its steps of RL",
         f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
-        *[f"{solves} solves of a learned reward (--solves) take {clock(found.retraining)} of it"]
-        * bool(solves),
+        *[f"{solves} solves of a learned reward (--solves) take {clock(found.retraining)}"] * bool(solves),
         *(f"wall time with {count:,} cores: {clock(took)}" for count, took in found.wall.items()),
         f"no number of cores takes less than {clock(sum(s for _, s in found.chain))}: {chain}",
         f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "

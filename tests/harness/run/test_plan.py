@@ -85,7 +85,7 @@ def test_solves_multiply_what_retraining_takes_and_nothing_else(cache: Path) -> 
         gail = 10.0 + solves * 4.0
         assert seconds == {"cartpole expert": 2.0, "cartpole gail": gail, "cartpole control_true": 9.0}
         assert (found.solves, found.retraining) == ((solves,), 2 * solves * 4.0)
-        told = f"{solves} solves of a learned reward (--solves) take 0:{2 * solves * 4:02} of it"
+        told = f"{solves} solves of a learned reward (--solves) take 0:{2 * solves * 4:02}"
         assert told in plan.as_lines(found)
     alone = plan.plan(several, dataclasses.replace(CONDITIONS, retrain=False), VARIABLES)
     assert alone.solves == ()
