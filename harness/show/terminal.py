@@ -42,7 +42,7 @@ WITH_INTERVALS = 80
 """Columns that tables need to show the intervals of scores."""
 LONGEST_NOTE = 120
 ONE_SEED = "one seed ranks no methods"
-UNSOLVED = "RL did not solve R* on every seed, and says nothing about it there"
+UNSOLVED = "RL did not solve R* on every seed, which says nothing about the reward"
 
 Boards = dict[str, list[Entry]]
 """Entries that are compared with each other, by the board's name."""
@@ -109,7 +109,10 @@ def _table(entries: Sequence[Entry], intervals: bool) -> Table:
 def _glossary(request: Request) -> str:
     top = "what the demonstrations return" if request.conditions.experts == "none" else "the expert"
     there = "; in other dynamics 1 is RL on the true reward" if request.variants else ""
-    return f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best."
+    return (
+        f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best. Where RL did not "
+        "solve R*, pi_R says nothing about the reward."
+    )
 
 
 def _line(entry: Entry, intervals: bool) -> tuple[str, str, str, str, str]:

@@ -108,7 +108,7 @@ def test_a_reward_that_rl_did_not_solve_is_named_and_marked() -> None:
             result.rows[1] = dataclasses.replace(result.rows[1], solved=1.0)
     lines = found(results)
     assert lines["pi_R"].endswith(
-        "; RL did not solve R* on every seed, and says nothing about it there: shaped on cartpole"
+        "; RL did not solve R* on every seed, which says nothing about the reward: shaped on cartpole"
     )
     assert "RL did not" not in lines["pi*"]
     (marked,) = [line for line in terminal.tables(ONE, results) if "R* solved on 67% of seeds" in line]
