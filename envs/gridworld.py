@@ -185,6 +185,7 @@ SPEC = EnvSpec(
     bar=lambda seeds: 0.0,
     max_terminated={"smoke": 0.0, "quick": 0.0, "full": 0.0},
     rl_steps={"smoke": 1, "quick": 1, "full": 1},
+    solves={"smoke": 1, "quick": 1, "full": 1},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,

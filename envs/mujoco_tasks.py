@@ -127,9 +127,10 @@ def task(
     axes: list[int] = SIDE,
     moves: bool = False,
     gamma: float = 0.99,
+    **fields: Any,
 ) -> EnvSpec:
     """The spec of one task. ends: why its episodes terminate. obs_names: what is observed, where that is not
-    the joints' positions without the first, and their rates."""
+    the joints' positions without the first, and their rates. fields: more of `EnvSpec`."""
     env = make(gymnasium_id)
     model = env.model
     env_id = f"irl_bench/{gymnasium_id}"
@@ -169,6 +170,7 @@ def task(
         shipped=shipped,
         rl=rl,
         variants={variant: {"physics": physics} for variant, physics in variants.items()},
+        **fields,
     )
 
 
@@ -231,6 +233,8 @@ RUNNING = SAC(
     check_episodes=5,
 )
 """RL where a body runs."""
+FEW = {"smoke": 1, "quick": 2, "full": 2}
+"""Solves of a reward where each takes minutes."""
 HALFCHEETAH = task(
     "halfcheetah",
     "HalfCheetah-v5",
@@ -253,6 +257,7 @@ HALFCHEETAH = task(
         "flipped": Physics(gear=-1.0),
     },
     moves=True,
+    solves=FEW,
 )
 """A body of seven links with two legs, in a vertical plane. A step pays the forward speed [m/s], less 0.1 of
 the action's square. Nothing ends an episode."""
@@ -272,6 +277,7 @@ HOPPER = task(
     },
     ends="fell",
     moves=True,
+    solves=FEW,
 )
 """A body on one leg, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
 action's square. An episode ends where it falls: the torso below 0.7 m, or tilted by more than 0.2 rad."""
@@ -291,6 +297,7 @@ WALKER2D = task(
     },
     ends="fell",
     moves=True,
+    solves=FEW,
 )
 """A body on two legs, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
 action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than

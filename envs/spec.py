@@ -206,6 +206,8 @@ class EnvSpec:
     """Largest share of the expert's episodes that may terminate early, for each of `BUDGETS`."""
     rl_steps: Mapping[str, int] = field(default_factory=lambda: _budgets(600, 20_000, 60_000))
     """Environment steps of one RL solve, for each of `BUDGETS`."""
+    solves: Mapping[str, int] = field(default_factory=lambda: _budgets(1, 2, 5))
+    """Independent solves of a learned reward, the best of which counts, for each of `BUDGETS`."""
     eval_episodes: Mapping[str, int] = field(default_factory=lambda: _budgets(5, 50, 100))
     """Evaluation episodes for each policy, for each of `BUDGETS`."""
     demo_episodes: Mapping[str, int] = field(default_factory=lambda: _budgets(5, 100, 100))
@@ -258,10 +260,10 @@ class EnvSpec:
             raise ValueError(f"{self.name}: a variant has another model than the one that is known")
         if not isinstance(self.rl, (DQN, PPO) if self.discrete else (DDPG, TD3, SAC, PPO)):
             raise ValueError(f"{self.name}: choices need DQN or PPO, and DQN is for choices alone")
-        tables = (self.rl_steps, self.ddpg_steps, self.eval_episodes, self.demo_episodes)
+        tables = (self.rl_steps, self.ddpg_steps, self.solves, self.eval_episodes, self.demo_episodes)
         counts = [self.obs_size, self.act_size, self.horizon, *(t[b] for t in tables for b in BUDGETS)]
         if min(counts) < 1:
-            raise ValueError(f"{self.name}: sizes, horizon, steps and episodes must be positive")
+            raise ValueError(f"{self.name}: sizes, horizon, steps, solves and episodes must be positive")
 
     def make(self) -> gym.Env:
         """A new instance, checked against the sizes above."""

@@ -15,6 +15,7 @@ from harness.registry import (
     ENVS,
     EXPERTS,
     GROUPS,
+    LEARNERS,
     LIBRARIES,
     METHODS,
     PROTOCOLS,
@@ -24,7 +25,7 @@ from harness.registry import (
 )
 
 MOST = 1000
-"""Largest count that --seeds and --workers take; seeds lie below it."""
+"""Largest count that --seeds, --solves and --workers take; seeds lie below it."""
 NARROWEST = 1e-9
 """Smallest width that --action-bounds takes."""
 LONGEST = 10**6
@@ -85,6 +86,20 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--budget", default="quick", choices=BUDGETS)
     add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
     add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose learners: SB3 in JAX, or SB3")
+    add.add_argument(
+        "--learner",
+        default="own",
+        choices=LEARNERS,
+        help="of every RL: each task's own, or DDPG, the thesis's",
+    )
+    add.add_argument(
+        "--solves",
+        type=_count,
+        metavar="K",
+        default=0,
+        help="RL solves of each learned reward, of which the one that earns most counts (default: by budget "
+        "and task); controls and variants take one",
+    )
     add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
     add.add_argument(
         "--demos",

@@ -57,8 +57,16 @@ def run(args: argparse.Namespace) -> int:
     seeds = args.seeds or tuple(range(5 if args.budget == "full" else 1))
     fixed = _is_deterministic(args)
     conditions = Conditions(
-        args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain
+        *(args.budget, args.protocol, args.rl, fixed, args.experts, args.record, not args.no_retrain),
+        learner=args.learner,
+        solves=args.solves,
     )
+    if args.solves and args.no_retrain:
+        raise BadInput("--solves is how often RL solves R*; leave out --no-retrain")
+    if args.learner == "ddpg" and (choices := [env for env in envs if plugins.task(env).discrete]):
+        raise BadInput(
+            f"actions of {', '.join(choices)} are choices, and DDPG has none; leave them out of --envs"
+        )
     if args.experts == "none":
         _check_without_expert(args, methods)
     shown = tuple(Shown(demos, args.subsample, args.demonstrator) for demos in args.demos)
@@ -122,7 +130,11 @@ def reproduce(args: argparse.Namespace) -> int:
     with study.open_study(args.out):
         requests, fixed = {}, _is_deterministic(args)
         for protocol in study.PROTOCOLS:
-            conditions = Conditions(args.budget, protocol, "sbx", fixed, "trained", args.record)
+            conditions = Conditions(
+                *(args.budget, protocol, "sbx", fixed, "trained", args.record),
+                learner=study.LEARNER,
+                solves=study.SOLVES,
+            )
             shown = tuple(map(Shown, study.TRAJECTORIES))
             requests[protocol] = Request(study.STUDIED, study.ENVS, args.seeds, conditions, shown)
             merged(args.out / protocol, requests[protocol])  # refused now, and not hours later

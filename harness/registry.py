@@ -22,6 +22,7 @@ NO_NUMBERS = {
 }
 
 Library = Literal["sbx", "sb3"]
+LearnerName = Literal["own", "ddpg"]
 Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]
 Demonstrator = Literal["expert", "medium", "noisy"]
@@ -29,6 +30,8 @@ EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
+LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
+"""Learners of a run: each task's own, or DDPG, the thesis's."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.judge.roles import SURVIVAL
-from harness.registry import BadInput
+from harness.registry import BadInput, LearnerName
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
 from harness.run.request import STUDY
@@ -34,6 +34,10 @@ from harness.show.terminal import score_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
+LEARNER: LearnerName = "ddpg"
+"""The thesis's learner."""
+SOLVES = 3
+"""RL solves of each learned reward."""
 STUDIED = ("shaped", "shaped_decay", "bc")
 """The thesis's model, without and with the weight regularisation that its section 5.3 suspects, and behaviour
 cloning on as much."""

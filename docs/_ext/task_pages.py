@@ -100,6 +100,7 @@ def numbers(spec: EnvSpec) -> str:
     ]
     if spec.tabular is None:
         known.append(("Its steps", budgets(spec.rl_steps)))
+        known.append(("Solves of a learned reward", budgets(spec.solves)))
     known += [
         ("Evaluation episodes", budgets(spec.eval_episodes)),
         ("Demonstrations", budgets(spec.demo_episodes)),

@@ -28,6 +28,8 @@ def command_of(request: Request, beside: bool = False) -> str:
     words += ["--plugin", "FILE"] if any(not name.startswith(GYMNASIUM_NAME) for name in others) else []
     words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
     words += ["--rl", c.rl]
+    words += ["--learner", c.learner] if c.learner != "own" else []
+    words += ["--solves", str(c.solves)] if c.solves else []
     words += ["--experts", c.experts, "--record", c.record]
     dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
     words += ["--transfer", ",".join(dynamics)] if dynamics else []

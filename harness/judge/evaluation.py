@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,9 +33,14 @@ class Evaluation:
         measures = {"return": self.returns, "discounted": self.discounted, "length": self.lengths}
         for name, values in measures.items():
             columns |= {f"{name}_mean": float(values.mean()), f"{name}_std": float(values.std())}
-        if self.own is not None and np.isfinite(self.own).all():
-            columns["own_return"] = float(self.own.mean())
+        if math.isfinite(self.own_return):
+            columns["own_return"] = self.own_return
         return columns
+
+    @property
+    def own_return(self) -> float:
+        """The mean return under the other reward, NaN where there is none or it is not finite."""
+        return math.nan if self.own is None or not np.isfinite(self.own).all() else float(self.own.mean())
 
 
 def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward | None = None) -> Evaluation:

@@ -78,14 +78,16 @@ class Entry:
     above_best_lower_control: float
     """Of pi_R rows: mean score minus the best mean score of the lower controls, over seeds that all have."""
     share_of_true: float
-    """Of pi_R rows: the mean score in units of what RL reaches on the true reward with as many steps, over
-    the seeds that both have."""
+    """Of pi_R rows: the mean score in units of what RL reaches on the true reward in one solve, over the
+    seeds that both have."""
     reward_distance: float
     reward_floor: float
     reward_rank: float
     policy_ranking: float
     own_return: float
     own_return_shown: float
+    solved: float
+    """Share of the seeds whose reward RL solved (`harness.judge.solved`), in pi_R rows of methods."""
     return_mean: float
     return_low: float
     return_high: float
@@ -96,6 +98,11 @@ class Entry:
     rl_solves: float
     note: str
     """Where it comes from, if from a baseline; which seeds were skipped, failed or not scored, and why."""
+
+    @property
+    def unsolved(self) -> bool:
+        """Return whether RL failed to solve R* on some seed: the score there says nothing about R*."""
+        return self.solved < 1
 
     @property
     def incomparable(self) -> bool:
@@ -331,6 +338,7 @@ def _entry(
         policy_ranking=_mean([row.policy_ranking for row in ok]),
         own_return=_mean([row.own_return for row in ok]),
         own_return_shown=_mean([row.own_return_shown for row in ok]),
+        solved=_mean([row.solved for row in ok]),
         return_mean=_mean([row.return_mean for row in ok]),
         return_low=returns[0],
         return_high=returns[1],

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
-from harness.registry import Demonstrator, Experts, Library, Record
+from harness.registry import Demonstrator, Experts, LearnerName, Library, Record
 
 Point = TypeVar("Point")
 
@@ -36,8 +36,8 @@ FORMATS = (7, 8)
 
 CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 """In a regular expression's brackets: what changes how text is shown, or cannot be written."""
-MOST_CURVES, MOST_POINTS, LONGEST_TEXT = 30, 2000, 1000
-"""Of a cell; of a curve; characters."""
+MOST_CURVES, MOST_POINTS, MOST_SOLVES, LONGEST_TEXT = 30, 2000, 1000, 1000
+"""Of a cell; of a curve; of a reward; characters."""
 LARGEST = 1e100
 """Sums and squares of numbers up to this are finite; what is larger counts as unknown, as NaN does."""
 Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=60)]
@@ -97,6 +97,17 @@ class Conditions:
     """Whether there are pi_R, and so controls; or pi_star alone."""
     demonstrations: Text = ""
     """Where they were given in a file: the digest of what it holds, and how much that is."""
+    learner: LearnerName = "own"
+    """The learner of all RL of the run: each task's own, or DDPG."""
+    solves: Annotated[int, Meta(ge=0, le=MOST_SOLVES)] = 0
+    """Independent solves of a learned reward; 0: as many as the task has at the budget."""
+
+    def in_words(self, name: str) -> str:
+        """Return the value of a field as people are told it."""
+        value = getattr(self, name)
+        if name == "solves" and not value:
+            return "by task and budget"
+        return "none" if value == "" else str(value)
 
 
 @dataclass(frozen=True, order=True)
@@ -191,6 +202,12 @@ class Row:
     what absorption pays."""
     own_return_shown: float = math.nan
     """Of the same rows of methods: that of the demonstrations, where every step of theirs is shown."""
+    own_return_random: float = math.nan
+    """The random policy's return under R*, over the same evaluation episodes, in the same rows."""
+    solves: Count = 0
+    """Number of RL solves that pi_R was chosen from; 0 in other rows."""
+    solved: float = math.nan
+    """1 where RL solved R*, 0 where it did not, in pi_R rows of methods (`harness.judge.solved`)."""
     fit_seconds: float = math.nan
     """Wall time of what made this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0
@@ -217,6 +234,17 @@ class Row:
 
 
 COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
+
+
+@dataclass(frozen=True)
+class Solve:
+    """One RL solve of a reward. judged: mean return under R* over the judging episodes, NaN where no other
+    solve is compared. own_return, return_mean, solved: as of `Row`."""
+
+    judged: float = math.nan
+    own_return: float = math.nan
+    return_mean: float = math.nan
+    solved: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -256,6 +284,8 @@ class CellResult:
     task_version: Text = ""
     """Of its task, the experts and how policies are scored (`harness.run.keys.task_version`); given when it
     is stored."""
+    solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
+    """Every RL solve of the reward, in order. pi_R is the one that was judged best, of equals the first."""
 
     @property
     def files(self) -> dict[str, str]:
@@ -288,6 +318,11 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
     if cell.method == REFERENCE:
         return ("expert", "random")
     return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
+
+
+def takes_one_solve(cell: Cell) -> bool:
+    """Return whether RL solves its reward once, or has none to solve, however many solves are asked for."""
+    return cell.method in (REFERENCE, *CONTROLS) or cell.dynamics != NOMINAL
 
 
 def before(cell: Cell) -> Cell | None:

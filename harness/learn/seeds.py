@@ -11,6 +11,8 @@ EVALUATION = 10_000
 rule by which checkpoints are chosen was changed after scores of seed 0 had been seen."""
 DEMONSTRATION = 1 << 20
 """Demonstration episodes: seed k uses 1,000 seeds from here + 1,000 k."""
+JUDGING = 1 << 21
+"""Episodes by which one of several solves is chosen: seed k uses 1,000 seeds from here + 1,000 k."""
 TUNING = 1 << 22
 """Episodes that shipped experts are chosen by."""
 HELD_OUT = (1 << 23) + 1000
@@ -33,6 +35,11 @@ def evaluation_seeds(seed: int, episodes: int) -> range:
 def demonstration_seeds(seed: int, episodes: int) -> range:
     """Episode seeds of the demonstrations of run seed `seed`."""
     return range(DEMONSTRATION + 1000 * seed, DEMONSTRATION + 1000 * seed + episodes)
+
+
+def judging_seeds(seed: int, episodes: int) -> range:
+    """Return the episode seeds by which run seed `seed` chooses one of several solves."""
+    return range(JUDGING + 1000 * seed, JUDGING + 1000 * seed + episodes)
 
 
 def tuning_seeds(episodes: int) -> range:

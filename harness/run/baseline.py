@@ -31,7 +31,7 @@ from harness.run.request import REQUEST
 
 MACHINE = ("processor", "family, model, stepping", "instructions", "system")
 """Of what a cell was computed with, what is not packages."""
-DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations")
+DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations", "learner", "solves")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
 
@@ -56,9 +56,9 @@ def comparable(
             beside, damaged = run.beside()
         results, unusable = {result.cell: result for result in beside} | results, unusable | damaged
         differ = [
-            f"{name} {'none' if theirs == '' else theirs}, not {'none' if ours == '' else ours}"
+            f"{name} {theirs}, not {ours}"
             for name in DECIDING
-            for theirs, ours in [(getattr(conditions, name), getattr(request.conditions, name))]
+            for theirs, ours in [(conditions.in_words(name), request.conditions.in_words(name))]
             if theirs != ours
         ]
         for file, why in unusable.items():

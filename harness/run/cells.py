@@ -24,7 +24,7 @@ from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
 from harness.run.phases import returned
-from harness.run.stages import Made, Task, missed_bar, policies, row, score
+from harness.run.stages import Made, Task, missed_bar, policies, row, score, solves
 from harness.run.watched import Watched
 from methods.base import Policy, Reward
 
@@ -56,9 +56,10 @@ def run_cell(
     learned, lost = learned_file(task, made)
     artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
-    rows = [row(task, one, scored.get(one.name)) for one in made]
+    rows = [row(task, one, scored) for one in made]
     if nobody:
         rows[0] = without_expert.in_its_place(rows[0], conditions)
+    tried = [solve for one in made for solve in solves(task, one, scored)]
     recordings, troubles = dict[str, bytes](), list[str]()
     for one in made:
         if one.name in watched:
@@ -82,6 +83,7 @@ def run_cell(
         below_bar=below,
         details={name: value for one in made for name, value in one.details.items()},
         like=list(plugins.like(cell.method)),
+        solves=tried,
         seconds=task.seconds,
     )
     folders = {"recordings": recordings, "artifacts": artifacts}

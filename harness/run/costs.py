@@ -4,20 +4,23 @@ in the cache; where they measured nothing, a guess by the environment's RL steps
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Annotated
 
 import msgspec
 
-from harness.judge.results import ALL_SHOWN, Conditions
+from harness.judge.results import ALL_SHOWN, Conditions, takes_one_solve
+from harness.run import plugins
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
 from harness.run.files import read, write_atomic
-from harness.run.plugins import rl_steps
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
 
 FILE = "seconds.json"
+SOLVE = ", a solve"
+"""End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
 SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""
 BEGINNING, STEPS_PER_SECOND = 5.0, 1200.0
@@ -33,19 +36,19 @@ class Costs:
     """Seconds that jobs under these conditions take."""
 
     def __init__(self, conditions: Conditions) -> None:
-        self._budget = conditions.budget
-        c = conditions
+        self._conditions = c = conditions
         told = (c.rl, f"experts {c.experts}", *(() if c.retrain else ("without pi_R",)))
+        told += (c.learner,) if c.learner != "own" else ()
         self._under = ", ".join([c.budget, *told])
         self._measured: dict[str, float] = _stored().get(self._under, {})
         self._noted: dict[str, float] = {}
-        by_env: dict[str, list[float]] = {}
-        for name, seconds in self._measured.items():
+        by_env: dict[str, list[tuple[float, float]]] = {}
+        for name in self._measured:
             env, _, rest = name.partition(" ")
-            if rest not in ("", SHARED):
-                by_env.setdefault(env, []).append(seconds)
-        self._usual = {env: sorted(known)[len(known) // 2] for env, known in by_env.items()}
-        """The median of an environment's cells."""
+            if rest not in ("", SHARED) and not name.endswith(SOLVE):
+                by_env.setdefault(env, []).append(self._known(name))
+        self._usual = {env: tuple(map(_median, zip(*its, strict=True))) for env, its in by_env.items()}
+        """Medians of `_known` over an environment's cells."""
 
     def known(self, job: Job) -> bool:
         """Whether a job like it was measured."""
@@ -53,11 +56,28 @@ class Costs:
 
     def of(self, job: Job) -> float:
         """What a job is expected to take, in seconds."""
-        return self._measured.get(name_of(job)) or self._guess(job)
+        besides, solve = self._parts(job)
+        return besides + self.solves(job) * solve
 
-    def note(self, job: Job, seconds: float) -> None:
-        """Remembers what it took."""
-        self._noted[name_of(job)] = max(seconds, 1e-3)
+    def retraining(self, job: Job) -> float:
+        """Return the seconds of it that RL on a reward takes."""
+        return self.solves(job) * self._parts(job)[1]
+
+    def solves(self, job: Job) -> int:
+        """Return how often RL solves the reward of a job's cell; 1 where that is not known."""
+        c, cell = self._conditions, job.cells[0]
+        if job.shared or takes_one_solve(cell) or not c.retrain:
+            return 1
+        try:
+            return c.solves or plugins.task(cell.env).solves[c.budget]
+        except Exception:  # whatever is wrong with an environment, its own cells tell
+            return 1
+
+    def note(self, job: Job, seconds: float, retraining: float = 0.0) -> None:
+        """Remember the seconds that it took, and how many of them RL on a reward took."""
+        self._noted[name_of(job)] = max(seconds - retraining, 1e-3)
+        if retraining:
+            self._noted[name_of(job) + SOLVE] = max(retraining / self.solves(job), 1e-3)
 
     def keep(self) -> None:
         """Stores what was noted for later runs, where that can be done."""
@@ -67,15 +87,24 @@ class Costs:
             stored[self._under] = stored.get(self._under, {}) | self._noted
             write_atomic(cache_folder() / FILE, json.dumps(stored, indent=1, sort_keys=True) + "\n")
 
-    def _guess(self, job: Job) -> float:
-        env = job.cells[0].env
+    def _known(self, name: str) -> tuple[float, float]:
+        """Return the seconds of a job besides RL on a reward, and of one solve of that."""
+        return self._measured[name], self._measured.get(name + SOLVE, 0.0)
+
+    def _parts(self, job: Job) -> tuple[float, ...]:
+        """Return the two numbers of `_known`, or a guess where the job was not measured."""
+        env, c = job.cells[0].env, self._conditions
+        if self.known(job):
+            return self._known(name_of(job))
         if env in self._usual and not job.shared:
             return self._usual[env]
         try:
-            steps = rl_steps(env)[self._budget]
-        except Exception:  # whatever is wrong with an environment, its own cells tell
-            return BEGINNING
-        return BEGINNING + steps / STEPS_PER_SECOND * (0.1 if job.shared else 1.0)
+            task = plugins.task(env)
+            steps = (task.rl_steps if c.learner == "own" else task.ddpg_steps)[c.budget]
+        except Exception:  # as in `solves`
+            return BEGINNING, 0.0
+        took = steps / STEPS_PER_SECOND
+        return (BEGINNING + 0.1 * took, 0.0) if job.shared else (BEGINNING, took)
 
 
 def name_of(job: Job) -> str:
@@ -83,6 +112,10 @@ def name_of(job: Job) -> str:
     cell = job.cells[0]
     shown = f" {cell.shown}" if cell.shown != ALL_SHOWN else ""
     return f"{cell.env} {SHARED}" if job.shared else f"{cell.task} {cell.method}{shown}"
+
+
+def _median(values: Sequence[float]) -> float:
+    return sorted(values)[len(values) // 2]
 
 
 def _stored() -> dict[str, dict[str, float]]:

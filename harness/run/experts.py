@@ -54,11 +54,16 @@ class Expert:
     check_steps: int
 
 
+def task_for(env: str, conditions: Conditions) -> EnvSpec:
+    """Return a task with the learner that the conditions say."""
+    return SPECS[env].by_ddpg() if conditions.learner == "ddpg" else SPECS[env]
+
+
 def expert_for(env: str, seed: int, conditions: Conditions) -> Expert:
     """The expert of a run seed: the shipped one of number `seed` modulo their count. Where the task has none,
     or conditions say 'trained', one trained now with the budget of all RL, which takes minutes, or found in
     the cache."""
-    spec = SPECS[env]
+    spec = task_for(env, conditions)
     if spec.tabular:  # An exact solution is found faster than it is read.
         return _trained(spec, seed, conditions)
     if conditions.experts == "shipped" and (version := experts_version(env)):
@@ -186,7 +191,9 @@ def _ranking(policies: Sequence[Policy], env: str, seed: int, conditions: Condit
 
 
 def _asked(expert: Expert, conditions: Conditions, count: object) -> list[object]:
-    trained = [conditions.rl, conditions.budget] if expert.name.startswith("trained") else []
+    trained = (
+        [conditions.rl, conditions.learner, conditions.budget] if expert.name.startswith("trained") else []
+    )
     return [expert.name, count, *trained]
 
 

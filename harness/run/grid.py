@@ -208,11 +208,11 @@ class Schedule:
             self.losses[job.name] += 1
             self.lost.append(job)
             return
-        if not outcome.error:
-            self.costs.note(job, seconds)
         if not job.shared:
             self._keep(job, outcome, seconds)
             return
+        if not outcome.error:
+            self.costs.note(job, seconds)
         self.progress.finished(job, "failed" if outcome.error else "ok", outcome.error)
         held = self.held.pop(_group(job))
         if outcome.error:
@@ -236,6 +236,7 @@ class Schedule:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
             self.progress.finished(job, "failed", error)
         else:
+            self.costs.note(job, seconds, result.seconds.get("retrain", 0.0))
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
             returns = {str(row.policy): row.return_mean for row in result.rows if row.status == "ok"}

@@ -11,7 +11,15 @@ from typing import Self
 
 import psutil
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, Status, before
+from harness.judge.results import (
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    Status,
+    before,
+    takes_one_solve,
+)
 from harness.run.costs import FILE, SHARED, Costs, name_of
 from harness.run.engines import Job, Outcome
 from harness.run.environment import cache_folder
@@ -100,11 +108,14 @@ class Line:
 @dataclass(frozen=True)
 class Plan:
     """What cells take: lines by task and method; the wall time by the number of cores; and the longest chain
-    of jobs that wait for each other, with what each takes: no number of cores makes it shorter."""
+    of jobs that wait for each other, with what each takes: no number of cores makes it shorter. solves: of
+    learned rewards, which take `retraining` seconds of it."""
 
     lines: tuple[Line, ...]
     wall: dict[int, float]
     chain: tuple[tuple[str, float], ...]
+    solves: tuple[int, ...]
+    retraining: float
 
 
 def plan(
@@ -117,6 +128,8 @@ def plan(
     first = {name_of(job): job for job in jobs}
     seconds = {name: costs.of(job) for name, job in first.items()}
     lines = [Line(name, counts[name], seconds[name], costs.known(first[name])) for name in sorted(first)]
+    learned = [job for job in jobs if not (job.shared or takes_one_solve(job.cells[0]))]
+    solves = {costs.solves(job) for job in learned if conditions.retrain}
 
     def does(job: Job) -> tuple[float, Outcome]:
         # A cell that fails lets the same ones go on as one that does not, and has no result to be read.
@@ -127,7 +140,8 @@ def plan(
         engine = Simulated(count, does, variables)
         Schedule(Grid(conditions, silent, engine), jobs, silent, costs).run()
         wall[count] = engine.now
-    return Plan(tuple(lines), wall, _longest_chain(jobs, {job.name: seconds[name_of(job)] for job in jobs}))
+    chain = _longest_chain(jobs, {job.name: seconds[name_of(job)] for job in jobs})
+    return Plan(tuple(lines), wall, chain, tuple(sorted(solves)), sum(map(costs.retraining, learned)))
 
 
 def _unknown(job: Job) -> tuple[float, Outcome]:
@@ -154,6 +168,7 @@ def as_lines(found: Plan) -> list[str]:
     width = max(len(line.name) for line in found.lines)
     total = sum(line.jobs * line.seconds for line in found.lines)
     guessed = sum(line.jobs * line.seconds for line in found.lines if not line.measured)
+    solves = " or ".join(map(str, found.solves))
     marks = ["" if line.measured else "  a guess" for line in found.lines]
     chain = ", ".join(f"{name} {clock(seconds)}" for name, seconds in found.chain)
     memory = psutil.virtual_memory()
@@ -167,6 +182,7 @@ def as_lines(found: Plan) -> list[str]:
         f"measured: what it took last on this machine ({cache_folder() / FILE}); a guess: the median of the "
         "task's cells, or by its steps of RL",
         f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
+        *[f"{solves} solves of a learned reward (--solves) take {clock(found.retraining)}"] * bool(solves),
         *(f"wall time with {count:,} cores: {clock(took)}" for count, took in found.wall.items()),
         f"no number of cores takes less than {clock(sum(s for _, s in found.chain))}: {chain}",
         f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "

@@ -87,7 +87,7 @@ class Offer:
 
     like: the built-in methods whose class a method has, or derives from.
     takes: the hyper-parameters that it takes from their settings.
-    variants, rl_steps: fields of a task's `EnvSpec`.
+    variants, discrete, rl_steps, ddpg_steps, solves: fields of a task's `EnvSpec`.
     packages: the versions of those that a task needs.
     registered: the sources of what Gymnasium's registry names for a task.
     """
@@ -99,7 +99,10 @@ class Offer:
     like: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
+    discrete: bool = False
     rl_steps: dict[str, int] = field(default_factory=dict)
+    ddpg_steps: dict[str, int] = field(default_factory=dict)
+    solves: dict[str, int] = field(default_factory=dict)
     packages: dict[str, str] = field(default_factory=dict)
     registered: Sources = field(default_factory=lambda: Sources([], []))
 
@@ -395,16 +398,16 @@ def times_as_many(method: str, env: str, budget: str) -> float:
         return 1.0
     own, original = load_method(method)(**settings_for(method, env, budget)), load_method(names[0])
     usual = original(**settings.settings_for(names[0], env, budget))
-    steps = rl_steps(env)[budget]
+    steps = task(env).rl_steps[budget]
     most = effort.asked(usual, steps)
     return effort.asked(own, steps) / most if most else 1.0
 
 
-def rl_steps(env: str) -> Mapping[str, int]:
-    """Return a task's steps of reinforcement learning by budget, without importing the task of a plug-in."""
+def task(env: str) -> Offer | EnvSpec:
+    """Return what is known of a task without importing one of a plug-in, of which that is an `Offer`."""
     entry = PLUGINS["env"].get(env)
     is_told = entry and not entry.target.startswith(f"{__name__}:")
-    return _offer_of("env", env).rl_steps if is_told else SPECS[env].rl_steps
+    return _offer_of("env", env) if is_told else SPECS[env]
 
 
 def _offer_of(kind: str, name: str) -> Offer:
@@ -610,11 +613,17 @@ def _offered(plugin: Plugin) -> list[Offer]:
 
 def _offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
     if kind == "env":
-        steps = {budget: int(steps) for budget, steps in thing.rl_steps.items()}
+        steps, ddpg, solves = (
+            {budget: int(count) for budget, count in table.items()}
+            for table in (thing.rl_steps, thing.ddpg_steps, thing.solves)
+        )
         return Offer(
             *(kind, name, entry.target, entry.summary),
             variants=tuple(thing.variants),
+            discrete=bool(thing.discrete),
             rl_steps=steps,
+            ddpg_steps=ddpg,
+            solves=solves,
             packages=_packages(thing.env_id),
             registered=sources_of(*_modules_of_task(thing.env_id)),
         )

@@ -33,6 +33,8 @@ MOST_NAMED = 5
 """Runs that a line names."""
 EARLIER_RECORD = "first"
 """What runs of earlier versions were told to record; they may go on with whatever is recorded now."""
+LATER = ("demonstrations", "learner", "solves")
+"""Conditions that earlier versions lack. run.json names them where they are not the default."""
 KEYS = tuple(field.name for field in dataclasses.fields(Conditions))
 
 
@@ -45,8 +47,9 @@ def as_text(request: Request) -> str:
     """What run.json holds."""
     data = {"format": FORMATS[-1], **dataclasses.asdict(request)}
     data |= data.pop("conditions")
-    if not data["demonstrations"]:
-        del data["demonstrations"]
+    for field in dataclasses.fields(Conditions):
+        if field.name in LATER and data[field.name] == field.default:
+            del data[field.name]
     if (request.shown, request.variants, request.conditions.retrain) == ((ALL_SHOWN,), (), True):
         data["format"] = FORMATS[0]
         for name in ("shown", "variants", "retrain"):
@@ -99,9 +102,9 @@ def _check_known(path: Path, old: Request) -> None:
 def _grown(path: Path, old: Request, request: Request) -> Request:
     """The request `old`, stored in `path`, and this one. Raises BadInput where their conditions differ."""
     for name in KEYS:
-        there, asked = getattr(old.conditions, name), getattr(request.conditions, name)
+        there, asked = (its.conditions.in_words(name) for its in (old, request))
         if there != asked and (name, there) != ("record", EARLIER_RECORD):
-            said = f"{name} {'none' if there == '' else there}, not {'none' if asked == '' else asked}"
+            said = f"{name} {there}, not {asked}"
             raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
     return Request(
         methods=_union(METHODS | VARIANTS, old.methods, request.methods),

@@ -6,6 +6,7 @@ Whatever is done here changes the keys of all cells (`harness.run.keys`); what i
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,18 +33,27 @@ from harness.judge.results import (
     Curve,
     PolicyName,
     Row,
+    Solve,
     policies_of,
     row_of,
+    takes_one_solve,
     thinned,
+    usable,
 )
+from harness.judge.solved import is_solved
 from harness.learn.learned import check_learned
-from harness.learn.seeds import evaluation_seeds, rng_for
+from harness.learn.rl import Solution
+from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
+from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, solver_for
-from harness.registry import ASKING, SPECS, load_method
+from harness.registry import ASKING, load_method
 from harness.run.codec import printable
-from harness.run.experts import Shared
+from harness.run.experts import Shared, task_for
 from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
+
+JUDGING_EPISODES = 20
+"""Episodes by which a solve is chosen."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +80,10 @@ class Task:
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
 
-    @property
+    @cached_property
     def spec(self) -> EnvSpec:
         """Where demonstrations are of, and methods learn."""
-        return SPECS[self.cell.env]
+        return task_for(self.cell.env, self.conditions)
 
     @cached_property
     def place(self) -> EnvSpec:
@@ -89,6 +99,12 @@ class Task:
     @property
     def rl_steps(self) -> int:
         return self.spec.rl_steps[self.conditions.budget]
+
+    @property
+    def solves(self) -> int:
+        """The number of RL solves of the reward."""
+        asked = self.conditions.solves or self.spec.solves[self.conditions.budget]
+        return 1 if takes_one_solve(self.cell) else asked
 
     def rng(self, purpose: str) -> np.random.Generator:
         return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
@@ -108,6 +124,7 @@ class Made:
 
     reward: what it was trained on or found with, None where that is the true one or none.
     columns: of its row, besides the scores.
+    solves: of pi_R, the policy of each solve and its return under R* on the judging episodes.
     """
 
     name: PolicyName
@@ -117,6 +134,7 @@ class Made:
     curves: Mapping[str, Curve] = field(default_factory=dict)
     details: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    solves: Sequence[tuple[Policy, float]] = ()
 
 
 def policies(task: Task) -> list[Made]:
@@ -135,18 +153,26 @@ def policies(task: Task) -> list[Made]:
         return [star, Made("pi_R", None, columns={"reason": "learns no reward"})]
     if not task.conditions.retrain:
         return [star, Made("pi_R", None, columns={"reason": "not asked for"})]
-    return [star, retrain(task, star.reward)]
+    trained = retrain(task, star.reward)
+    task.noted["own_return_random"] = score(task, random_policy(task), star.reward).own_return
+    return [star, trained]
 
 
 def reference(task: Task) -> list[Made]:
     """The expert and a random policy."""
-    expert, spec, rng = task.shared.expert, task.place, task.rng("random policy")
+    expert = task.shared.expert
     took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
     took |= {"check_steps": expert.check_steps, "rl_solves": 1}
     return [
         Made("expert", expert.policy, columns=took, curves={"expert": expert.curve}),
-        Made("random", lambda obs: spec.random_actions(len(obs), rng)),
+        Made("random", random_policy(task)),
     ]
+
+
+def random_policy(task: Task) -> Policy:
+    """Return the random policy of the environment and seed, whose actions are the same in every cell."""
+    spec, rng = task.place, rng_for(task.cell.seed, task.cell.env, REFERENCE, "random policy")
+    return lambda obs: spec.random_actions(len(obs), rng)
 
 
 def demonstrations(task: Task) -> Episodes:
@@ -224,18 +250,57 @@ def control(task: Task) -> Reward | None:
 
 
 def retrain(task: Task, reward: Reward | None) -> Made:
-    """pi_R: reinforcement learning from scratch under the reward, with the expert's budget."""
+    """Return pi_R: the solve that earns the most under the reward on the judging episodes. Ties go to the
+    first solve. Each learns from scratch with the expert's budget."""
     with task.during("retrain"):
-        solver = solver_for(
-            *(task.place, task.conditions.protocol, task.rng("pi_R"), task.conditions.rl),
-            told=lambda done: task.tell(f"retrain, step {done:,} of {task.rl_steps:,}"),
-        )
-        solution = solver.solve(reward, task.rl_steps)
-    took = {"fit_seconds": task.seconds["retrain"], "env_steps": solution.env_steps}
-    took |= {"check_steps": solution.check_steps, "rl_solves": 1}
-    curves = {"pi_R": solution.curve, "pi_R_true": solution.true_curve}
-    curves["pi_R_chosen"] = solution.curve[solution.best : solution.best + 1]
-    return Made("pi_R", solution.policy, reward, took | measured(task, reward), curves)
+        solutions = [solve(task, reward, number) for number in range(task.solves)]
+        judged, judged_by = [math.nan], 0
+        if reward is not None and len(solutions) > 1:
+            judged, judged_by = judge(task, reward, [its.policy for its in solutions])
+    chosen = max(range(len(solutions)), key=lambda i: judged[i] if usable(judged[i]) else -math.inf)
+    took = {"fit_seconds": task.seconds["retrain"], "env_steps": sum(its.env_steps for its in solutions)}
+    took |= {"check_steps": sum(its.check_steps for its in solutions) + judged_by}
+    took |= {"rl_solves": len(solutions), "solves": len(solutions)}
+    best = solutions[chosen]
+    curves = {"pi_R": best.curve, "pi_R_true": best.true_curve}
+    curves["pi_R_chosen"] = best.curve[best.best : best.best + 1]
+    tried = [(its.policy, earned) for its, earned in zip(solutions, judged, strict=True)]
+    return Made("pi_R", best.policy, reward, took | measured(task, reward), curves, solves=tried)
+
+
+def solve(task: Task, reward: Reward | None, number: int) -> Solution:
+    """Return what RL finds from scratch under the reward. number: of the solve. It alone decides the random
+    numbers, so that one solve depends on no other."""
+    before, steps = number * task.rl_steps, task.solves * task.rl_steps
+    solver = solver_for(
+        *(task.place, task.conditions.protocol, task.rng(f"pi_R {number}"), task.conditions.rl),
+        told=lambda done: task.tell(f"retrain, step {before + done:,} of {steps:,}"),
+    )
+    return replace(solver.solve(reward, task.rl_steps), checkpoints=())
+
+
+def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[float], int]:
+    """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
+    seeds = judging_seeds(task.cell.seed, JUDGING_EPISODES)
+    played = list(Simulator(task.place).run_each(policies, seeds))
+    earned = [float(np.mean([total(reward, one.obs, one.act) for one in its])) for its in played]
+    return earned, sum(len(one.act) for its in played for one in its)
+
+
+def solves(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> list[Solve]:
+    """Return every solve of pi_R, with its returns on the evaluation episodes."""
+    found = []
+    for policy, judged in made.solves:
+        its = scored[made.name] if policy is made.policy else score(task, policy, made.reward)
+        solved = solved_by(task, its, scored)
+        found.append(Solve(judged, its.own_return, float(its.returns.mean()), solved))
+    return found
+
+
+def solved_by(task: Task, its: Evaluation, scored: Mapping[PolicyName, Evaluation]) -> float:
+    """Return `is_solved` of a policy that RL found under R*."""
+    star = scored["pi_star"].own_return if "pi_star" in scored else math.nan
+    return is_solved(its.own_return, star, task.noted.get("own_return_random", math.nan))
 
 
 def measured(task: Task, reward: Reward | None) -> dict[str, float]:
@@ -261,11 +326,13 @@ def score(task: Task, policy: Policy, reward: Reward | None) -> Evaluation:
         return evaluate(task.place, policy, task.seeds, reward)
 
 
-def row(task: Task, made: Made, scored: Evaluation | None) -> Row:
+def row(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> Row:
     """Of scores.csv."""
+    its = scored.get(made.name)
     columns = {"expert": task.shared.expert.name, **task.noted, **made.columns}
-    columns |= scored.columns() if scored else {}
-    columns["status"] = "ok" if scored else "skipped"
+    columns |= its.columns() if its else {}
+    columns |= {"solved": solved_by(task, its, scored)} if its and made.name == "pi_R" else {}
+    columns["status"] = "ok" if its else "skipped"
     return row_of(task.cell, made.name, task.conditions.protocol, **columns)
 
 

@@ -56,9 +56,9 @@ def differing(one: Run, other: Run) -> list[str]:
     """In what else than their scores the runs differ, a line each."""
     lines = []
     for field in dataclasses.fields(Conditions):
-        a, b = (getattr(run.conditions, field.name) for run in (one, other))
+        a, b = (run.conditions.in_words(field.name) for run in (one, other))
         if a != b:
-            lines.append(f"{field.name}: {_said(a)}, there {_said(b)}")
+            lines.append(f"{field.name}: {a}, there {b}")
     facts = [_facts(run) for run in (one, other)]
     for name in dict.fromkeys([*facts[0], *facts[1]]):
         a, b = (", ".join(sorted(its.get(name, {"unknown"}))) for its in facts)
@@ -76,10 +76,6 @@ def differing(one: Run, other: Run) -> list[str]:
         if a != b:
             lines.append(f"{name} in {task}: the source or the settings of the method")
     return list(dict.fromkeys(lines))
-
-
-def _said(value: object) -> object:
-    return "none" if value == "" else value
 
 
 def _facts(run: Run) -> dict[str, set[str]]:

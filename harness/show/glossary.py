@@ -33,7 +33,7 @@ MEANINGS = {
         "A learned reward has to be above 0 here."
     ),
     "Seeds ok": "Seeds that are finished without failure, of those that were asked for.",
-    "Share of control_true": "Score in units of what RL reaches on the true reward with as many steps.",
+    "Share of control_true": "Score in units of what RL reaches on the true reward in one solve.",
     "Reward: distance (floor)": (
         "From the true reward, by the advantages that it gives to actions: 0 the same up to scale, 1 the "
         "opposite. The floor is the distance of the reward from a shaped copy of itself: below it nothing "
@@ -46,6 +46,10 @@ MEANINGS = {
     ),
     "Return [95 %]": "Undiscounted return under the true reward, mean over seeds.",
     "Discounted return": "The same, discounted with the task's gamma.",
+    "Solved": (
+        "Share of seeds on which π_R earns, under R*, 95 % of what π* earns above the random policy. On "
+        "others its score says nothing about the reward, only about RL."
+    ),
     "Own return": "Mean return under the learned reward, counted from what absorption pays.",
     "Of demonstrations": "The demonstrations' return under the learned reward, counted alike.",
     "Seconds": "Wall time of what made this policy, mean over seeds: the fit for π*, RL on R* for π_R.",

@@ -19,7 +19,7 @@ MOST_COLUMNS = 16
 """Boards of each group."""
 MOST_METHODS = 60
 SHADES = 10
-BEST, TIED = "★", "≈"
+BEST, TIED, UNSOLVED = "★", "≈", "†"
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,9 @@ def _tile(entry: Entry | None) -> Tile:
     apart = f"; {INCOMPARABLE} with the best" * entry.incomparable
     said = {BEST: "; the best", TIED: "; not told apart from the best", "": apart}[mark]
     shade = round(SHADES * min(1.0, max(0.0, entry.score_mean)))
+    if entry.unsolved:
+        mark += UNSOLVED
+        said += f"; RL solved R* on {as_text(entry.solved, '.0%')} of seeds"
     return Tile(as_text(entry.score_mean, "z.2f"), mark, shade, f"{name}{score(entry)}, {seeds}{over}{said}")
 
 

@@ -115,6 +115,7 @@ REWARD: dict[str, Callable[[Entry], Item]] = {
     "Reward: rank": _learned(lambda e: number(e.reward_rank, "z.2f")),
     "Policies: rank": _learned(lambda e: number(e.policy_ranking, "z.2f")),
     "Share of control_true": _learned(lambda e: number(e.share_of_true, "z.2f")),
+    "Solved": _learned(lambda e: number(e.solved, ".0%")),
     "Own return": lambda e: number(e.own_return, ".1f"),
     "Of demonstrations": lambda e: number(e.own_return_shown, ".1f"),
 }

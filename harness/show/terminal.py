@@ -42,6 +42,7 @@ WITH_INTERVALS = 80
 """Columns that tables need to show the intervals of scores."""
 LONGEST_NOTE = 120
 ONE_SEED = "one seed ranks no methods"
+UNSOLVED = "RL did not solve R* on every seed, which says nothing about the reward"
 
 Boards = dict[str, list[Entry]]
 """Entries that are compared with each other, by the board's name."""
@@ -108,7 +109,10 @@ def _table(entries: Sequence[Entry], intervals: bool) -> Table:
 def _glossary(request: Request) -> str:
     top = "what the demonstrations return" if request.conditions.experts == "none" else "the expert"
     there = "; in other dynamics 1 is RL on the true reward" if request.variants else ""
-    return f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best."
+    return (
+        f"Score: 0 is a random policy, 1 {top}{there}. tied: not told apart from the best. Where RL did not "
+        "solve R*, pi_R says nothing about the reward."
+    )
 
 
 def _line(entry: Entry, intervals: bool) -> tuple[str, str, str, str, str]:
@@ -118,7 +122,8 @@ def _line(entry: Entry, intervals: bool) -> tuple[str, str, str, str, str]:
         behind = as_text(entry.behind_mean, "z.2f") + (" tied" if entry.tied else "")
     role = {"method": "", ASKS: f"{ASKS}: no rival"}.get(entry.role, entry.role)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds" if 0 < entry.seeds_ok < entry.seeds else ""
-    note = "; ".join(filter(None, [role, seeds, entry.note]))
+    unsolved = f"R* solved on {as_text(entry.solved, '.0%')} of seeds" if entry.unsolved else ""
+    note = "; ".join(filter(None, [role, seeds, unsolved, entry.note]))
     note = textwrap.shorten(note, LONGEST_NOTE, placeholder=" …")
     return entry.method, NAMES.get(entry.policy, entry.policy), score_of(entry, intervals), behind, note
 
@@ -184,6 +189,9 @@ def _best(boards: Boards, policy: str) -> str:
         if e.role == ASKS and e.policy == policy and e.seeds_ok
     }
     lines += [f"{method} {ASKS} and is no rival" for method in sorted(asking)]
+    both = [(name, e) for name, its in boards.items() for e in its if e.policy == policy and e.unsolved]
+    unsolved = [f"{e.method} on {name}" for name, e in both]
+    lines += [f"{UNSOLVED}: {_some(unsolved)}"] * bool(unsolved)
     return "; ".join(lines) or "no method has a score"
 
 

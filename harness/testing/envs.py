@@ -56,7 +56,7 @@ def _random(spec: EnvSpec, seed: int, steps: int) -> Array:
 
 
 def _budgets(spec: EnvSpec) -> None:
-    for name in ("rl_steps", "eval_episodes", "demo_episodes"):
+    for name in ("rl_steps", "ddpg_steps", "solves", "eval_episodes", "demo_episodes"):
         counts = [getattr(spec, name)[budget] for budget in BUDGETS]
         expect(counts == sorted(counts), f"{name} must not fall from {BUDGETS[0]} on, as {counts} does")
 

@@ -142,6 +142,8 @@ def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Pat
         ({"protocol": "native"}, "one has protocol absorbing, not native"),
         ({"rl": "sb3", "experts": "trained"}, "one has rl sbx, not sb3, experts shipped, not trained"),
         ({"retrain": False}, "one has retrain True, not False"),
+        ({"solves": 3}, "one has solves by task and budget, not 3"),
+        ({"learner": "ddpg"}, "one has learner own, not ddpg"),
     ],
 )
 def test_other_conditions_are_refused_by_name(board: Path, change: dict, why: str) -> None:

@@ -213,6 +213,13 @@ def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
         ("run --seeds 1.5", "'1.5' is not a whole number"),
         ("run --seeds " + "9" * 5000, "argument --seeds"),
         ("run --workers 0", "argument --workers"),
+        ("run --solves 0", "argument --solves: must lie between 1 and 1000, not 0"),
+        ("run --solves 2 --no-retrain", "--solves is how often RL solves R*; leave out --no-retrain\n"),
+        ("run --learner sac", "invalid choice: 'sac'"),
+        (
+            "run --envs swingup,gridworld --learner ddpg",
+            "of gridworld are choices, and DDPG has none",
+        ),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --protocol naive", "invalid choice: 'naive'"),
         ("run --rl torch", "invalid choice: 'torch'"),

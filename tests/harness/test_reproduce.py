@@ -27,6 +27,7 @@ from harness.registry import SPECS
 from harness.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES, _study
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
+from harness.run.request import existing
 from methods.shaped import Shaped
 
 
@@ -77,6 +78,9 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     assert len(InstantGrid.computed) == cells * 2 * 3 * 2  # envs, seeds, protocols
     scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
+    for protocol in PROTOCOLS:
+        conditions = existing(tmp_path / protocol).conditions
+        assert (conditions.learner, conditions.solves, conditions.experts) == ("ddpg", 3, "trained")
     assert set(scores["method"]) == methods
     learned = table[table["method"].isin(STUDIED)]
     assert len(learned) == len(STUDIED) * len(TRAJECTORIES) * 2 * 2 * 2  # policies, envs, protocols
@@ -121,7 +125,7 @@ def test_cells_that_a_later_run_added_to_its_directories_are_no_part_of_a_study(
     assert reproduce() == 0
     study = (tmp_path / "study.md").read_text()
     more = ["run", "--methods", "bc", "--envs", "cartpole,highway", "--seeds", "3", "--protocol", "native"]
-    more += ["--experts", "trained"]
+    more += ["--experts", "trained", "--learner", "ddpg", "--solves", "3"]
     assert main([*more, "--out", str(tmp_path / "native")]) == 0
     assert reproduce() == 0
     assert (tmp_path / "study.md").read_text() == study

@@ -12,6 +12,7 @@ from harness.learn.seeds import (
     demonstration_seeds,
     evaluation_seeds,
     held_out_seeds,
+    judging_seeds,
     rng_for,
     training_seeds,
     tuning_seeds,
@@ -32,7 +33,8 @@ def test_evaluation_demonstration_and_training_never_meet(
     assert len(evaluation) == episodes
     assert len(demonstration) == other_episodes
     assert len(training) == 100
-    apart = (evaluation, demonstration, training, tuning_seeds(episodes), held_out_seeds(other_episodes))
+    judging = judging_seeds(run, other_episodes)
+    apart = (evaluation, demonstration, judging, training, tuning_seeds(episodes), held_out_seeds(episodes))
     for one, other in combinations(map(set, apart), 2):
         assert not one & other
     assert 0 <= min(evaluation) <= max(training) < 2**31
@@ -40,13 +42,13 @@ def test_evaluation_demonstration_and_training_never_meet(
 
 @given(RUNS, RUNS, EPISODES)
 def test_runs_share_no_episodes(run: int, other: int, episodes: int) -> None:
-    for seeds in (evaluation_seeds, demonstration_seeds):
+    for seeds in (evaluation_seeds, demonstration_seeds, judging_seeds):
         assert bool(set(seeds(run, episodes)) & set(seeds(other, episodes))) is (run == other)
 
 
 @given(RUNS, st.integers(1, 500))
 def test_more_episodes_keep_the_first_ones(run: int, episodes: int) -> None:
-    for seeds in (evaluation_seeds, demonstration_seeds):
+    for seeds in (evaluation_seeds, demonstration_seeds, judging_seeds):
         assert seeds(run, 2 * episodes)[:episodes] == seeds(run, episodes)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec, Quantity
+from envs.learners import SAC
 from harness.judge.controls import Distance
 from harness.judge.results import Cell, Conditions
 from harness.learn.exact import ExactSolver
@@ -154,6 +155,13 @@ def test_a_reward_that_holds_itself_is_told(tmp_path: Path) -> None:
     object.__setattr__(reward, "policy", reward)
     _, (trouble,) = artifact(CELL, CONDITIONS, {"reward": reward})
     assert "reward is not kept" in trouble
+
+
+def test_features_are_kept_whatever_learns_in_their_task() -> None:
+    arrays, described = to_arrays(Features(SPECS["cartpole"].by_ddpg()), "x")
+    assert from_arrays(arrays, described) == Features(SPECS["cartpole"])
+    other = dataclasses.replace(SPECS["cartpole"], rl=SAC())
+    assert to_arrays(Features(other), "x") == (arrays, described)
 
 
 def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpec) -> None:

@@ -106,6 +106,11 @@ def test_the_command_says_it_all() -> None:
     assert "--transfer" not in own
     assert "--plugin" not in own
     assert "--plugin FILE" in command_of(Request(("mine",), ("swingup",), (0,), SMOKE))
+    unusual = dataclasses.replace(SMOKE, learner="ddpg", solves=3)
+    for conditions in (SMOKE, unusual):
+        command = command_of(Request(("bc",), ("swingup",), (0,), conditions))
+        args = parser().parse_args(shlex.split(command)[1:])
+        assert (args.learner, args.solves) == (conditions.learner, conditions.solves)
 
 
 def whole(count: int = 3, steps: int = 45) -> Episodes:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
 from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
-from harness.run import plan
+from harness.registry import SPECS
+from harness.run import costs, plan
 from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE, numeric
@@ -68,6 +70,41 @@ def test_what_was_not_measured_is_a_guess_and_said_to_be(cache: Path) -> None:
     lines = plan.as_lines(found)
     assert [line.split()[1] for line in lines if line.endswith("a guess")] == ["expert", "shaped"]
     assert any("guessed" in line for line in lines)
+
+
+def test_solves_multiply_what_retraining_takes_and_nothing_else(cache: Path) -> None:
+    measured(cache, cartpole__expert=2.0, cartpole__gail=10.0, cartpole__control_true=5.0)
+    stored = json.loads((cache / "seconds.json").read_text())
+    stored["smoke, sb3, experts shipped"] |= {f"cartpole {m}, a solve": 4.0 for m in ("gail", "control_true")}
+    (cache / "seconds.json").write_text(json.dumps(stored))
+    several = cells("gail", 2) + cells("control_true", 2)
+    for asked, solves in ((0, 1), (3, 3), (5, 5)):
+        conditions = dataclasses.replace(CONDITIONS, solves=asked)
+        found = plan.plan(several, conditions, VARIABLES)
+        seconds = {line.name: line.seconds for line in found.lines}
+        gail = 10.0 + solves * 4.0
+        assert seconds == {"cartpole expert": 2.0, "cartpole gail": gail, "cartpole control_true": 9.0}
+        assert (found.solves, found.retraining) == ((solves,), 2 * solves * 4.0)
+        told = f"{solves} solves of a learned reward (--solves) take 0:{2 * solves * 4:02}"
+        assert told in plan.as_lines(found)
+    alone = plan.plan(several, dataclasses.replace(CONDITIONS, retrain=False), VARIABLES)
+    assert alone.solves == ()
+    assert not any("solves of" in line for line in plan.as_lines(alone))
+
+
+def test_what_a_solve_took_is_known_for_any_number_of_them() -> None:
+    job = Job(tuple(cells("gail", 1)), False, CONDITIONS, "")
+    three, five = (Costs(dataclasses.replace(CONDITIONS, solves=solves)) for solves in (3, 5))
+    one_more = (five.of(job) - three.of(job)) / 2
+    assert one_more == pytest.approx(SPECS["cartpole"].rl_steps["smoke"] / costs.STEPS_PER_SECOND)
+    three.note(job, 30.0, 12.0)
+    three.keep()
+    known = Costs(dataclasses.replace(CONDITIONS, solves=5))
+    assert (known.of(job), known.retraining(job)) == (18.0 + 5 * 4.0, 5 * 4.0)
+    other = Job((Cell("cartpole", "airl", 0),), False, CONDITIONS, "")
+    assert (known.of(other), known.known(other)) == (known.of(job), False)
+    by_ddpg = Costs(dataclasses.replace(CONDITIONS, learner="ddpg"))
+    assert not by_ddpg.known(job)
 
 
 def test_a_plan_of_nothing_says_nothing() -> None:

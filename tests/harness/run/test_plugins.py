@@ -135,6 +135,15 @@ def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> 
     plugins.add([str(mine)])  # once more
 
 
+def test_of_a_task_that_is_not_imported_it_is_known_how_rl_takes_place(mine: Path) -> None:
+    plugins.add([str(mine)])
+    told, spec = plugins.task("moon"), SPECS["moon"]
+    assert isinstance(told, plugins.Offer)
+    for name in ("discrete", "rl_steps", "ddpg_steps", "solves"):
+        assert getattr(told, name) == getattr(spec, name)
+    assert plugins.task("swingup") is SPECS["swingup"]
+
+
 def test_a_key_is_of_the_plugins_source_and_of_no_others(mine: Path) -> None:
     plugins.add([str(mine)])
     cells = [Cell("swingup", "mine", 0), Cell("moon", "bc", 0), Cell("swingup", "bc", 0)]

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import Cell, CellResult, Request
 from harness.show import terminal
+from harness.show.boards import Board
+from harness.show.summary import summary
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 RUN = Path("results/latest")
@@ -94,6 +97,33 @@ def test_what_is_not_told_apart_from_the_best_is_named() -> None:
             swing = (30.0, -40.0, 10.0)[result.cell.seed]
             result.rows[:] = [dataclasses.replace(row, return_mean=470 + swing) for row in result.rows]
     assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97], not told apart: shaped"
+
+
+def test_a_reward_that_rl_did_not_solve_is_named_and_marked() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if result.cell.method == "shaped":
+            result.rows[1] = dataclasses.replace(result.rows[1], solved=float(result.cell.seed > 0))
+        elif result.cell.method == "maxmargin" and result.cell.seed < 2:
+            result.rows[1] = dataclasses.replace(result.rows[1], solved=1.0)
+    lines = found(results)
+    assert lines["pi_R"].endswith(
+        "; RL did not solve R* on every seed, which says nothing about the reward: shaped on cartpole"
+    )
+    assert "RL did not" not in lines["pi*"]
+    (marked,) = [line for line in terminal.tables(ONE, results) if "R* solved on 67% of seeds" in line]
+    assert marked.split()[:2] == ["shaped", "pi_R"]
+    rows = scored_rows(results)
+    boards = [Board("cartpole", leaderboard(rows), rows, results, "")]
+    (tile,) = [
+        tile
+        for _, columns in summary(boards).groups
+        for column in columns
+        for tile in column.tiles
+        if "†" in tile.mark
+    ]
+    assert tile.told.startswith("shaped, π_R, cartpole: ")
+    assert tile.told.endswith("; the best; RL solved R* on 67% of seeds")
 
 
 def test_who_shares_no_seed_with_the_best_is_named_apart() -> None:

@@ -1,0 +1,247 @@
+"""A reward is solved several times: the solve that earns most of it is pi_R, and what each earns is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from envs.learners import DDPG, SAC
+from harness.judge.evaluation import evaluate
+from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Request, Solve
+from harness.learn.rl import Solution
+from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
+from harness.registry import BUDGETS, SPECS, BadInput
+from harness.run import experts, stages
+from harness.run.codec import checksum, decode, encode
+from harness.run.experts import Expert, Shared
+from harness.run.request import merged, stored_request, write_request
+from harness.run.stages import JUDGING_EPISODES, Task
+from methods.base import Array, Learned, Policy, Reward
+from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
+
+CARTPOLE, STEPS = SPECS["cartpole"], SPECS["cartpole"].rl_steps["smoke"]
+CELL = Cell("cartpole", "shaped", 1)
+FORCES = (0.1, 0.9, 0.9, -0.5)
+"""Pushes of the policies that solves find, in order."""
+FEW = 7
+"""Check steps of each."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A policy."""
+
+    force: float
+
+    def __call__(self, obs: Array, /) -> Array:
+        return np.full((len(obs), 1), self.force)
+
+
+@dataclass(frozen=True)
+class PaysForce:
+    """A reward for pushes to the right, under which constant policies differ."""
+
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.asarray(act[:, 0])
+
+
+class Fits:
+    """A method that learns that reward, or none, and a policy that pushes by half."""
+
+    reward: Reward | None = PaysForce()
+
+    def fit(self, *given: object) -> Learned:
+        return Learned(Push(0.5), self.reward)
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[EnvSpec, Any]]:
+    """The task and the first random number of each solve, none of which learns."""
+    found: list[tuple[EnvSpec, Any]] = []
+
+    class Solver:
+        def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, *more: object, told: Any):
+            self.force, self.told = FORCES[len(found) % len(FORCES)], told
+            found.append((spec, rng.bit_generator.state))
+
+        def solve(self, reward: Reward | None, steps: int) -> Solution:
+            self.told(steps)
+            curve = [(0.0, 0.0), (float(steps), self.force)]
+            return Solution(Push(self.force), curve, curve, steps, FEW, best=1)
+
+    monkeypatch.setattr(stages, "solver_for", Solver)
+    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Fits())
+    return found
+
+
+def many(solves: int) -> Conditions:
+    return dataclasses.replace(SMOKE, solves=solves)
+
+
+def earned(policy: Policy, seeds: range) -> tuple[float, float]:
+    """Return what a policy earns under the reward, and under the true one."""
+    its = evaluate(CARTPOLE, policy, seeds, PaysForce())
+    return its.own_return, float(its.returns.mean())
+
+
+def test_the_solve_that_earns_most_on_judging_episodes_counts(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
+) -> None:
+    result = run(CELL, tmp_path, many(4))
+    star, trained = result.rows
+    judging, evaluation = judging_seeds(1, JUDGING_EPISODES), evaluation_seeds(1, 5)
+    for force, solve in zip(FORCES, result.solves, strict=True):
+        judged, _ = earned(Push(force), judging)
+        assert (solve.judged, solve.own_return, solve.return_mean) == (
+            judged,
+            *earned(Push(force), evaluation),
+        )
+    most = result.solves[1]
+    assert most == result.solves[2]
+    assert most.judged == max(solve.judged for solve in result.solves)
+    assert (trained.own_return, trained.return_mean) == (most.own_return, most.return_mean)
+    assert result.curves["pi_R_chosen"] == [(float(STEPS), 0.9)]
+    assert (trained.solves, trained.rl_solves, trained.env_steps) == (4, 4, 4 * STEPS)
+    judged_by = sum(evaluate(CARTPOLE, Push(force), judging).lengths.sum() for force in FORCES)
+    assert trained.check_steps == 4 * FEW + judged_by
+    assert star.own_return == earned(Push(0.5), evaluation)[0]
+    rng = rng_for(1, "cartpole", REFERENCE, "random policy")
+    by_chance, _ = earned(lambda obs: CARTPOLE.random_actions(len(obs), rng), evaluation)
+    assert star.own_return_random == trained.own_return_random == by_chance
+    assert [solve.solved for solve in result.solves] == [0, 1, 1, 0]
+    assert (trained.solved, star.solves) == (1, 0)
+    assert math.isnan(star.solved)
+    assert decode(encode(result)).solves == result.solves
+
+
+def test_of_equals_the_first_counts_and_what_earns_no_number_never_does(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for earned_by, expected in (([1.0, 2.0, 2.0, 2.0], 0.9), ([math.nan, -3.0, -3.0, -2.0], -0.5)):
+        solved.clear()
+        monkeypatch.setattr(stages, "judge", lambda *given, its=earned_by: (its, 0))
+        result = run(CELL, tmp_path, many(4))
+        assert result.curves["pi_R_chosen"] == [(float(STEPS), expected)]
+        assert decode(encode(result)).solves[1:] == result.solves[1:]
+
+
+def test_a_solve_is_the_same_whatever_others_there_are(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
+) -> None:
+    states = []
+    for count in (1, 2, 3):
+        solved.clear()
+        run(CELL, tmp_path, many(count))
+        assert len(solved) == count
+        states.append([str(state) for _, state in solved])
+    assert states[0] == states[1][:1] == states[2][:1]
+    assert states[1] == states[2][:2]
+    assert len(set(states[2])) == 3
+
+
+def test_one_solve_is_compared_with_none(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
+    result = run(CELL, tmp_path)
+    (solve,) = result.solves
+    assert math.isnan(solve.judged)
+    assert (solve.own_return, solve.return_mean) == earned(Push(0.1), evaluation_seeds(1, 5))
+    assert (result.rows[1].check_steps, result.rows[1].solves, result.rows[1].solved) == (FEW, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("method", "dynamics"), [("control_plus1", NOMINAL), ("control_true", NOMINAL), ("shaped", "flipped")]
+)
+def test_controls_and_variants_take_one_solve(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], method: str, dynamics: str
+) -> None:
+    result = run(Cell("cartpole", method, 1, dynamics=dynamics), tmp_path, many(3))
+    assert len(solved) == len(result.solves) == 1
+    assert math.isnan(result.rows[-1].solved) == (dynamics == NOMINAL)  # controls have no pi_star
+    assert math.isnan(result.rows[-1].own_return_random) == (dynamics == NOMINAL)
+
+
+def test_where_no_reward_is_learned_or_none_is_solved_nothing_is_said_of_it(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without = [run(CELL, tmp_path, dataclasses.replace(many(3), retrain=False))]
+    monkeypatch.setattr(Fits, "reward", None)
+    without.append(run(CELL, tmp_path, many(3)))
+    for result in without:
+        assert result.solves == []
+        assert all(math.isnan(x) for row in result.rows for x in (row.solved, row.own_return_random))
+    assert solved == []
+
+
+def test_the_task_says_how_many_unless_the_run_does() -> None:
+    def solves(env: str, budget: str, asked: int = 0) -> int:
+        return Task(Cell(env, "shaped", 0), Conditions(budget, "absorbing", "sbx", solves=asked), None).solves  # type: ignore[arg-type]
+
+    assert [solves("swingup", budget) for budget in ("smoke", "quick", "full")] == [1, 2, 5]
+    assert [solves(env, "full") for env in ("halfcheetah", "hopper", "walker2d", "gridworld")] == [2, 2, 2, 1]
+    assert solves("swingup", "smoke", 7) == solves("hopper", "full", 7) == 7
+
+
+def test_it_is_told_how_far_all_solves_are(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
+    told: list[str] = []
+    task = Task(CELL, many(2), None, tell=told.append)  # type: ignore[arg-type]
+    for number in range(2):
+        stages.solve(task, None, number)
+    assert told == [f"retrain, step {done * STEPS:,} of {2 * STEPS:,}" for done in (1, 2)]
+
+
+@pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])
+def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dynamics: str) -> None:
+    spec = dataclasses.replace(CARTPOLE, rl=SAC(), ddpg=DDPG(batch=64), ddpg_steps=dict.fromkeys(BUDGETS, 70))
+    monkeypatch.setitem(SPECS, "cartpole", spec)
+    cell = dataclasses.replace(CELL, dynamics=dynamics)
+    for learner, rl, steps in (("own", SAC(), STEPS), ("ddpg", DDPG(batch=64), 70)):
+        conditions = dataclasses.replace(SMOKE, learner=learner, experts="trained")
+        task = Task(cell, conditions, Shared({}))
+        assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
+        assert (task.place is task.spec) == (dynamics == NOMINAL)
+        assert experts.task_for("cartpole", conditions).rl == rl
+
+
+def test_what_experts_of_another_learner_show_is_kept_apart() -> None:
+    trained = Expert("trained:0", Push(0.5), [], 0.0, 0, 0)
+    own, ddpg = (dataclasses.replace(SMOKE, learner=learner) for learner in ("own", "ddpg"))
+    assert experts._asked(trained, own, 5) != experts._asked(trained, ddpg, 5)
+    shipped = dataclasses.replace(trained, name="a:0")
+    assert experts._asked(shipped, own, 5) == experts._asked(shipped, ddpg, 5)
+
+
+ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))
+
+
+@pytest.mark.parametrize("changes", [{}, {"solves": 3}, {"learner": "ddpg"}])
+def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, Any]) -> None:
+    request = dataclasses.replace(ASKED, conditions=dataclasses.replace(ASKED.conditions, **changes))
+    write_request(tmp_path, request)
+    assert stored_request(tmp_path) == merged(tmp_path, request) == request
+    told = json.loads((tmp_path / "run.json").read_text())
+    assert {name: told[name] for name in ("solves", "learner") if name in told} == changes
+    if changes:
+        with pytest.raises(BadInput, match=r"holds a run with (solves 3|learner ddpg), not (by task|own)"):
+            merged(tmp_path, ASKED)
+
+
+def test_cells_of_earlier_versions_have_no_solves() -> None:
+    result = CellResult(CELL, [stages.row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
+    stored = json.loads(encode(result))["result"]
+    del stored["solves"]
+    for row in stored["rows"]:
+        for name in ("own_return_random", "solves", "solved"):
+            del row[name]
+    sealed = json.dumps({"sha256": checksum(stored), "result": stored})
+    earlier = decode(sealed)
+    assert earlier.solves == []
+    assert math.isnan(earlier.rows[0].solved)
