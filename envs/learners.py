@@ -89,14 +89,16 @@ class DQN(OffPolicy):
 @dataclass(frozen=True)
 class PPO(Common):
     """Schulman et al. 2017: it learns from its latest steps alone, and takes many. It explores by its own
-    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least (the
-    first has 1), and by which equal checkpoints are disturbed."""
+    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least, and by
+    which equal checkpoints are disturbed."""
 
     learning_rate: float = 3e-4
     final_learning_rate: float = 3e-4
     batch: int = 500
     copies: int = 50
     checkpoint_every: int = 25_000
+    std: float = 1.0
+    """First standard deviation, of actions in [-1, 1]."""
     steps: int = 50
     """Of each copy, between bouts of learning."""
     epochs: int = 10

@@ -128,7 +128,7 @@ def functions(kind: Kind) -> Functions:
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.zeros(kind.act_size)
+            params["log_std"] = jnp.full(kind.act_size, math.log(s.std))
         return State(params, optimizer.init(params))
 
     @jax.jit
