@@ -18,14 +18,14 @@ from envs.copies import gathered
 from envs.spec import Array, real, scaled
 
 WALKERS = (HopperEnv, Walker2dEnv)
-"""What is stepped without its own code, which takes up to a third of a step's time."""
+"""Tasks stepped without their own code, which takes up to a third of a step's time."""
 STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
 
 
 class MujocoBatch:
     """Tasks of one id in lockstep (`envs.spec.Batch`), actions scaled from [-1, 1]. kwargs: what the
-    environment is made with. Its own code steps it, unless it is one of `WALKERS`. What is saved is its wrappers, compiling
-    again, and looking for contacts where there are none."""
+    environment is made with. Its own code steps it, unless it is one of `WALKERS`. What is saved is its
+    wrappers, compiling again, and looking for contacts where there are none."""
 
     def __init__(self, env_id: str, why_ended: Callable[[gym.Env], str], count: int, **kwargs: Any) -> None:
         self._scaled = scaled(gym.make(env_id, **kwargs))
