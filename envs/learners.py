@@ -113,6 +113,18 @@ class PPO(Common):
 
 Learner = DDPG | TD3 | SAC | DQN | PPO
 
+FEW_JOINTS = PPO(
+    learning_rate=1e-3,
+    final_learning_rate=0.0,
+    batch=256,
+    copies=32,
+    checkpoint_every=8192,
+    check_episodes=5,
+    std=0.5,
+    steps=64,
+)
+"""Settings for MuJoCo's bodies of few joints."""
+
 
 def soft(learner: Learner) -> SAC | DQN:
     """Soft actor-critic in a task whose learner is another, with what it shares with that; where actions are
