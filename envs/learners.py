@@ -89,14 +89,16 @@ class DQN(OffPolicy):
 @dataclass(frozen=True)
 class PPO(Common):
     """Schulman et al. 2017: it learns from its latest steps alone, and takes many. It explores by its own
-    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least (the
-    first has 1), and by which equal checkpoints are disturbed."""
+    policy; noise: the standard deviation, of actions in [-1, 1], that each solve begins with at least, and by
+    which equal checkpoints are disturbed."""
 
     learning_rate: float = 3e-4
     final_learning_rate: float = 3e-4
     batch: int = 500
     copies: int = 50
     checkpoint_every: int = 25_000
+    std: float = 1.0
+    """First standard deviation, of actions in [-1, 1]."""
     steps: int = 50
     """Of each copy, between bouts of learning."""
     epochs: int = 10
@@ -121,6 +123,18 @@ SMALL_PPO = PPO(
 """PPO where some ten thousand steps are enough."""
 
 Learner = DDPG | TD3 | SAC | DQN | PPO
+
+FEW_JOINTS = PPO(
+    learning_rate=1e-3,
+    final_learning_rate=0.0,
+    batch=256,
+    copies=32,
+    checkpoint_every=8192,
+    check_episodes=5,
+    std=0.5,
+    steps=64,
+)
+"""Settings for MuJoCo's bodies of few joints."""
 
 
 def soft(learner: Learner, discrete: bool) -> SAC | DQN:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 
-from envs.learners import PPO, SAC, Learner
+from envs.learners import FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import EnvSpec, Quantity, Shape, Shipped
 
@@ -194,9 +194,9 @@ DOUBLE_PENDULUM = task(
     ),
     obs_scale=(0.3, 0.1, 0.1, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0),
     bar=9300.0,
-    shipped=Shipped(steps=500_000, bar=9300.0, checkpoint_every=4000),
-    rl=MANY,
-    rl_steps={"smoke": 8000, "quick": 200_000, "full": 300_000},
+    shipped=Shipped(steps=500_000, bar=9300.0, checkpoint_every=4000, rl=MANY),
+    rl=replace(FEW_JOINTS, std=0.3),
+    rl_steps={"smoke": 4096, "quick": 61_440, "full": 81_920},
     variants={"heavy": Physics(mass=1.5), "gravity": Physics(gravity=1.4), "flipped": Physics(gear=-1.0)},
     ends="tip fell below 1 m",
 )
@@ -214,9 +214,9 @@ REACHER = task(
     ),
     obs_scale=(0.7, 0.7, 0.7, 0.7, 0.1, 0.1, 3.0, 3.0, 0.1, 0.1),
     bar=-6.0,
-    shipped=Shipped(steps=60_000, bar=-5.0, checkpoint_every=100),
-    rl=SAC(n_steps=1, checkpoint_every=1000),
-    rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
+    shipped=Shipped(steps=60_000, bar=-5.0, checkpoint_every=100, rl=SAC(n_steps=1, checkpoint_every=1000)),
+    rl=replace(FEW_JOINTS, check_episodes=20),
+    rl_steps={"smoke": 4096, "quick": 40_960, "full": 65_536},
     variants={"heavy": Physics(mass=2.0), "flipped": Physics(gear=-1.0)},
     axes=TOP,
     gamma=0.95,

@@ -20,7 +20,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.learners import DDPG, PPO
+from envs.learners import DDPG, FEW_JOINTS, PPO
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
@@ -157,7 +157,7 @@ SPEC = EnvSpec(
     gamma=0.99,
     time_step=FRAME_SKIP * FRAME,
     bar=lambda seeds: -6.0,
-    rl_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
+    rl_steps={"smoke": 4096, "quick": 51_200, "full": 102_400},
     ddpg_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
@@ -165,7 +165,7 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
-    rl=THESIS,
+    rl=FEW_JOINTS,
     ddpg=THESIS,
     variants={
         "wall_moved": {"physics": Physics(wall=(LOW, 0.4))},

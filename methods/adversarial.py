@@ -4,7 +4,9 @@ and the agent learns under it, in turn.
 What the agent does is read from its replay, steps in the absorbing state included, as in Discriminator-Actor-
 Critic (Kostrikov et al. 2019); where the model is known, from rollouts. Single iterates of either player
 swing widely. So one rule finds pi* for all these methods, without the true reward: once the game is over,
-reinforcement learning goes on under the mean of the latest rewards, and its best checkpoint there is pi*.
+reinforcement learning goes on under the mean of rewards, and its best checkpoint there is pi*. Of all,
+for it is a player's average over the whole game that converges, and early rewards say what is wrong with
+states that no later agent visits.
 """
 
 from __future__ import annotations
@@ -45,9 +47,9 @@ class Game:
 
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the reward's networks."""
-    iterations: int = 30
+    iterations: int = 20
     """Turns of each player."""
-    rl_share: float = 0.04
+    rl_share: float = 0.06
     """Environment steps of each turn of the agent, of those of a solve from scratch."""
     reward_steps: int = 100
     """Gradient steps of each turn of the reward."""
@@ -60,8 +62,8 @@ class Game:
     slope_penalty: float = 1.0
     """Weight of the reward's mean squared slope between the two (`slope_among_living`), observations being
     standardised."""
-    averaged: int = 15
-    """Latest rewards, of whose mean the agent learns at the end."""
+    averaged: int = 20
+    """Latest rewards, by default all, of whose mean the agent learns at the end."""
     final_share: float = 0.5
     """Environment steps of that, of those of a solve from scratch."""
     rollouts: int = 10

@@ -15,7 +15,7 @@ Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et
 f and, instead of -log pi, the entropy that soft actor-critic adds with a weight of its own (Q-learning none),
 so what the theorem asks for is not met; densities count within bounds, for an agent that is sure of itself
 would say all there is to tell; the logit has a penalty on its slope, along the absorbing indicators too, and
-so on the level of h; R* is the mean of the latest g, for single ones swing, and pi* comes of reinforcement
+so on the level of h; R* is the mean of all g, for single ones swing, and pi* comes of reinforcement
 learning on that (`methods.adversarial`).
 """
 

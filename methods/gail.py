@@ -6,7 +6,7 @@ its logit. At best that is the logarithm of the ratio of the two densities.
 
     R*(s, a) = log D(s, a) - log(1 - D(s, a)),   at best log(rho_E(s, a) / rho_pi(s, a))
 
-R* is the last discriminator's logit, or the mean of the latest ones: in a zero-sum game it is the average of
+R* is the last discriminator's logit, or the mean of all: in a zero-sum game it is the average of
 a player's choices that converges, while the last need not (Freund & Schapire 1999; Syed & Schapire 2007;
 Swamy et al. 2021).
 
@@ -35,7 +35,7 @@ class GAIL(Game):
     actions: bool = True
     """Whether the discriminator sees actions, besides observations."""
     mean: bool = False
-    """Whether R* is the mean of the latest logits, and not the last one."""
+    """Whether R* is the mean of all logits, and not the last one."""
 
     def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
         """Play the game."""

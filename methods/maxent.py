@@ -12,7 +12,7 @@ Deviates from the paper: elsewhere the environments are continuous, so "solve th
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
 expected visitations E[mu] come from rollouts of what the agent would do, without what it explores. The
 paper's prior on the network's weights is one on its slope here, for with one on its values RL from scratch
-failed on the swing-up (`docs/tuning.md`). R* is the mean of the latest networks, for in the game between
+failed on the swing-up (`docs/tuning.md`). R* is the mean of the networks, for in the game between
 reward and policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire
 2007). The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so
 what absorption pays is learned like any state's reward. But once the policy no longer ends, nothing says that
@@ -44,17 +44,14 @@ class MaxEnt:
     """Hidden layers of the reward network."""
     actions: bool = True
     """Whether the reward sees actions, besides observations. Where the model is known it never does."""
-    iterations: int = 30
+    iterations: int = 20
     """Reward updates, each followed by reinforcement learning that goes on."""
-    rl_share: float = 0.04
+    rl_share: float = 0.06
     """Environment steps of each iteration, of those of a solve from scratch."""
     entropy: float = 0.0
     """What a nat of the entropy of its policy is worth to an agent that learns by PPO."""
-    restart_every: int | None = None
-    """Iterations after which reinforcement learning begins anew, so that R* is one that it finds its way by
-    from the start, and not only from where the policy was; None is never."""
-    averaged: int = 15
-    """Latest iterations, of whose networks R* is the mean."""
+    averaged: int = 20
+    """Latest iterations, by default all, of whose networks R* is the mean."""
     final_share: float = 0.5
     """Environment steps under R*, of those of a solve; pi* is the best checkpoint of these."""
     reward_steps: int = 100
@@ -124,9 +121,6 @@ class MaxEnt:
             gaps.append(gap.item())
             reward = NetworkReward.of(network, mean, std, actions=self.actions)
             rewards.append(deterred(reward, demos, random, float(paid(reward, random).mean())))
-            begins = i % (self.restart_every or self.iterations) == 0
-            if begins and i > 0:
-                agent = world.agent(rng, entropy=self.entropy)
             agent.learn(math.ceil(self.rl_share * world.solve_steps), rewards[-1])
         mean_reward = MeanReward(tuple(rewards[-self.averaged :]))
         agent.learn(math.ceil(self.final_share * world.solve_steps), mean_reward)

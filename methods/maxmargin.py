@@ -12,7 +12,7 @@ horizon, so what absorption pays is learned as well.
 Deviates from the paper: where the model is not known, "solve the MDP" is reinforcement learning that goes on
 a little under each new w, and feature expectations come from a few rollouts, so a later policy may be further
 from the expert. The paper ends with a mixture of all policies found, or one chosen by hand, where here R* has
-the mean of the latest w, each counting by its margin, and the agent learns under that last; pi* is the
+the mean of the w, each counting by its margin, and the agent learns under that last; pi* is the
 policy, of all found, that the margin problem, given it alone, separates least from the expert: the one with
 the smallest |mu_E - mu(j)|.
 """
@@ -46,8 +46,8 @@ class MaxMargin:
     """At most as many times the learner goes on under new weights."""
     rl_share: float = 0.05
     """Environment steps of each, of those of a solve from scratch."""
-    averaged: int = 10
-    """Latest iterations, of whose weights R* has the mean, each counting by its margin."""
+    averaged: int = 20
+    """Latest iterations, by default all, of whose weights R* has the mean, each counting by its margin."""
     final_share: float = 0.5
     """Environment steps under R*, of those of a solve from scratch."""
     epsilon: float = 0.01

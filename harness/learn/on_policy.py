@@ -182,6 +182,7 @@ def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
         policy_kwargs={
             "net_arch": list(s.net),
             "activation_fn": torch.nn.ReLU,
+            "log_std_init": float(np.log(s.std)),
             "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
         },
     )

@@ -30,7 +30,7 @@ LARGEST_GRADIENT = 0.5
 VALUE_WEIGHT = 0.5
 """The critic's share of the loss."""
 LARGEST_LOG_STD = 0.0
-"""Of actions' standard deviation, the logarithm; the first is as large."""
+"""Of actions' standard deviation, the logarithm."""
 LAST_LAYER = 0.01
 """The size of an untrained actor's last weights."""
 
@@ -130,7 +130,7 @@ def functions(kind: Kind) -> Functions:
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.full(kind.act_size, LARGEST_LOG_STD)
+            params["log_std"] = jnp.full(kind.act_size, math.log(s.std))
         return State(params, optimizer.init(params))
 
     @jax.jit

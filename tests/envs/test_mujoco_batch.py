@@ -13,7 +13,7 @@ from gymnasium.wrappers import TransformReward
 
 from envs import EnvSpec, from_gymnasium
 from envs.copies import try_out
-from envs.mujoco_batch import MujocoBatch, twin
+from envs.mujoco_batch import MujocoBatch, may_touch, twin
 from harness.learn.simulator import Simulator
 from harness.testing.envs import checks
 from harness.testing.lockstep import assert_together_as_alone
@@ -30,6 +30,7 @@ def _mujocos_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     [
         ("HalfCheetah-v5", False),
         ("Hopper-v5", True),
+        ("Walker2d-v5", True),
         ("Reacher-v5", False),
         ("InvertedDoublePendulum-v5", True),
         ("Ant-v5", True),
@@ -125,6 +126,19 @@ def test_tasks_that_others_derive_are_stepped_one_by_one(monkeypatch: pytest.Mon
 def test_gymnasiums_class_under_another_name_has_a_batch(monkeypatch: pytest.MonkeyPatch, entry: Any) -> None:
     register(monkeypatch, "Same-v0", entry)
     assert from_gymnasium("Same-v0", "x").batch is not None
+
+
+@pytest.mark.parametrize(("env_id", "touch"), [("Hopper-v5", True), ("Reacher-v5", False)])
+def test_contacts_are_looked_for_where_there_may_be_any(env_id: str, touch: bool) -> None:
+    env = gym.make(env_id).unwrapped
+    assert isinstance(env, MujocoEnv)
+    assert may_touch(env.model) == touch
+    found = 0
+    env.reset(seed=0)
+    for act in np.random.default_rng(0).uniform(-1, 1, (300, env.model.nu)):
+        env.step(act.astype(np.float32))
+        found += env.data.ncon
+    assert bool(found) == touch
 
 
 def test_a_twin_shares_the_model_and_nothing_that_changes() -> None:

@@ -119,10 +119,3 @@ def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(
     assert learned.reward.absorbing == pytest.approx(
         (world.solves[1][0].absorbing + world.solves[2][0].absorbing) / 2
     )
-
-
-def test_reinforcement_learning_begins_anew(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    method = MaxEnt(iterations=5, restart_every=2, rl_share=0.007, final_share=0.009, reward_steps=1)
-    method.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
-    found = [(steps, warm) for _, steps, warm in world.solves]
-    assert found == [(7, False), (7, True), (7, False), (7, True), (7, False), (9, True)]
