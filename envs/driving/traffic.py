@@ -52,11 +52,9 @@ TAU_LATERAL, TAU_HEADING = 0.6, 0.2  # s, of a driver's steering
 MOST_SLIP = math.sin(math.atan(math.tan(math.pi / 3) / 2))  # its sine, at the largest steering angle
 
 
-def step(
-    state: Array, act: Array, lanes: int = LANES, dt: float = DT, frames: int = FRAMES
-) -> tuple[Array, Array, Array]:
-    """Return states (R, 10, N) after actions (R, 2), rewards (R,), and whether each episode terminates."""
-    scene = Scene(*jnp.moveaxis(state, 0, -1))
+def step(state: Array, act: Array, lanes: int = LANES, dt: float = DT, frames: int = FRAMES) -> Array:
+    """Return states (R, 10, N) after actions (R, 2)."""
+    scene = _scene(state)
     pedal, wheel = _controls(act, state.dtype)
     slope = jnp.tan(wheel) / 2
     slip = slope / jnp.sqrt(1 + slope * slope)
@@ -68,12 +66,21 @@ def step(
 
     scene, _, view = lax.fori_loop(0, frames, frame, (scene, pedal, _view(scene, lanes)))
     scene = scene._replace(crashed=_collide(scene, view, dt)[0])
+    return jnp.moveaxis(jnp.stack(scene), -1, 0)
+
+
+def judge(state: Array) -> tuple[Array, Array]:
+    """Return rewards (R,) of steps to states (R, 10, N), and whether episodes terminate there."""
+    scene = _scene(state)
     crashed = scene.crashed[0] != 0
     on_road = jnp.abs(scene.y[0] - LANE_WIDTH * scene.lane[0]) <= LANE_WIDTH / 2
     slow, fast = EGO_SPEEDS
-    forward = jnp.clip((scene.speed[0] * view[0][0] - slow) / (fast - slow), 0, 1)
-    reward = jnp.where(on_road, CRASH * crashed + forward, 0.0)
-    return jnp.moveaxis(jnp.stack(scene), -1, 0), reward, crashed | ~on_road
+    forward = jnp.clip((scene.speed[0] * jnp.cos(scene.heading[0]) - slow) / (fast - slow), 0, 1)
+    return jnp.where(on_road, CRASH * crashed + forward, 0.0), crashed | ~on_road
+
+
+def _scene(state: Array) -> Scene:
+    return Scene(*jnp.moveaxis(state, 0, -1))
 
 
 def _view(scene: Scene, lanes: int) -> tuple[Array, Array, Array, Array]:
@@ -272,7 +279,7 @@ def _collide(scene: Scene, view: Any, dt: float) -> tuple[Array, Array, Array]:
 
 def observe(state: Array) -> Array:
     """Return what the egos of states (R, 10, N) see (R, 18), in 32 bits."""
-    scene = Scene(*jnp.moveaxis(state, 0, -1))
+    scene = _scene(state)
     x, y, speed = scene.x, scene.y, scene.speed
     ahead = speed * jnp.cos(scene.heading)
     side = LANE_WIDTH * jnp.array([-1.0, 0.0, 1.0], x.dtype)[:, None, None]
