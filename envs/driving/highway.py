@@ -47,7 +47,7 @@ from envs.driving.scene import (
     in_line,
 )
 from envs.dynamics import Draws, namespace
-from envs.learners import DDPG
+from envs.learners import DDPG, PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
@@ -117,7 +117,7 @@ class Traffic:
     bounds = (50.0,) * OBS_SIZE
 
     def first(self, rng: np.random.Generator) -> Array:
-        """Return a first scene (10, 1 + vehicles), as highway-env draws it."""
+        """Return a first scene (12, 1 + vehicles), as highway-env draws it."""
         return first_scene(rng, self.vehicles, self.density)
 
     def start(self, draws: Draws) -> Any:
@@ -153,7 +153,7 @@ class Traffic:
 
 
 def _rows(state: Any) -> Any:
-    """Return states (S, B) as those of traffic, (B, 10, N)."""
+    """Return states (S, B) as those of traffic, (B, 12, N)."""
     return state.T.reshape(state.shape[1], len(Scene._fields), -1)
 
 
@@ -204,18 +204,18 @@ class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def first_states(seeds: Sequence[int], physics: Traffic = NOMINAL) -> Array:
-    """Return the states (R, 10, 1 + vehicles) in which the episodes of these seeds begin."""
+    """Return the states (R, 12, 1 + vehicles) in which the episodes of these seeds begin."""
     return np.array([physics.first(seeding.np_random(seed)[0]) for seed in seeds])
 
 
 def look(states: Array) -> NDArray[np.float32]:
-    """Return what the egos of states (R, 10, N) see (R, 18)."""
+    """Return what the egos of states (R, 12, N) see (R, 18)."""
     (obs,) = _in_blocks("look", states)
     return obs
 
 
 def drive(states: Array, places: Ints, act: NDArray[Any]) -> tuple[NDArray[np.float32], Array, NDArray[Any]]:
-    """Step the states (R, 10, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
+    """Step the states (R, 12, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
     rewards (B,), and whether each episode terminated."""
     states[places], obs, rewards, terminated = _in_blocks("drive", states[places], act.astype(np.float32))
     return obs, rewards, terminated
@@ -326,7 +326,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
             shapes[f"dash_{i}_{dash:02d}"] = Shape(np.array([[x, side], [x + 3.0, side]]), (190, 190, 190))
     for i in (*range(1, len(scene.x)), 0):
         name, colour = (f"vehicle_{i:02d}", (66, 133, 244)) if i else ("ego", (234, 134, 51))
-        ahead = np.array([math.cos(scene.heading[i]), -math.sin(scene.heading[i])])
+        ahead = np.array([scene.cos[i], -scene.sin[i]])
         left, middle = np.array([-ahead[1], ahead[0]]), np.array([along[i], -scene.y[i]])
         corners = [(-1, 1), (-1, -1), (1, -1), (1, 1), (-1, 1)]
         sides = [middle + a * LENGTH / 2 * ahead + b * WIDTH / 2 * left for a, b in corners]
@@ -372,7 +372,7 @@ SPEC = EnvSpec(
     time_step=TIME_STEP,
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.02},
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
+    rl_steps={"smoke": 8192, "quick": 245_760, "full": 491_520},
     ddpg_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
@@ -380,7 +380,15 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000, rl=THESIS),
-    rl=THESIS,
+    rl=PPO(
+        final_learning_rate=0.0,
+        learning_rate=1e-3,
+        batch=512,
+        copies=64,
+        steps=64,
+        epochs=6,
+        checkpoint_every=40_960,
+    ),
     ddpg=THESIS,
     kwargs={"physics": NOMINAL},
     batch=partial(HighwayBatch, physics=NOMINAL),

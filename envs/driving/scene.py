@@ -37,6 +37,10 @@ class Scene(NamedTuple):
     """[m]"""
     heading: Any
     """[rad]"""
+    cos: Any
+    """The heading's."""
+    sin: Any
+    """The heading's."""
     speed: Any
     """[m/s]"""
     timer: Any
@@ -57,7 +61,7 @@ SPEEDS, SPREADS, DELTAS = (0.7 * SPEED_LIMIT, 0.8 * SPEED_LIMIT), (0.9, 1.1), (3
 
 
 def first_scene(rng: np.random.Generator, vehicles: int, density: float) -> Array:
-    """Return a scene (10, 1 + vehicles) as highway-env draws it, bit for bit. density: of vehicles, 1 is the
+    """Return a scene (12, 1 + vehicles) as highway-env draws it, bit for bit. density: of vehicles, 1 is the
     usual one."""
 
     def uniform(low: float, high: float) -> float:
@@ -72,7 +76,7 @@ def first_scene(rng: np.random.Generator, vehicles: int, density: float) -> Arra
 
 
 def in_line(lane: Any, speed: Any, spread: Any, delta: Any, density: float) -> Any:
-    """Return a scene (10, N) of vehicles one after the other. spread: distances as shares of the usual ones.
+    """Return a scene (12, N) of vehicles one after the other. spread: distances as shares of the usual ones.
     Arrays (N,) are NumPy's or JAX's."""
     xp = namespace(speed)
     ego = xp.arange(len(speed)) == 0
@@ -80,4 +84,5 @@ def in_line(lane: Any, speed: Any, spread: Any, delta: Any, density: float) -> A
     x = xp.cumsum(xp.where(ego, 3 * usual, 0.0) + usual * spread)
     y = lane * LANE_WIDTH
     timer, target_speed = (xp.where(ego, 0.0, its) for its in ((x + y) * math.pi % 1.0, speed))
-    return xp.stack([x, y, 0 * x, speed, timer, delta, target_speed, lane, lane, 0 * x])
+    none = 0 * x
+    return xp.stack([x, y, none, 1 + none, none, speed, timer, delta, target_speed, lane, lane, none])
