@@ -4,7 +4,7 @@ one of them, or many in lockstep; JAX runs them in the loop that reinforcement l
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -24,6 +24,7 @@ class Draws(Protocol):
         """(size,)."""
 
 
+@runtime_checkable
 class Dynamics(Hashable, Protocol):
     """What becomes of a state under an action in [-1, 1]^A, of 32 bits. Of one, state (S,), obs (O,), act
     (A,); of B in lockstep, (S, B), (O, B), (A, B), and what is a number of one is (B,). Arrays are NumPy's or

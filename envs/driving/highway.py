@@ -11,6 +11,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -22,9 +24,11 @@ from numpy.typing import NDArray
 from envs.driving.scene import (
     CRASH,
     CRUISE,
+    DELTAS,
     DRIFT,
     DT,
     EGO_SPACING,
+    EGO_SPEED,
     EGO_SPEEDS,
     FAST,
     FRAMES,
@@ -33,13 +37,17 @@ from envs.driving.scene import (
     LENGTH,
     LONG,
     PEDAL,
+    SPEEDS,
+    SPREADS,
     WHEEL,
     WIDE,
     WIDTH,
     Scene,
     first_scene,
+    in_line,
 )
-from envs.learners import DDPG
+from envs.dynamics import Draws, namespace
+from envs.learners import DDPG, PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
@@ -96,6 +104,66 @@ CONFIG: dict[str, Any] = {
 """Configuration of the same task in highway-env (`HighwayEnvFast`)."""
 
 
+@dataclass(frozen=True)
+class Traffic:
+    """The task's dynamics (`envs.dynamics.Dynamics`), of JAX's arrays alone. A state is the rows of a scene,
+    one after the other."""
+
+    vehicles: int = VEHICLES
+    """Besides the ego."""
+    density: float = 1.0
+    """Of vehicles, 1 is highway-env's."""
+    act_size = 2
+    bounds = (50.0,) * OBS_SIZE
+
+    def first(self, rng: np.random.Generator) -> Array:
+        """Return a first scene (12, 1 + vehicles), as highway-env draws it."""
+        return first_scene(rng, self.vehicles, self.density)
+
+    def start(self, draws: Draws) -> Any:
+        low, high = np.transpose([(0, LANES), SPEEDS, SPREADS, DELTAS])[..., None]
+        one = np.ones(1 + self.vehicles)
+        lane, speed, spread, delta = draws.uniform(low * one, high * one)
+        xp, ego = namespace(lane), np.arange(len(one)) == 0
+        speed, delta = xp.where(ego, EGO_SPEED, speed), xp.where(ego, 0.0, delta)
+        return in_line(xp.floor(lane), speed, spread, delta, self.density).ravel()
+
+    def advance(self, state: Any, act: Any) -> Any:
+        from envs.driving import traffic
+
+        return _columns(traffic.step(_rows(state), act.T))
+
+    def observe(self, state: Any) -> Any:
+        from envs.driving import traffic
+
+        return traffic.observe(_rows(state)).T
+
+    def pay(self, state: Any, act: Any, after: Any) -> Any:
+        from envs.driving import traffic
+
+        return traffic.judge(_rows(after))[0]
+
+    def fails(self, state: Any) -> Any:
+        from envs.driving import traffic
+
+        return traffic.judge(_rows(state))[1]
+
+    def failure(self, state: Array) -> str:
+        return "crashed" if Scene(*state.reshape(len(Scene._fields), -1)).crashed[0] else "left the road"
+
+
+def _rows(state: Any) -> Any:
+    """Return states (S, B) as those of traffic, (B, 12, N)."""
+    return state.T.reshape(state.shape[1], len(Scene._fields), -1)
+
+
+def _columns(states: Any) -> Any:
+    return states.reshape(len(states), -1).T
+
+
+NOMINAL = Traffic()
+
+
 class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Observation (18,): of the ego the offset from the road's middle and from its lane's (4 m, 1 m),
     lateral speed (1 m/s), forward speed less 25 m/s (5 m/s), and the distance to the left and to the right
@@ -108,13 +176,11 @@ class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     Reward: forward speed from 10 to 25 m/s mapped to [0, 1], less 25 on crashing, 0 off the road.
     """
 
-    def __init__(self, vehicles: int = VEHICLES, density: float = 1.0, lane: int | None = None) -> None:
-        """vehicles: besides the ego. density: of them, 1 is highway-env's. lane: the ego's at first,
-        default: any."""
-        bound = np.full(OBS_SIZE, 50.0, np.float32)
-        self.observation_space = spaces.Box(-bound, bound)
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._traffic = vehicles, density, lane
+    def __init__(self, physics: Traffic) -> None:
+        self.physics = physics
+        bounds = np.array(physics.bounds, np.float32)
+        self.observation_space = spaces.Box(-bounds, bounds)
+        self.action_space = spaces.Box(-1.0, 1.0, (physics.act_size,), np.float32)
         self.state = np.empty((0, 0))
 
     @property
@@ -126,7 +192,7 @@ class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         super().reset(seed=seed, options=options)
-        self.state = first_scene(self.np_random, *self._traffic)
+        self.state = self.physics.first(self.np_random)
         obs: NDArray[np.float32] = look(self.state[None])[0]
         return obs, {}
 
@@ -137,19 +203,19 @@ class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return obs, float(reward), bool(terminated), False, {"crashed": bool(self.scene.crashed[0])}
 
 
-def first_states(seeds: Sequence[int], vehicles: int = VEHICLES, density: float = 1.0) -> Array:
-    """Return the states (R, 10, 1 + vehicles) in which the episodes of these seeds begin."""
-    return np.array([first_scene(seeding.np_random(seed)[0], vehicles, density) for seed in seeds])
+def first_states(seeds: Sequence[int], physics: Traffic = NOMINAL) -> Array:
+    """Return the states (R, 12, 1 + vehicles) in which the episodes of these seeds begin."""
+    return np.array([physics.first(seeding.np_random(seed)[0]) for seed in seeds])
 
 
 def look(states: Array) -> NDArray[np.float32]:
-    """Return what the egos of states (R, 10, N) see (R, 18)."""
+    """Return what the egos of states (R, 12, N) see (R, 18)."""
     (obs,) = _in_blocks("look", states)
     return obs
 
 
 def drive(states: Array, places: Ints, act: NDArray[Any]) -> tuple[NDArray[np.float32], Array, NDArray[Any]]:
-    """Step the states (R, 10, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
+    """Step the states (R, 12, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
     rewards (B,), and whether each episode terminated."""
     states[places], obs, rewards, terminated = _in_blocks("drive", states[places], act.astype(np.float32))
     return obs, rewards, terminated
@@ -178,8 +244,8 @@ def _programs() -> dict[str, Callable[..., Any]]:
     from envs.driving import traffic
 
     def drive(states: Any, act: Any) -> Any:
-        states, rewards, terminated = traffic.step(states, act)
-        return states, traffic.observe(states), rewards, terminated
+        states = traffic.step(states, act)
+        return states, traffic.observe(states), *traffic.judge(states)
 
     return {"look": jax.jit(lambda states: (traffic.observe(states),)), "drive": jax.jit(drive)}
 
@@ -187,12 +253,12 @@ def _programs() -> dict[str, Callable[..., Any]]:
 class HighwayBatch:
     """Scenes of the task in lockstep (`envs.spec.Batch`)."""
 
-    def __init__(self, count: int, vehicles: int = VEHICLES, density: float = 1.0) -> None:
-        self._traffic = vehicles, density
-        self._states = np.zeros((count, len(Scene._fields), 1 + vehicles))
+    def __init__(self, count: int, physics: Traffic) -> None:
+        self._physics = physics
+        self._states = np.zeros((count, len(Scene._fields), 1 + physics.vehicles))
 
     def reset(self, place: int, seed: int) -> Array:
-        first = first_states([seed], *self._traffic)
+        first = first_states([seed], self._physics)
         self._states[place] = first[0]
         return np.asarray(look(first)[0], np.float64)
 
@@ -201,7 +267,7 @@ class HighwayBatch:
         return obs.astype(np.float64), rewards, terminated
 
     def why_ended(self, place: int) -> str:
-        return _why(Scene(*self._states[place]))
+        return self._physics.failure(self._states[place])
 
 
 def idm_return(seeds: Sequence[int]) -> tuple[Array, NDArray[np.bool_]]:
@@ -260,7 +326,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
             shapes[f"dash_{i}_{dash:02d}"] = Shape(np.array([[x, side], [x + 3.0, side]]), (190, 190, 190))
     for i in (*range(1, len(scene.x)), 0):
         name, colour = (f"vehicle_{i:02d}", (66, 133, 244)) if i else ("ego", (234, 134, 51))
-        ahead = np.array([math.cos(scene.heading[i]), -math.sin(scene.heading[i])])
+        ahead = np.array([scene.cos[i], -scene.sin[i]])
         left, middle = np.array([-ahead[1], ahead[0]]), np.array([along[i], -scene.y[i]])
         corners = [(-1, 1), (-1, -1), (1, -1), (1, 1), (-1, 1)]
         sides = [middle + a * LENGTH / 2 * ahead + b * WIDTH / 2 * left for a, b in corners]
@@ -276,11 +342,7 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     """Return 'crashed' or 'left the road'."""
     inner = env.unwrapped
     assert isinstance(inner, Highway)
-    return _why(inner.scene)
-
-
-def _why(scene: Scene) -> str:
-    return "crashed" if scene.crashed[0] else "left the road"
+    return inner.physics.failure(inner.state)
 
 
 THESIS = DDPG(
@@ -310,7 +372,7 @@ SPEC = EnvSpec(
     time_step=TIME_STEP,
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.02},
-    rl_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
+    rl_steps={"smoke": 8192, "quick": 245_760, "full": 491_520},
     ddpg_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
@@ -318,11 +380,20 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000, rl=THESIS),
-    rl=THESIS,
+    rl=PPO(
+        final_learning_rate=0.0,
+        learning_rate=1e-3,
+        batch=512,
+        copies=64,
+        steps=64,
+        epochs=6,
+        checkpoint_every=40_960,
+    ),
     ddpg=THESIS,
-    batch=HighwayBatch,
+    kwargs={"physics": NOMINAL},
+    batch=partial(HighwayBatch, physics=NOMINAL),
     # Half as many again on the same stretch of road.
-    variants={"dense": {"vehicles": 18, "density": 1.5}},
+    variants={"dense": {"physics": Traffic(vehicles=18, density=1.5)}},
 )
 """Each step pays the forward speed, 0 at 10 m/s and 1 at 25 m/s; a crash costs 25, and off the road a step
 pays 0. Either ends the episode. The reference driver is highway-env's IDM with MOBIL's lane changes at a

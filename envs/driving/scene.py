@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from envs.dynamics import namespace
 from envs.spec import Array
 
 DT, FRAMES = 0.2, 2  # s, and how many of them a step takes
@@ -36,6 +37,10 @@ class Scene(NamedTuple):
     """[m]"""
     heading: Any
     """[rad]"""
+    cos: Any
+    """The heading's."""
+    sin: Any
+    """The heading's."""
     speed: Any
     """[m/s]"""
     timer: Any
@@ -51,20 +56,33 @@ class Scene(NamedTuple):
     crashed: Any
 
 
-def first_scene(rng: np.random.Generator, vehicles: int, density: float, lane: int | None = None) -> Array:
-    """Return a scene (10, 1 + vehicles) as highway-env draws it, bit for bit. density: of vehicles, 1 is the
-    usual one. lane: the ego's, default: any."""
+SPEEDS, SPREADS, DELTAS = (0.7 * SPEED_LIMIT, 0.8 * SPEED_LIMIT), (0.9, 1.1), (3.5, 4.5)
+"""Bounds of the others' first speeds, of distances as shares of the usual ones, and of IDM's exponents."""
+
+
+def first_scene(rng: np.random.Generator, vehicles: int, density: float) -> Array:
+    """Return a scene (12, 1 + vehicles) as highway-env draws it, bit for bit. density: of vehicles, 1 is the
+    usual one."""
 
     def uniform(low: float, high: float) -> float:
         return low + (high - low) * rng.random()  # as `rng.uniform` does, five times faster
 
-    crowd, columns, x = math.exp(-5 / 40 * LANES), list[Scene](), None
+    rows = []
     for ego in (True, *[False] * vehicles):
-        number = lane if ego and lane is not None else int(rng.integers(LANES))
-        speed = EGO_SPEED if ego else uniform(0.7 * SPEED_LIMIT, 0.8 * SPEED_LIMIT)
-        usual = (EGO_SPACING if ego else 1 / density) * (12 + speed) * crowd
-        x = (3 * usual if x is None else x) + usual * uniform(0.9, 1.1)
-        y = number * LANE_WIDTH
-        driver = (0.0, 0.0, 0.0) if ego else ((x + y) * math.pi % 1.0, uniform(3.5, 4.5), speed)
-        columns.append(Scene(x, y, 0.0, speed, *driver, number, number, False))
-    return np.array(columns, np.float64).T
+        lane, speed = int(rng.integers(LANES)), EGO_SPEED if ego else uniform(*SPEEDS)
+        rows.append((lane, speed, uniform(*SPREADS), 0.0 if ego else uniform(*DELTAS)))
+    lane, speed, spread, delta = np.array(rows).T
+    return np.array(in_line(lane, speed, spread, delta, density))
+
+
+def in_line(lane: Any, speed: Any, spread: Any, delta: Any, density: float) -> Any:
+    """Return a scene (12, N) of vehicles one after the other. spread: distances as shares of the usual ones.
+    Arrays (N,) are NumPy's or JAX's."""
+    xp = namespace(speed)
+    ego = xp.arange(len(speed)) == 0
+    usual = xp.where(ego, EGO_SPACING, 1 / density) * (12 + speed) * math.exp(-5 / 40 * LANES)
+    x = xp.cumsum(xp.where(ego, 3 * usual, 0.0) + usual * spread)
+    y = lane * LANE_WIDTH
+    timer, target_speed = (xp.where(ego, 0.0, its) for its in ((x + y) * math.pi % 1.0, speed))
+    none = 0 * x
+    return xp.stack([x, y, none, 1 + none, none, speed, timer, delta, target_speed, lane, lane, none])

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -17,7 +16,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from envs import EnvSpec
-from envs.dynamics import Dynamics, DynamicsBatch
+from envs.dynamics import Dynamics
 from envs.learners import PPO
 from harness.learn import ppo
 from harness.learn.ppo import Kind, Steps
@@ -107,8 +106,8 @@ class OnPolicy:
 
 def dynamics_of(spec: EnvSpec) -> Dynamics | None:
     """Return a task's written dynamics, None where it has none."""
-    known = isinstance(spec.batch, partial) and spec.batch.func is DynamicsBatch
-    return spec.kwargs["physics"] if known else None
+    physics = getattr(spec.batch, "keywords", {}).get("physics")
+    return physics if isinstance(physics, Dynamics) else None
 
 
 class _Compiled:

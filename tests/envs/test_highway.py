@@ -15,9 +15,20 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
 from envs.driving import highway, traffic
-from envs.driving.highway import CONFIG, HORIZON, SPEC, TARGET_SPEED, Highway, first_states, idm_return, look
+from envs.driving.highway import (
+    CONFIG,
+    HORIZON,
+    NOMINAL,
+    SPEC,
+    TARGET_SPEED,
+    Highway,
+    first_states,
+    idm_return,
+    look,
+)
 from envs.driving.scene import CRUISE, ELBOW_ROOM, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
 from envs.spec import Array
+from harness.learn.ppo import JaxDraws
 
 ROUNDING = 1e-9
 """How far a state may be from highway-env's, in metres, radians, m/s and s."""
@@ -29,11 +40,13 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def state_of(upstream: Any) -> Array:
-    """Return the state (10, N) of highway-env's own scene."""
+    """Return the state (12, N) of highway-env's own scene."""
     rows = [
         Scene(
             *v.position,
             v.heading,
+            np.cos(v.heading),
+            np.sin(v.heading),
             v.speed,
             getattr(v, "timer", 0),
             getattr(v, "DELTA", 0),
@@ -77,6 +90,7 @@ def test_traffic_is_that_of_highway_env(case: str) -> None:
     frames = round(config["simulation_frequency"] / config["policy_frequency"])
     dt, lanes = 1 / config["simulation_frequency"], config["lanes_count"]
     step = jax.jit(partial(traffic.step, lanes=lanes, dt=dt, frames=frames))
+    judge = jax.jit(traffic.judge)
     kinds = [(kind, seed) for kind in ("wander", "race", "weave") for seed in range(3)]
     scenes = [HighwayEnvFast(config) for _ in kinds]
     for env, (_, seed) in zip(scenes, kinds, strict=True):
@@ -86,7 +100,8 @@ def test_traffic_is_that_of_highway_env(case: str) -> None:
     for time in range(60):
         acts = [drive(kind, seed, time, env) for env, (kind, seed) in zip(scenes, kinds, strict=True)]
         with jax.enable_x64(True):
-            states, rewards, terminated = map(np.asarray, step(states, np.array(acts)))
+            states = np.asarray(step(states, np.array(acts)))
+            rewards, terminated = map(np.asarray, judge(states))
         # Ten steps after a crash too. Then others stand, roll back, and steer so that rounding grows.
         for i in np.flatnonzero(since < 10):
             _, paid, _, _, _ = scenes[i].step(acts[i])
@@ -100,12 +115,27 @@ def test_traffic_is_that_of_highway_env(case: str) -> None:
 
 @pytest.mark.parametrize("variant", [None, "dense"])
 def test_first_scenes_are_those_of_highway_env(variant: str | None) -> None:
-    made: dict[str, Any] = dict(SPEC.variants[variant]) if variant else {}
-    count, density = made.get("vehicles", 12), made.get("density", 1.0)
-    upstream = HighwayEnvFast({**CONFIG, "vehicles_count": count, "vehicles_density": density})
-    for seed, first in enumerate(first_states(range(200), **made)):
+    physics = SPEC.variants[variant]["physics"] if variant else NOMINAL
+    made = {"vehicles_count": physics.vehicles, "vehicles_density": physics.density}
+    upstream = HighwayEnvFast({**CONFIG, **made})
+    for seed, first in enumerate(first_states(range(200), physics)):
         upstream.reset(seed=seed)
         np.testing.assert_array_equal(first, state_of(upstream))
+
+
+def test_first_scenes_of_the_compiled_loop_are_drawn_alike() -> None:
+    ours = first_states(range(4000)).reshape(4000, -1)
+    with jax.enable_x64(True):
+        keys = jax.random.split(jax.random.key(0), 4000)
+        theirs = np.asarray(jax.jit(jax.vmap(lambda key: NOMINAL.start(JaxDraws(key))))(keys))
+    spread = np.maximum(ours.std(axis=0), 1e-9)
+    np.testing.assert_allclose((theirs.mean(axis=0) - ours.mean(axis=0)) / spread, 0, atol=0.1)
+    np.testing.assert_allclose(theirs.std(axis=0), ours.std(axis=0), rtol=0.05, atol=1e-9)
+    for row in ("x", "lane", "speed", "delta", "timer"):  # each vehicle on its own
+        their = getattr(Scene(*theirs.reshape(4000, 12, -1).transpose(1, 0, 2)), row)[:, 1:]
+        our = getattr(Scene(*ours.reshape(4000, 12, -1).transpose(1, 0, 2)), row)[:, 1:]
+        difference = np.corrcoef(their, rowvar=False) - np.corrcoef(our, rowvar=False)
+        assert np.abs(difference).max() < 0.1, row
 
 
 def seen(upstream: Any) -> list[float]:
@@ -188,8 +218,8 @@ def test_a_larger_program_steps_and_observes_in_either_precision(wide: bool) -> 
     precision = np.float64 if wide else np.float32
 
     def step(state: Any, act: Any) -> Any:
-        state, reward, _ = traffic.step(state, act)
-        return state, reward
+        state = traffic.step(state, act)
+        return state, traffic.judge(state)[0]
 
     with jax.enable_x64(wide):
         state, paid = jax.jit(partial(jax.lax.scan, step))(states.astype(precision), acts.astype(np.float32))
@@ -283,7 +313,8 @@ def test_phi_in_range_and_of_the_observation_alone() -> None:
 def test_observation_units() -> None:
     env = SPEC.make()
     obs, _ = env.reset(seed=2)
-    x, y, _, speed, *_ = inner(env).scene
+    scene = inner(env).scene
+    x, y, speed = scene.x, scene.y, scene.speed
     assert obs[0] * WIDE + (LANES - 1) / 2 * LANE_WIDTH == pytest.approx(y[0])
     assert obs[3] * FAST + CRUISE == pytest.approx(speed[0])
     ahead = (np.abs(y - y[0]) < 1) & (x > x[0])
@@ -300,9 +331,19 @@ def inner(env: Any) -> Highway:
     return env.unwrapped
 
 
+def beginning_in(lane: int) -> Highway:
+    """Return the task in a first scene whose ego is in the lane."""
+    env = Highway(NOMINAL)
+    for seed in range(100):
+        env.reset(seed=seed)
+        if env.scene.lane[0] == lane:
+            break
+    return env
+
+
 @pytest.mark.parametrize(("lane", "missing"), [(0, slice(6, 10)), (2, slice(14, 18))])
 def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> None:
-    obs, _ = Highway(lane=lane).reset(seed=4)
+    obs = look(beginning_in(lane).state[None])[0]
     assert (obs[missing] == 0).all()
     assert (obs[[10, 12]] > 0).all()
 
@@ -321,8 +362,7 @@ def test_there_is_nothing_to_see_beyond_the_road(lane: int, missing: slice) -> N
 )
 @pytest.mark.parametrize("side", [-1, 1])
 def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:
-    env = Highway(lane=1)
-    env.reset(seed=0)
+    env = beginning_in(1)
     scene = env.scene
     scene.x[1:] = scene.x[0] + 1000
     scene.x[1], scene.y[1] = scene.x[0] + dx, scene.y[0] + 0.9 * side * LANE_WIDTH
@@ -335,8 +375,7 @@ def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool
 
 
 def test_offset_from_its_lane() -> None:
-    env = Highway(lane=2)
-    env.reset(seed=0)
+    env = beginning_in(2)
     env.scene.y[0] -= 1.5
     assert look(env.state[None])[0, 1] == pytest.approx(-1.5)
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 from envs import EnvSpec
+from envs.driving import highway
 from envs.learners import PPO
+from harness.learn import ppo
 from harness.learn.on_policy import OnPolicy, dynamics_of
+from harness.learn.ppo import Kind
 from harness.learn.rl import Agent
 from harness.learn.training_env import TrainingEnv
 from harness.registry import SPECS
@@ -47,6 +51,35 @@ def test_steps_of_the_compiled_loop_are_the_tasks() -> None:
     begun = (following[1:] != last[:-1]).any(axis=2)
     assert begun[ended[:-1]].all()
     assert (np.abs(following[1:][begun]) <= 0.05 + 1e-6).all()
+
+
+def test_steps_of_compiled_traffic_are_those_of_the_batch() -> None:
+    spec, copies, count = SPECS["highway"], 64, 80
+    physics: Any = dynamics_of(spec)
+    settings = PPO(copies=copies, steps=count, batch=copies * count, net=(8,))
+    kind = Kind(settings, spec.obs_size, spec.act_size, spec.discrete, spec.gamma)
+    first, collect = ppo.collector(kind, physics, spec.horizon)
+    params, scale = ppo.functions(kind).begin(jax.random.key(0)).params, np.ones(spec.obs_size, np.float32)
+    with jax.enable_x64(True):
+        scene = first(jax.random.key(1))
+        begun = np.asarray(scene[0])
+        _, seen = collect(params, scene, scale, jax.random.key(2))
+    states = begun.T.reshape(copies, 12, -1).copy()
+    act = np.clip(np.asarray(seen.act), -1, 1)
+    ended = np.asarray(seen.terminated | seen.cut)
+    going = np.arange(copies)  # those whose first episode lasts
+    for time in range(spec.horizon):
+        np.testing.assert_allclose(np.asarray(seen.obs)[time, going], highway.look(states[going]), atol=1e-5)
+        after, paid, terminated = highway.drive(states, going, act[time, going])
+        np.testing.assert_allclose(np.asarray(seen.next_obs)[time, going], after, atol=1e-5)
+        np.testing.assert_allclose(np.asarray(seen.true)[time, going], paid, atol=1e-6)
+        assert np.array_equal(np.asarray(seen.terminated)[time, going], terminated)
+        going = going[~ended[time, going]]
+        if not len(going):
+            break
+    assert np.asarray(seen.terminated).any()
+    assert np.asarray(seen.cut).any()
+    assert not len(going)
 
 
 def test_an_episode_is_cut_at_the_horizon_and_first_ones_at_even_intervals() -> None:
