@@ -322,16 +322,12 @@ def machine() -> dict[str, str]:
     }
 
 
-def versions(packages: Iterable[str]) -> list[str]:
-    """Of those installed. Raises BadInput where one is not, or only in part."""
+def versions(names: Iterable[str]) -> list[str]:
+    """Return the versions of installed packages. Raises BadInput where one is not, or only in part."""
     found = []
-    for package in packages:
-        try:
-            version = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            version = None
-        if not isinstance(version, str):
-            raise BadInput(f"the package {package} is not installed, or only in part; install it again")
+    for name in names:
+        if not (version := packages.version_of(name)):
+            raise BadInput(f"the package {name} is not installed, or only in part; install it again")
         found.append(version)
     return found
 
