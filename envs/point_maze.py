@@ -141,6 +141,9 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     return "never"
 
 
+THESIS = DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2500, n_steps=5, critics=2)
+"""The learner of the thesis."""
+
 SPEC = EnvSpec(
     name="point_maze",
     summary="AIRL's maze: push a ball around the end of a wall to a target, 100 steps",
@@ -155,13 +158,15 @@ SPEC = EnvSpec(
     time_step=FRAME_SKIP * FRAME,
     bar=lambda seeds: -6.0,
     rl_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
+    ddpg_steps={"smoke": 600, "quick": 30_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
     batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
-    rl=DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2500, n_steps=5, critics=2),
+    rl=THESIS,
+    ddpg=THESIS,
     variants={
         "wall_moved": {"physics": Physics(wall=(LOW, 0.4))},
         "flipped": {"physics": Physics(gear=-1.0)},

@@ -19,7 +19,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 
-from envs.learners import DDPG, DQN, Learner
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -225,6 +225,10 @@ class EnvSpec:
     """The same task under other dynamics, by name: what the environment and its batch are made with."""
     rl: Learner = field(default_factory=DDPG)
     """What reinforcement learning uses."""
+    ddpg: DDPG = field(default_factory=DDPG)
+    """What it uses where DDPG is asked for, the thesis's learner."""
+    ddpg_steps: Mapping[str, int] = field(default_factory=lambda: _budgets(600, 20_000, 60_000))
+    """Environment steps of one solve by that, for each of `BUDGETS`."""
     batch: Callable[..., Batch] | None = None
     """So many copies, where they step faster together and bit for bit as they would alone. Those of a variant
     are given what it names, too."""
@@ -252,9 +256,9 @@ class EnvSpec:
             object.__setattr__(self, f"{kind}_names", names)
         if self.tabular and self.variants:
             raise ValueError(f"{self.name}: a variant has another model than the one that is known")
-        if isinstance(self.rl, DQN) != self.discrete:
-            raise ValueError(f"{self.name}: DQN is for choices, and choices need DQN")
-        tables = (self.rl_steps, self.eval_episodes, self.demo_episodes)
+        if not isinstance(self.rl, (DQN, PPO) if self.discrete else (DDPG, TD3, SAC, PPO)):
+            raise ValueError(f"{self.name}: choices need DQN or PPO, and DQN is for choices alone")
+        tables = (self.rl_steps, self.ddpg_steps, self.eval_episodes, self.demo_episodes)
         counts = [self.obs_size, self.act_size, self.horizon, *(t[b] for t in tables for b in BUDGETS)]
         if min(counts) < 1:
             raise ValueError(f"{self.name}: sizes, horizon, steps and episodes must be positive")
@@ -297,6 +301,13 @@ class EnvSpec:
             variants={},
             shipped=None,
         )
+
+    def by_ddpg(self) -> EnvSpec:
+        """Return the same task, whose reinforcement learning is DDPG. Raises ValueError where actions are
+        choices, which DDPG has none of."""
+        if self.discrete:
+            raise ValueError(f"{self.name}: actions are choices, and DDPG is for real numbers")
+        return replace(self, rl=self.ddpg, rl_steps=self.ddpg_steps)
 
     def features(self, obs: Array, act: Array) -> Array:
         """(B, K): `phi` of (B, O) observations and (B, A) actions."""

@@ -119,6 +119,7 @@ SPEC = EnvSpec(
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
+    ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,

@@ -140,6 +140,9 @@ def why_ended(env: gym.Env[Any, Any]) -> str:
     return FALL
 
 
+THESIS = DDPG(checkpoint_every=2000, check_episodes=5)
+"""The learner of the thesis."""
+
 SPEC = EnvSpec(
     name="pendulum",
     summary="MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
@@ -156,14 +159,16 @@ SPEC = EnvSpec(
     bar=lambda seeds: 1000.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
+    ddpg_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=80_000, bar=1000.0, checkpoint_every=500),
+    shipped=Shipped(steps=80_000, bar=1000.0, checkpoint_every=500, rl=THESIS),
     # Its episodes are long, and begin alike.
-    rl=DDPG(checkpoint_every=2000, check_episodes=5),
+    rl=THESIS,
+    ddpg=THESIS,
     batch=PendulumBatch,
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5 * NOMINAL.pole_length)},

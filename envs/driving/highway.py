@@ -283,6 +283,19 @@ def _why(scene: Scene) -> str:
     return "crashed" if scene.crashed[0] else "left the road"
 
 
+THESIS = DDPG(
+    final_learning_rate=5e-5,
+    tau=0.005,
+    batch=256,
+    critics=2,
+    noise=0.15,
+    copies=40,
+    gradient_steps=20,
+    checkpoint_every=4000,
+    check_episodes=40,
+)
+"""The learner of the thesis."""
+
 SPEC = EnvSpec(
     name="highway",
     summary="highway-env, three lanes, steering and acceleration: drive fast without crashing for 30 s",
@@ -298,23 +311,15 @@ SPEC = EnvSpec(
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.02},
     rl_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
+    ddpg_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000),
-    rl=DDPG(
-        final_learning_rate=5e-5,
-        tau=0.005,
-        batch=256,
-        critics=2,
-        noise=0.15,
-        copies=40,
-        gradient_steps=20,
-        checkpoint_every=4000,
-        check_episodes=40,
-    ),
+    shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000, rl=THESIS),
+    rl=THESIS,
+    ddpg=THESIS,
     batch=HighwayBatch,
     # Half as many again on the same stretch of road.
     variants={"dense": {"vehicles": 18, "density": 1.5}},

@@ -111,6 +111,7 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: -180.0,
     rl_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
+    ddpg_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
