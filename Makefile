@@ -9,6 +9,9 @@ ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif
 
+# Where a shell forbids bytecode, each of hundreds of processes would compile this program again.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: run test docs lock
 
 run: .venv/installed

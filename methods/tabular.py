@@ -13,12 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial import KDTree
 
 from methods.base import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,8 @@ class Table:
 
     @cached_property
     def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree  # half a second, which other tasks do without
+
         return KDTree(self.obs)
 
 
@@ -140,6 +144,8 @@ def _fixed_point(
     """V and Q with V = maximum(Q), iterated from 0. Iteration contracts by gamma, which bounds its error by
     gamma / (1 - gamma) times the last change, and bounds that change even where rounding keeps it up.
     P is taken as sparse, which grids of any size are."""
+    from scipy import sparse
+
     _check_discount(gamma)
     if not tol > 0:
         raise ValueError(f"tol must be positive, not {tol}")

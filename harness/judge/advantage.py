@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from envs import EnvSpec
 from envs.spec import Tabular
+from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
@@ -153,5 +153,5 @@ def compare(own: Array, true: Array) -> Comparison:
     distance = math.sqrt(max(0.0, (1 - cosine) / 2))
     # Equally good actions must rank equally, whatever rounding made of them.
     constant = np.ptp(a) == 0 or np.ptp(b) == 0
-    rank = math.nan if constant else float(spearmanr(a.round(9), b.round(9)).statistic)
+    rank = math.nan if constant else rank_correlation(a.round(9), b.round(9))
     return Comparison(distance, rank)

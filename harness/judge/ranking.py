@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from envs import EnvSpec
+from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
 from harness.learn.simulator import Simulator
 from methods.base import Array, Policy, Reward, roughened
@@ -32,7 +32,7 @@ class Ranked(Stretches):
         own = self.true if reward is None else self.returns(reward, 1.0).reshape(len(self.true), -1).mean(1)
         if np.ptp(own) <= 1e-9 * np.abs(own).max() or np.ptp(self.true) == 0:
             return math.nan
-        return float(spearmanr(own, self.true).statistic)
+        return rank_correlation(own, self.true)
 
 
 def ranked(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,8 +16,10 @@ from typing import Any
 import safetensors.numpy
 
 from harness.run.environment import cache_folder
-from harness.run.files import opened, write_atomic
-from harness.run.keys import expert_key
+from harness.run.files import can_write, opened, write_atomic
+from harness.run.keys import expert_key, machine
+
+COMPILED_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,22 @@ def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kep
         with suppress(OSError):
             _write(spare, data)
     return computed
+
+
+def compiled_once(spare: Path | None = None) -> dict[str, str]:
+    """Return the variables with which JAX compiles each program once for all processes of this machine.
+
+    Programs are kept in the folder that the user names, else in the cache, by processor and versions. spare:
+    the folder for them where the cache cannot be written to.
+    """
+    folder: str | Path | None = os.environ.get(COMPILED_VARIABLE)
+    if not folder:
+        made_with = hashlib.sha256(json.dumps(machine()).encode()).hexdigest()[:16]
+        kept = cache_folder().absolute() / f"compiled_{made_with}"
+        folder = kept if can_write(kept) else spare
+    if not folder:
+        return {}
+    return {COMPILED_VARIABLE: str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
 
 
 def as_bytes(what: Kept) -> bytes:

@@ -27,6 +27,7 @@ from harness.judge.results import (
     usable,
 )
 from harness.run import plugins
+from harness.run.cache import compiled_once
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import hint, of_this_process
 from harness.run.files import LARGEST_OF_CELL, sha256_of
@@ -151,9 +152,13 @@ class Inline:
         return ""
 
     def __enter__(self) -> Self:
+        self._before = os.environ.copy()
+        os.environ.update(compiled_once())
         return self
 
     def __exit__(self, *error: object) -> None:
+        os.environ.clear()
+        os.environ.update(self._before)
         gc.unfreeze()
 
 

@@ -128,8 +128,10 @@ def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Fut
     try:
         return launch(*arguments)
     except (OSError, EOFError, RuntimeError) as error:
+        died = isinstance(error, EOFError | ConnectionError)
+        reason = "the process that it is forked from was killed (out of memory?)" if died else describe(error)
         future: Future[Outcome] = Future()
-        future.set_exception(NotStarted(describe(error)))
+        future.set_exception(NotStarted(reason))
         return future
 
 

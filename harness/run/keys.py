@@ -11,7 +11,7 @@ import importlib.util
 import json
 import platform
 import subprocess
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -63,6 +63,7 @@ EXPERTS = ("results/reference/experts", "harness/shipped")
 PAGE_PARTS = tuple(f"harness/show/report.{kind}" for kind in ("html.j2", "css", "js"))
 ROOT = Path(__file__).parents[2]
 _DECLARED = ast.dump(ast.Name(DECLARATION, ast.Store()))
+_DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 INSTRUCTIONS = ("sse4", "avx", "fma", "amx")
 
 
@@ -208,43 +209,35 @@ class Code(NamedTuple):
     counts: bool = True
 
 
-class _Numbers(ast.NodeTransformer):
-    """Leaves out docstrings, those of fields included, and the places that change no number."""
+def counted(tree: ast.Module, left_out: Collection[str]) -> Iterator[object]:
+    """Yield the nodes, lists and values of a syntax tree, each before its parts. Docstrings, those of fields
+    included, and the places that are left out are not among them."""
+    part: object
+    waiting: list[tuple[object, str]] = [(tree, "")]
+    while waiting:
+        part, place = waiting.pop()
+        if isinstance(part, list):
+            part = [one for one in part if not _is_left_out(one, left_out, place)]
+            waiting += [(one, place) for one in reversed(part)]
+        elif isinstance(part, ast.AST):
+            inside = f"{place}{part.name}." if isinstance(part, _DEFINITIONS) else place
+            waiting += [(getattr(part, field, None), inside) for field in reversed(part._fields)]
+        yield part
 
-    def __init__(self, left_out: Collection[str]) -> None:
-        self._left_out, self._place = left_out, ""
 
-    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        return None if is_text else self.generic_visit(node)
-
-    def visit_Assign(self, node: ast.Assign) -> ast.AST | None:
-        names = [target.id for target in node.targets if isinstance(target, ast.Name)]
-        return None if any(map(self._is_left_out, names)) else self.generic_visit(node)
-
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
-        named = isinstance(node.target, ast.Name) and self._is_left_out(node.target.id)
-        return None if named else self.generic_visit(node)
-
-    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST | None:
-        return self._definition(node)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST | None:
-        return self._definition(node)
-
-    def visit_AsyncFunctionDef(self, node: ast.AsyncFunctionDef) -> ast.AST | None:
-        return self._definition(node)
-
-    def _definition(self, node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) -> ast.AST | None:
-        if self._is_left_out(node.name):
-            return None
-        outside, self._place = self._place, f"{self._place}{node.name}."
-        changed = self.generic_visit(node)
-        self._place = outside
-        return changed
-
-    def _is_left_out(self, name: str) -> bool:
-        return f"{self._place}{name}" in self._left_out
+def _is_left_out(part: object, left_out: Collection[str], place: str) -> bool:
+    match part:
+        case ast.Expr(ast.Constant(str())):
+            return True
+        case ast.ClassDef(name) | ast.FunctionDef(name) | ast.AsyncFunctionDef(name):
+            names = [name]
+        case ast.Assign(targets):
+            names = [target.id for target in targets if isinstance(target, ast.Name)]
+        case ast.AnnAssign(ast.Name(name)):
+            names = [name]
+        case _:
+            return False
+    return any(f"{place}{name}" in left_out for name in names)
 
 
 @functools.cache
@@ -256,14 +249,17 @@ def _code(source: bytes) -> Code:
         return Code(hashlib.sha256(source).hexdigest())
     declared = no_numbers(tree)
     places = {} if isinstance(declared, str) else declared
-    tree = _Numbers({DECLARATION, *places}).visit(tree)
-    imports = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            imports += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            imports += [f"{node.module}.{alias.name}" for alias in node.names]
-    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    said, imports = list[str](), list[str]()
+    for part in counted(tree, {DECLARATION, *places}):
+        if isinstance(part, ast.AST):  # whose class tells how many parts follow
+            said.append(type(part).__name__)
+            if isinstance(part, ast.Import):
+                imports += [alias.name for alias in part.names]
+            elif isinstance(part, ast.ImportFrom):
+                imports += [f"{part.module}.{alias.name}" for alias in part.names]
+        else:
+            said.append(str(len(part)) if isinstance(part, list) else repr(part))
+    digest = hashlib.sha256("\n".join(said).encode()).hexdigest()
     return Code(digest, tuple(imports), not isinstance(declared, str))
 
 
@@ -326,16 +322,12 @@ def machine() -> dict[str, str]:
     }
 
 
-def versions(packages: Iterable[str]) -> list[str]:
-    """Of those installed. Raises BadInput where one is not, or only in part."""
+def versions(names: Iterable[str]) -> list[str]:
+    """Return the versions of installed packages. Raises BadInput where one is not, or only in part."""
     found = []
-    for package in packages:
-        try:
-            version = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            version = None
-        if not isinstance(version, str):
-            raise BadInput(f"the package {package} is not installed, or only in part; install it again")
+    for name in names:
+        if not (version := packages.version_of(name)):
+            raise BadInput(f"the package {name} is not installed, or only in part; install it again")
         found.append(version)
     return found
 

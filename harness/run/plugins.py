@@ -191,12 +191,12 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
 def _installed() -> tuple[list[tuple[str, str, Entry]], list[str]]:
     """Return what installed packages name, by kind and name, and why that cannot be read."""
     found: list[tuple[str, str, Entry]] = []
+    try:
+        points = importlib.metadata.entry_points()
+    except Exception as error:  # of a package whose metadata is damaged
+        return found, [f"what installed packages name cannot be read: {in_words(error)}"]
     for kind, group in ENTRY_POINTS.items():
-        try:
-            points = sorted(importlib.metadata.entry_points(group=group))
-        except Exception as error:  # of a package whose metadata is damaged
-            return found, [f"what installed packages name cannot be read: {in_words(error)}"]
-        for point in points:
+        for point in sorted(points.select(group=group)):
             package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
             found.append((kind, point.name, Entry(point.value, f"of the package {package}")))
     return found, []

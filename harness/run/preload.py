@@ -1,6 +1,7 @@
 """Imported once, in the process that those of cells are forked from, for all of them to share."""
 
 import contextlib
+import gc
 import importlib
 import os
 
@@ -16,3 +17,5 @@ for _name in (*_usual, *filter(None, os.environ.get(PRELOAD_VARIABLE, "").split(
     # Whatever this raises, a cell's own import raises again, and there it is told.
     with contextlib.suppress(BaseException):
         importlib.import_module(_name)
+# What is there by now stays: to look through it for garbage would take each cell time, and its own memory.
+gc.freeze()

@@ -22,6 +22,7 @@ import psutil
 
 from harness.registry import BadInput
 from harness.run import orphans
+from harness.run.cache import compiled_once
 from harness.run.environment import for_cells
 from harness.run.keys import program
 from harness.run.scratch import scratch_folder
@@ -67,17 +68,10 @@ def fresh_processes(preload: str, deterministic: bool = True) -> Iterator[contex
 
 @contextmanager
 def as_in_cells(deterministic: bool = True) -> Iterator[Path]:
-    """In the environment of cells, with a folder for temporary files that goes with the context; what JAX,
-    imported from now on, compiles, seconds of work, it compiles once for this process and all that it
-    starts."""
+    """Be in the environment of cells, with a folder for temporary files that goes with the context."""
     with scratch_folder() as scratch:
-        for name in ("tmp", "jax"):
-            (scratch / name).mkdir()
-        more = {
-            "TMPDIR": str(scratch / "tmp"),
-            "JAX_COMPILATION_CACHE_DIR": str(scratch / "jax"),
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        }
+        (scratch / "tmp").mkdir()
+        more = {"TMPDIR": str(scratch / "tmp"), **compiled_once(scratch / "compiled")}
         before, tempfile.tempdir = tempfile.tempdir, more["TMPDIR"]  # which it remembers
         try:
             with for_cells(deterministic, more):

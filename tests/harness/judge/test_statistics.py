@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import norm, sem, t
+from scipy.stats import norm, sem, spearmanr, t
 
 from harness.judge.statistics import (
     CONFIDENCE,
@@ -13,6 +13,7 @@ from harness.judge.statistics import (
     interquartile_mean,
     mean_interval,
     normal_interval,
+    rank_correlation,
 )
 
 
@@ -87,3 +88,12 @@ def test_interquartile_interval_is_of_whole_resamples_however_few_are_held_at_a_
     middle = np.sort(np.concatenate(drawn, axis=1))[:, 77 : 309 - 77].mean(axis=1)
     expected = np.quantile(middle, [(1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2])
     assert interquartile_interval(tasks, seed=5) == tuple(expected)
+
+
+def test_ranks_correlate_as_scipy_has_it() -> None:
+    rng = np.random.default_rng(0)
+    for size in (3, 10, 1000):
+        one, other = rng.normal(size=size), rng.normal(size=size)
+        for a, b in ((one, other), (one.round(), other.round(1)), (one, one**3), (one, -one)):
+            assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
+    assert math.isnan(rank_correlation(np.array([1.0, math.nan]), np.array([1.0, 2.0])))

@@ -30,7 +30,7 @@ def temporary() -> Iterator[Path]:
 
 def test_a_run_killed_twenty_times_ends_as_an_unbroken_one(tmp_path: Path, temporary: Path) -> None:
     env = {**ENV, "TMPDIR": str(temporary)}
-    seeds, kills, rng = 16, 20, np.random.default_rng(0)
+    seeds, kills, rng = 8, 20, np.random.default_rng(0)
     cells = [f"cartpole__{m}__seed{s}" for m in ("reference", *CONTROLS, "bc") for s in range(seeds)]
     (tmp_path / "faults.json").write_text(json.dumps(dict.fromkeys(cells, "brief")))
     options = ["--methods", "bc", "--envs", "cartpole", "--seeds", str(seeds), "--workers", str(WORKERS)]

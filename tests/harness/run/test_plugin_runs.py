@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 import irl_bench
+from harness.cli import main
+from harness.run import plugins
 from tests.harness.plugged import MINE, SMOKE, command
 
 ROOT = Path(__file__).parents[3]
@@ -100,14 +102,18 @@ def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) ->
     assert "the method broken cannot be loaded: AttributeError" in broken
 
 
-def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path) -> None:
+def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     complex_ones = MINE.replace(
         "steps: int = 30",
         "steps: int = 30\n\n    def fit(self, demos, world, rng):\n"
         "        return Learned(lambda obs: 0.5j + obs[:, :1] * 0, None)",
     )
     (tmp_path / "odd.py").write_text(complex_ones)
-    command(tmp_path, "run", "--methods", "mine", "--envs", "swingup", *SMOKE, "--plugin", "odd.py", code=1)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("IRL_BENCH_CACHE", str(tmp_path / "cache"))
+    words = ("run", "--methods", "mine", "--envs", "swingup", "--plugin", "odd.py", "--engine", "inline")
+    with plugins.for_now():
+        assert main([*words, *SMOKE]) == 1
     scores = irl_bench.load(tmp_path / "results/latest").scores
     reasons = scores[scores.method == "mine"].reason
     assert len(reasons)

@@ -13,7 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from harness.run.environment import FIXED, SAME_INSTRUCTIONS
+from harness.run.cache import COMPILED_VARIABLE, compiled_once
+from harness.run.engines import Inline
+from harness.run.environment import CACHE_VARIABLE, FIXED, SAME_INSTRUCTIONS
 from harness.run.processes import NAME, fresh_processes
 from harness.run.signals import STOPS, stop_cleanly, stops_wait
 
@@ -38,12 +40,42 @@ def test_nothing_of_them_is_left(tmp_path: Path) -> None:
             process.join()
             told = json.loads((tmp_path / "told").read_text())
             assert told["XLA_FLAGS"] == (SAME_INSTRUCTIONS if deterministic else FIXED)["XLA_FLAGS"]
-            folders.add(told["JAX_COMPILATION_CACHE_DIR"])
-            assert Path(told["JAX_COMPILATION_CACHE_DIR"]).is_dir()
+            folders.add(told["TMPDIR"])
         assert psutil.Process().children(recursive=True) == [_resource_tracker()]
         assert os.environ == before
     assert len(folders) == 2
     assert not any(map(os.path.exists, folders))
+
+
+def test_what_one_process_compiles_the_next_run_loads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(COMPILED_VARIABLE, raising=False)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    before = {*os.environ}
+    loaded = []
+    for _ in range(2):
+        with fresh_processes("harness.judge.results") as context:
+            process = context.Process(name=NAME, target=_compile, args=(tmp_path / "told",))  # type: ignore[attr-defined]
+            process.start()
+            process.join()
+        loaded.append((tmp_path / "told").read_text())
+    assert loaded == ["False", "True"]
+    with Inline():
+        assert os.environ[COMPILED_VARIABLE] == str(*(tmp_path / "cache").iterdir())
+    assert {*os.environ} == before
+    monkeypatch.setenv(COMPILED_VARIABLE, "mine")
+    assert compiled_once()[COMPILED_VARIABLE] == "mine"
+
+
+def test_where_the_cache_cannot_be_written_to_a_run_compiles_for_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(COMPILED_VARIABLE, raising=False)
+    (tmp_path / "cache").write_text("a file")
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    assert compiled_once(tmp_path / "spare")[COMPILED_VARIABLE] == str(tmp_path / "spare")
+    assert compiled_once() == {}
 
 
 @pytest.fixture
@@ -108,6 +140,16 @@ def test_what_is_ignored_stays_so_while_stops_wait() -> None:
     with pytest.raises(KeyboardInterrupt), stops_wait():
         came += [signal.raise_signal(signal.SIGINT) for _ in range(2)]
     assert len(came) == 2
+
+
+def _compile(file: Path) -> None:
+    """Tell whether a program was loaded that an earlier process had compiled."""
+    import jax
+
+    loaded = list[str]()
+    jax.monitoring.register_event_listener(lambda event, **_: loaded.append(event))
+    jax.jit(lambda x: x * 3 + 1)(2.0)
+    file.write_text(str("/jax/compilation_cache/cache_hits" in loaded))
 
 
 def _tell(file: Path) -> None:

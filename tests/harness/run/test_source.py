@@ -109,9 +109,9 @@ def test_what_is_edited_counts_from_the_next_run_on_and_for_its_own_cells(copy: 
     assert process.returncode == 0, told
     assert "2 cells to run, 1 kept from before" in told
     (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n\nEDITED = 1\n")
-    told, _ = (process := start(copy, *more)).communicate(timeout=120)
+    told, _ = (process := start(copy, *more, "--plan")).communicate(timeout=120)
     assert process.returncode == 0, told
-    assert "1 cells to run, 2 kept from before" in told
+    assert "3 cells: 2 kept from before, in run; 0 of a baseline; 1 to run" in told
 
 
 def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,8 @@ from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import BadInput
 from harness.run import processes
 from harness.run.codec import decode
+from harness.run.engines import Job
+from harness.run.isolated import Isolated
 from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parents[1]
@@ -167,6 +169,18 @@ def test_where_no_process_can_be_started_cells_fail_and_the_run_ends(
     monkeypatch.setattr(processes._Popen, "_launch", refuse)
     expected = "no expert: its process could not be started: BlockingIOError: [Errno 11] Resource temp"
     assert reason(run()["good"]).startswith(expected)
+
+
+def test_a_server_that_is_killed_as_it_starts_is_told_in_plain_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "killed.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    with Isolated(1, work="fake_cells", preload="killed") as engine:
+        engine.start(Job((Cell("cartpole", "bc", 0),), False, CONDITIONS, ""))
+        ((_, outcome),) = engine.finished()
+    said = "its process could not be started: the process that it is forked from was killed (out of memory?)"
+    assert (outcome.error, outcome.lost) == (said, True)
 
 
 def test_where_not_even_the_server_can_be_started_one_line_says_so(
