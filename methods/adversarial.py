@@ -21,7 +21,7 @@ import torch
 from torch.nn.functional import softplus
 
 from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Transitions, World, seen_by_both
-from methods.network import ADAM, squared_slope, standardiser
+from methods.network import ADAM, Contrast, contrast, standardiser
 from methods.rewards import MeanReward
 from methods.visits import sample
 
@@ -60,7 +60,7 @@ class Game:
     latest: int = 3000
     """Steps of the agent, its last, that are sampled from; an agent that learns by PPO remembers fewer."""
     slope_penalty: float = 1.0
-    """Weight of the reward's mean squared slope between the two (`slope_among_living`), observations being
+    """Weight of the reward's mean squared slope between the two (`contrast_among_living`), observations being
     standardised."""
     averaged: int = 20
     """Latest rewards, by default all, of whose mean the agent learns at the end."""
@@ -121,23 +121,23 @@ class Discriminator:
         nothing."""
         for _ in range(self.game.reward_steps):
             d, e = (sample(visits, self.game.batch, rng) for visits in (shown, own))
-            errors = softplus(-self.logit(d)).mean() + softplus(self.logit(e)).mean()
-            loss = errors + self.game.slope_penalty * slope_among_living(self.logit, d, e, self.generator)
+            said = contrast_among_living(self.logit, d, e, self.generator)
+            errors = softplus(-said.a).mean() + softplus(said.b).mean()
+            loss = errors + self.game.slope_penalty * said.squared_slope
             self.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
         return errors.item()
 
 
-def slope_among_living(
+def contrast_among_living(
     network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
-) -> torch.Tensor:
-    """`squared_slope` between rows of a (B, K) and b (B, K), whose last entry is the absorbing indicator,
-    where both are of living steps, one that ends being one; 0 where none are. The absorbing state is beside
-    no other: were the slope on all the way there penalised too, it would pay almost what the mean of
-    observations does, and an end more than a fall. Slopes are along the indicators as well; without that,
-    rewards retrained worse on the swing-up (`docs/tuning.md`)."""
-    living = (a[:, -1] == 0) & (b[:, -1] == 0)
-    if not living.any():
-        return torch.zeros(())
-    return squared_slope(network, a[living], b[living], generator)
+) -> Contrast:
+    """Return the contrast of rows a (B, K) and b (B, K), whose last entry is the absorbing indicator. Its
+    slope is between those pairs alone of which both are living steps, one that ends being one.
+
+    The absorbing state is beside no other: were the slope on all the way there penalised too, it would pay
+    almost what the mean of observations does, and an end more than a fall. Slopes are along the indicators as
+    well; without that, rewards retrained worse on the swing-up (`docs/tuning.md`).
+    """
+    return contrast(network, a, b, generator, (a[:, -1] == 0) & (b[:, -1] == 0))

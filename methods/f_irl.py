@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from envs.spec import Model
-from methods.adversarial import Game, Turn, slope_among_living
+from methods.adversarial import Game, Turn, contrast_among_living
 from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Transitions, World
 from methods.network import ADAM, mlp
 from methods.rewards import NetworkReward
@@ -67,11 +67,12 @@ class FIRL(Game):
             weighted = weigh(each, logit)
             for _ in range(self.reward_steps):
                 rows = sample(weighted, self.batch, rng)
-                gain = (rows[:, -1:] * network(rows[:, :-1])).mean()
                 a, b = rows[:, :-1].chunk(2)
-                loss = 0.5 * self.slope_penalty * slope_among_living(network, a, b, generator) - gain
+                said = contrast_among_living(network, a, b, generator)
+                gain = (rows[:, -1:] * torch.cat([said.a, said.b])).mean()
+                loss = 0.5 * self.slope_penalty * said.squared_slope - gain
                 optimizer.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
             return turn()
 

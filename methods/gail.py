@@ -12,7 +12,7 @@ Swamy et al. 2021).
 
 Deviates from the papers: the gradient penalty is on the discriminator's squared slope, without the target of
 1 that Kostrikov et al. have from Gulrajani et al. 2017, and among living steps alone
-(`methods.adversarial.slope_among_living`).
+(`methods.adversarial.contrast_among_living`).
 """
 
 from __future__ import annotations

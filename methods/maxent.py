@@ -30,7 +30,7 @@ import torch
 
 from envs.spec import Model
 from methods.base import Array, Episodes, Learned, World, seen_by_both
-from methods.network import ADAM, Network, mlp, squared_slope, standardiser
+from methods.network import ADAM, Network, contrast, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, StateReward, deterred, paid
 from methods.tabular import finite_soft_value_iteration, state_visitations
 from methods.visits import demonstrated, sample, visitations
@@ -113,10 +113,11 @@ class MaxEnt:
             for _ in range(self.reward_steps):
                 expected = visits_policy[int(rng.integers(len(visits_policy)))]
                 d, e = (sample(v, self.batch, rng) for v in (visits_demo, expected))
-                gap = network(d).mean() - network(e).mean()
-                loss = 0.5 * self.slope_prior * squared_slope(network, d, e, generator) - gap
+                said = contrast(network, d, e, generator)
+                gap = said.a.mean() - said.b.mean()
+                loss = 0.5 * self.slope_prior * said.squared_slope - gap
                 optimizer.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
             gaps.append(gap.item())
             reward = NetworkReward.of(network, mean, std, actions=self.actions)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -194,17 +194,34 @@ def standardiser(x: Array) -> tuple[Array, Array]:
     return x.mean(axis=0), np.where(std > 1e-8, std, 1.0)
 
 
-def squared_slope(
-    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
-) -> torch.Tensor:
-    """The network's mean squared slope between rows of a (B, K) and of b (B, K), |gradient|^2 on average over
-    places there, by differences over `NEAR` in random directions (Gulrajani et al. 2017 penalise what it is
-    more than 1)."""
+class Contrast(NamedTuple):
+    """What a network says of two batches of rows, (B, 1) each, and its mean squared slope between them."""
+
+    a: torch.Tensor
+    b: torch.Tensor
+    squared_slope: torch.Tensor
+
+
+def contrast(
+    network: torch.nn.Module,
+    a: torch.Tensor,
+    b: torch.Tensor,
+    generator: torch.Generator,
+    among: torch.Tensor | None = None,
+) -> Contrast:
+    """Return what a network says of rows a (B, K) and b (B, K), and its slope between each two of them.
+
+    The slope is |gradient|^2 on average over places there, by differences over `NEAR` in random directions
+    (Gulrajani et al. 2017 penalise what it is more than 1). among (B,): which of the pairs count for it, by
+    default all; 0 where none does. One pass of the network answers all.
+    """
     share = torch.rand(len(a), 1, generator=generator)
-    middle, step = share * a + (1 - share) * b, NEAR * torch.randn(a.shape, generator=generator)
-    before, after = network(torch.cat([middle - step / 2, middle + step / 2])).chunk(2)
-    slopes: torch.Tensor = (after - before) / NEAR
-    return slopes.square().mean()
+    middle, step = share * a + (1 - share) * b, NEAR / 2 * torch.randn(a.shape, generator=generator)
+    of_a, of_b, before, after = network(torch.cat([a, b, middle - step, middle + step])).chunk(4)
+    slopes = ((after - before) / NEAR).square()[:, 0]
+    if among is None:
+        return Contrast(of_a, of_b, slopes.mean())
+    return Contrast(of_a, of_b, (slopes * among).sum() / among.sum().clamp(min=1))
 
 
 def descend(

@@ -1,11 +1,13 @@
 """What the games of adversarial methods share."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from methods.adversarial import Game, slope_among_living
-from methods.network import mlp, squared_slope
+from methods.adversarial import Game, contrast_among_living
+from methods.network import contrast, mlp
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 
@@ -42,9 +44,16 @@ def test_the_slope_is_among_the_living() -> None:
 
     a, b = torch.rand(6, 4), torch.rand(6, 4)
     a[:, -1] = b[:, -1] = 0
-    found = slope_among_living(network, a, b, generator())  # type: ignore[arg-type]
-    assert found == squared_slope(network, a, b, generator())  # type: ignore[arg-type]
-    more = torch.tensor([[0.0, 0, 0, 1], [9.0, 9, 9, 0]])
-    mixed = slope_among_living(network, torch.cat([a, more]), torch.cat([b, more.flip(0)]), generator())  # type: ignore[arg-type]
-    assert mixed == found
-    assert slope_among_living(network, more[:1], more[1:], generator()) == 0  # type: ignore[arg-type]
+    found: Any = contrast_among_living(network, a, b, generator())  # type: ignore[arg-type]
+    every: Any = contrast(network, a, b, generator())  # type: ignore[arg-type]
+    assert found.squared_slope == pytest.approx(every.squared_slope)
+    # Between these two, one of the absorbing state, the slope would be large, and does not count.
+    there, far = torch.tensor([0.0, 0, 0, 1]).expand(6, 4), torch.tensor([9.0, 9, 9, 0]).expand(6, 4)
+    mixed: Any = contrast_among_living(
+        network,  # type: ignore[arg-type]
+        torch.cat([a, there]),
+        torch.cat([b, far]),
+        generator(),
+    )
+    assert mixed.squared_slope < 3 * found.squared_slope
+    assert contrast_among_living(network, there, far, generator()).squared_slope == 0  # type: ignore[arg-type]

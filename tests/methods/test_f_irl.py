@@ -149,7 +149,7 @@ def test_demonstrated_states_pay_more(world: Any) -> None:
     demos = Episodes(obs, tuple(np.zeros((20, 2)) for _ in obs), (False,) * 5)
     method = FIRL(iterations=3, averaged=1, reward_steps=100)
     learned = method.fit(demos, world, np.random.default_rng(0))
-    assert world.given == [{"soft": True}]
+    assert world.given == [{"kind": "stochastic"}]
     there, act = np.full((1, 3), 0.5), np.zeros((1, 2))
     assert learned.reward(there, act, there)[0] > learned.reward(-there, act, there)[0] + 0.3
     assert learned.reward(there, act, there) == learned.reward(there, act + 0.7, there)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from methods.network import Network, Regression, converge, descend, mlp, squared_slope, standardiser
+from methods.network import Network, Regression, contrast, converge, descend, mlp, standardiser
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -222,5 +222,6 @@ def test_however_many_rows_there_are_no_step_of_a_fit_sees_more_than_it_is_told(
 def test_slopes_are_those_of_the_network() -> None:
     slope = torch.tensor([[3.0, -4.0, 1.0]])
     a, b = torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0))
-    found = squared_slope(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))
-    assert float(found) == pytest.approx(26, rel=0.1)
+    found = contrast(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))  # type: ignore[arg-type]
+    assert float(found.squared_slope) == pytest.approx(26, rel=0.1)
+    torch.testing.assert_close(torch.cat([found.a, found.b]), torch.cat([a, b]) @ slope.T + 7)
