@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 
 @dataclass(frozen=True)
@@ -121,20 +121,10 @@ SMALL_PPO = PPO(
     checkpoint_every=8192,
 )
 """PPO where some ten thousand steps are enough."""
+FEW_JOINTS = replace(SMALL_PPO, epochs=10, std=0.5, check_episodes=5)
+"""The same for MuJoCo's bodies of few joints."""
 
 Learner = DDPG | TD3 | SAC | DQN | PPO
-
-FEW_JOINTS = PPO(
-    learning_rate=1e-3,
-    final_learning_rate=0.0,
-    batch=256,
-    copies=32,
-    checkpoint_every=8192,
-    check_episodes=5,
-    std=0.5,
-    steps=64,
-)
-"""Settings for MuJoCo's bodies of few joints."""
 
 
 def soft(learner: Learner, discrete: bool) -> SAC | DQN:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -47,7 +47,7 @@ from envs.driving.scene import (
     in_line,
 )
 from envs.dynamics import Draws, namespace
-from envs.learners import DDPG, PPO
+from envs.learners import DDPG, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
@@ -380,15 +380,7 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000, rl=THESIS),
-    rl=PPO(
-        final_learning_rate=0.0,
-        learning_rate=1e-3,
-        batch=512,
-        copies=64,
-        steps=64,
-        epochs=6,
-        checkpoint_every=40_960,
-    ),
+    rl=replace(SMALL_PPO, copies=64, batch=512, checkpoint_every=40_960),
     ddpg=THESIS,
     kwargs={"physics": NOMINAL},
     batch=partial(HighwayBatch, physics=NOMINAL),

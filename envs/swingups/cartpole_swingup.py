@@ -8,7 +8,7 @@ observed as cosine and sine instead of as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, runge_kutta, why_ended
-from envs.learners import PPO
+from envs.learners import PPO, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
@@ -158,15 +158,7 @@ SPEC = EnvSpec(
         checkpoint_every=10_000,
         rl=PPO(final_learning_rate=5e-5),
     ),
-    rl=PPO(
-        copies=64,
-        steps=64,
-        batch=512,
-        epochs=8,
-        learning_rate=1e-3,
-        final_learning_rate=0.0,
-        checkpoint_every=20_480,
-    ),
+    rl=replace(SMALL_PPO, copies=64, checkpoint_every=40_960),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5)},
         "heavy": {"physics": Physics(pole_mass=0.5)},

@@ -243,7 +243,8 @@ def control(task: Task) -> Reward | None:
     def fitted(method: str, demos: Episodes) -> Learned:
         if task.cell.method == "control_clone" and "pi_star" in known:
             return Learned(known["pi_star"], None)
-        return learned_by(task, method, demos, task.world())
+        with task.during("fit"):
+            return learned_by(task, method, demos, task.world())
 
     rng, spec = task.rng("control"), task.spec
     return control_reward(task.cell.method, lambda: demonstrations(task), fitted, spec.random_actions, rng)
