@@ -1,8 +1,9 @@
 """The game that adversarial methods play: a reward is fitted to tell demonstrations from what an agent does,
 and the agent learns under it, in turn.
 
-What the agent does is read from its replay, steps in the absorbing state included, as in Discriminator-Actor-
-Critic (Kostrikov et al. 2019); where the model is known, from rollouts. Single iterates of either player
+What the agent does is read from what it remembers, steps in the absorbing state included, as in
+Discriminator-Actor-Critic (Kostrikov et al. 2019): of PPO that is its latest bout. Where the model is known,
+it is read from rollouts. Single iterates of either player
 swing widely. So one rule finds pi* for all these methods, without the true reward: once the game is over,
 reinforcement learning goes on under the mean of rewards, and its best checkpoint there is pi*. Of all,
 for it is a player's average over the whole game that converges, and early rewards say what is wrong with

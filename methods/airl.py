@@ -11,10 +11,10 @@ Where the policy is the best one under f and its entropy, g sees states alone, t
 true reward does, and the dynamics are deterministic and link states in every way ("decomposable"), g is the
 true reward up to a constant (the paper's appendix C). Where the model is known (`known`) it is.
 
-Deviates from the paper: off-policy, as Discriminator-Actor-Critic (Kostrikov et al. 2019); the agent is paid
-f and, instead of -log pi, the entropy that soft actor-critic adds with a weight of its own (Q-learning none),
-so what the theorem asks for is not met; densities count within bounds, for an agent that is sure of itself
-would say all there is to tell; the logit has a penalty on its slope, along the absorbing indicators too, and
+Deviates from the paper: an agent that learns by PPO is paid f - log pi, but one by soft actor-critic f and
+entropy by a weight of its own (Q-learning none), so what the theorem asks for is not met there; in the
+discriminator densities count within bounds, for an agent that is sure of itself would say all there is to
+tell; the logit has a penalty on its slope, along the absorbing indicators too, and
 so on the level of h; R* is the mean of all g, for single ones swing, and pi* comes of reinforcement
 learning on that (`methods.adversarial`).
 """

@@ -1,5 +1,5 @@
-"""Generative adversarial imitation learning (Ho & Ermon 2016), off-policy and with a learned reward of the
-absorbing state, as Discriminator-Actor-Critic (Kostrikov et al. 2019).
+"""Generative adversarial imitation learning (Ho & Ermon 2016), with a learned reward of the absorbing state,
+as Discriminator-Actor-Critic (Kostrikov et al. 2019).
 
 A discriminator D of steps is fitted to tell demonstrations from what the agent does, and the agent is paid
 its logit. At best that is the logarithm of the ratio of the two densities.
