@@ -27,10 +27,8 @@ SMOKE_RANKS = {"rollouts": 2, "comparisons": 200, "reward_steps": 50, "networks"
 
 SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, Any]]] = [
     (("maxmargin_projection",), ANY, ANY, {"projection": True}),
-    (MAXMARGIN, ANY, ("quick",), {"iterations": 10}),
     (MAXMARGIN, ("gridworld",), ANY, {"iterations": 30}),
     (("maxent_state",), ANY, ANY, {"actions": False}),
-    (MAXENT, ANY, ("quick",), {"iterations": 10}),
     (MAXENT, ("gridworld",), ANY, {"iterations": 300, "learning_rate": 1e-2}),
     ((*ITERATIVE, *GAMES, "maxent_linear"), ANY, ("smoke",), SMOKE_RL),
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
