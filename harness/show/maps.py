@@ -112,19 +112,17 @@ def _dynamics(
     place: Callable[[Array], Sequence[Array]],
 ) -> Plane:
     """Of a task whose dynamics are written down. at: which entries of its state the axes are."""
-    from envs.balancing.cartpole import NOMINAL
-
-    physics = spec.kwargs.get("physics", NOMINAL)
+    physics = spec.kwargs["physics"]
 
     def step(where: Array, policy: Policy) -> tuple[Array, Array, Array, Array]:
         state = np.zeros((len(physics.start(np.random.default_rng(0))), where.shape[1]))
         state[list(at)] = where
         before = np.asarray(physics.observe(state)).T
         act = np.array(spec.executed(policy(before.copy("K"))))
-        pushed = act[:, 1:] - act[:, :1] if spec.discrete else act
-        after = physics.advance(state, pushed.T.astype(np.float32))
-        true = np.ones(len(act)) if spec.discrete else physics.pay(state, pushed.T.astype(np.float32), after)
-        return before, act, np.asarray(physics.observe(after)).T, np.broadcast_to(true, len(act))
+        given = act.T.astype(np.float32)
+        after = physics.advance(state, given)
+        true = np.broadcast_to(physics.pay(state, given, after), len(act))
+        return before, act, np.asarray(physics.observe(after)).T, true
 
     return Plane(names, (-reach[0], -reach[1]), reach, step, place)
 

@@ -330,7 +330,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "one bound": ({"act": spaces.Box(np.array([0, -np.inf]), 1, dtype=np.float64)}, "a bounded box, not"),
     "a matrix": ({"act": spaces.Box(-1, 1, (2, 2))}, "a bounded box, not"),
     "a number": ({"act": spaces.Box(-1, 1, ())}, "a bounded box, not"),
-    "no action": ({"act": spaces.Box(-1, 1, (0,))}, "sizes, horizon, steps and episodes must be positive"),
+    "no action": (
+        {"act": spaces.Box(-1, 1, (0,))},
+        "sizes, horizon, steps, solves and episodes must be positive",
+    ),
     "many choices": ({"act": spaces.MultiDiscrete([2, 3])}, "a bounded box, not"),
     "no limit": ({"limit": None}, "no time limit"),
     "NaN at first": ({"observe": at(0, NAN, steady)}, "gives nan as observation 1 after step 0"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from envs.learners import DDPG, SAC, Learner
+from envs.learners import DDPG, DQN, SAC, Learner
 from harness.learn.rl import Agent
 from harness.learn.training_env import REWARD_SIZE, Demonstrated, Replay, TrainingEnv
 from harness.registry import LIBRARIES, PROTOCOLS, SPECS, Library
@@ -162,7 +162,7 @@ def test_paid_for_demonstrated_steps_alone_it_learns_to_do_them(steady: EnvSpec,
 
 
 def test_choices_are_demonstrated_as_the_library_takes_them() -> None:
-    spec = SPECS["cartpole_discrete"]
+    spec = dataclasses.replace(SPECS["cartpole_discrete"], rl=DQN())
     obs = rng().normal(0, 0.01, (31, spec.obs_size))
     right = np.tile(np.eye(2)[1], (30, 1))
     demos = Episodes((obs,), (right,), (True,))

@@ -144,8 +144,11 @@ def test_what_is_told_is_chosen_by_the_users_environment_and_not_that_of_cells(
 ) -> None:
     class Clean(Scripted):
         def __enter__(self) -> Self:
+            super().__enter__()
             monkeypatch.delenv("NO_COLOR")
             return self
+
+        def __exit__(self, *error: object) -> None: ...
 
     seen: list[bool] = []
 
