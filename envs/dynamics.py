@@ -15,7 +15,7 @@ from envs.spec import Array
 
 
 class Draws(Protocol):
-    """A source of first states: NumPy's generator, or one with the same methods."""
+    """A source of first states: NumPy's generator, or one with the same methods, to be asked once."""
 
     def uniform(self, low: Any, high: Any) -> Any:
         """(S,): uniform between bounds (S,)."""

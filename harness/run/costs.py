@@ -10,7 +10,10 @@ from typing import Annotated
 
 import msgspec
 
-from harness.judge.results import ALL_SHOWN, Conditions, takes_one_solve
+from envs import EnvSpec
+from envs.dynamics import Dynamics
+from envs.learners import PPO
+from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
 from harness.run import plugins
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
@@ -23,11 +26,12 @@ SOLVE = ", a solve"
 """End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
 SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""
-BEGINNING, STEPS_PER_SECOND = 5.0, 1200.0
-"""Seconds that a job takes besides RL, and RL's steps: what a first guess goes by. At full it is 30, 38, 55
-and 30 s for a cell of cart-pole, pendulum, highway and the swing-up; the medians in results/reference are
-26, 45, 49 and 43."""
-
+FIT, REST = 8.0, 2.0
+"""Seconds of a method's fit besides its RL, which is taken to be one solve, and of all else of a cell."""
+COMPILED, STEPPED, REPLAYED = 30_000.0, 8_000.0, 1_200.0
+"""RL's steps a second: by PPO where dynamics are written down, by PPO elsewhere, and by other learners. On
+two cores of an AMD EPYC a cell of a method, at quick, takes 9 to 29 s on cart-pole and 28 to 40 s on highway;
+a first guess by these is 15 and 35."""
 
 Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
@@ -102,9 +106,21 @@ class Costs:
             task = plugins.task(env)
             steps = (task.rl_steps if c.learner == "own" else task.ddpg_steps)[c.budget]
         except Exception:  # as in `solves`
-            return BEGINNING, 0.0
-        took = steps / STEPS_PER_SECOND
-        return (BEGINNING + 0.1 * took, 0.0) if job.shared else (BEGINNING, took)
+            return FIT, 0.0
+        took = steps / (_rate(task) if c.learner == "own" else REPLAYED)
+        if job.shared:
+            return REST + 0.1 * took, 0.0
+        cell = job.cells[0]
+        if cell.method == REFERENCE:
+            return REST, 0.0
+        return (REST if cell.method in CONTROLS else REST + FIT + took), took
+
+
+def _rate(task: plugins.Offer | EnvSpec) -> float:
+    """Return about how many steps RL takes in a second there."""
+    if not isinstance(task, EnvSpec) or not isinstance(task.rl, PPO):
+        return REPLAYED
+    return COMPILED if isinstance(task.kwargs.get("physics"), Dynamics) else STEPPED
 
 
 def name_of(job: Job) -> str:

@@ -3,11 +3,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from methods.base import Array
 from methods.network import Network
-from methods.stochastic import LARGEST, LOG_STD, EpsilonGreedy, SquashedGaussian
+from methods.stochastic import LARGEST, LOG_STD, EpsilonGreedy, Gaussian, Softmax, SquashedGaussian
 
 
 def gaussian(*entries: float) -> SquashedGaussian:
@@ -107,3 +108,25 @@ def test_a_share_of_choices_is_uniform() -> None:
     for choice in np.eye(3):
         logs = policy.log_prob(obs[::30_000], np.tile(choice, (2, 1)))
         np.testing.assert_allclose(np.exp(logs), shares @ choice, atol=0.01)
+
+
+def test_normal_actions_have_their_density_and_count_as_the_bound_beyond() -> None:
+    policy = Gaussian(lambda obs: obs, np.log([0.5, 0.1]))
+    obs = np.tile([[0.9, -0.2]], (20_000, 1))
+    act = policy.sample(obs, np.random.default_rng(0))
+    assert np.abs(act).max() == 1
+    np.testing.assert_allclose((act == 1).mean(axis=0), [norm.sf(0.1 / 0.5), 0], atol=0.02)
+    np.testing.assert_allclose(act[:, 1].std(), 0.1, rtol=0.02)
+    density = norm.logpdf(act, obs, [0.5, 0.1]).sum(axis=1)
+    np.testing.assert_allclose(policy.log_prob(obs, act), density)
+
+
+def test_choices_come_as_often_as_their_probability_says() -> None:
+    values = np.array([[0.0, 1.0, -1.0]])
+    policy = Softmax(lambda obs: np.tile(values, (len(obs), 1)))
+    obs = np.zeros((20_000, 1))
+    act = policy.sample(obs, np.random.default_rng(0))
+    assert (act.sum(axis=1) == 1).all()
+    chances = np.exp(policy.log_prob(obs[:3], np.eye(3)))
+    np.testing.assert_allclose(chances, np.exp(values[0]) / np.exp(values[0]).sum())
+    np.testing.assert_allclose(act.mean(axis=0), chances, atol=0.01)

@@ -12,12 +12,14 @@ from envs import EnvSpec
 from envs.driving import highway
 from envs.learners import PPO
 from harness.learn import ppo
-from harness.learn.on_policy import OnPolicy, dynamics_of
+from harness.learn.on_policy import REWARD_SIZE, OnPolicy, dynamics_of
 from harness.learn.ppo import Kind
 from harness.learn.rl import Agent
 from harness.learn.training_env import TrainingEnv
 from harness.registry import SPECS
-from methods.base import Array, Transitions
+from methods.base import ABSORBING_STEPS, Array, Transitions
+from methods.rewards import Constant
+from methods.stochastic import Gaussian, Softmax
 
 SMALL = PPO(copies=4, steps=600, batch=600, epochs=1, net=(8,))
 
@@ -121,3 +123,54 @@ def test_the_bits_of_a_solve_depend_on_its_seed_alone() -> None:
 
     first, other, again = curve(100), curve(101), curve(100)
     assert first == again != other
+
+
+def paid_with(entropy: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Array, Array, OnPolicy]:
+    """What steps of the swing-up paid for the entropy of actions (N,), the logarithm of their density, and
+    the agent after a bout."""
+    learned_on: list[tuple[Array, Array]] = []
+    ours = ppo.functions
+
+    def watched(kind: ppo.Kind) -> ppo.Functions:
+        def learn(state: Any, steps: ppo.Steps, rewards: Array, *given: Any) -> Any:
+            learned_on.append((rewards, np.asarray(steps.log_prob)))
+            return ours(kind).learn(state, steps, rewards, *given)
+
+        return ours(kind)._replace(learn=learn)
+
+    monkeypatch.setattr(ppo, "functions", watched)
+    env = TrainingEnv(SPECS["swingup"], "absorbing", np.random.default_rng(0), SMALL.copies)
+    env.reward = Constant(0.0, 0.0)
+    agent = OnPolicy(env, SMALL, 0)
+    agent.learn(SMALL.unit, lambda progress: 1e-3, lambda taken: None, entropy)
+    ((rewards, log_prob),) = learned_on
+    return rewards.ravel(), log_prob.ravel(), agent
+
+
+def test_entropy_pays_what_it_is_above_that_of_uniform_actions(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing, _, _ = paid_with(0.0, monkeypatch)
+    assert (nothing == 0).all()
+    rewards, log_prob, agent = paid_with(0.5, monkeypatch)
+    own = -0.5 * (log_prob + np.log(2))
+    np.testing.assert_allclose(rewards, own * REWARD_SIZE / np.abs(own).mean(), rtol=1e-4)
+    # It would explore more and more for that.
+    behaviour = agent.behaviour
+    assert isinstance(behaviour, Gaussian)
+    assert behaviour.log_std <= 0
+
+
+def test_it_tells_its_latest_steps_and_what_it_draws_from() -> None:
+    agent = Agent(SPECS["cartpole"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
+    agent.learn(2 * SMALL.unit, None)
+    seen = agent.replay()
+    ends = int((seen.next_absorbing & ~seen.absorbing).sum())
+    assert len(seen) == SMALL.unit + ABSORBING_STEPS * ends
+    assert seen.absorbing.sum() == ABSORBING_STEPS * ends > 0
+    assert isinstance(agent.behaviour, Gaussian)
+    native = Agent(SPECS["cartpole"], "native", np.random.default_rng(0), "sbx", SMALL)
+    native.learn(SMALL.unit, None)
+    assert len(native.replay()) == SMALL.unit
+    choosing = Agent(SPECS["cartpole_discrete"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
+    choosing.learn(SMALL.unit, None)
+    assert isinstance(choosing.behaviour, Softmax)
+    assert set(choosing.replay().act.ravel()) == {0.0, 1.0}

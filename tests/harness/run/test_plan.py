@@ -96,7 +96,7 @@ def test_what_a_solve_took_is_known_for_any_number_of_them() -> None:
     job = Job(tuple(cells("gail", 1)), False, CONDITIONS, "")
     three, five = (Costs(dataclasses.replace(CONDITIONS, solves=solves)) for solves in (3, 5))
     one_more = (five.of(job) - three.of(job)) / 2
-    assert one_more == pytest.approx(SPECS["cartpole"].rl_steps["smoke"] / costs.STEPS_PER_SECOND)
+    assert one_more == pytest.approx(SPECS["cartpole"].rl_steps["smoke"] / costs.COMPILED)
     three.note(job, 30.0, 12.0)
     three.keep()
     known = Costs(dataclasses.replace(CONDITIONS, solves=5))
