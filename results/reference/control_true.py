@@ -1,0 +1,46 @@
+"""Solve tasks under the true reward, as `control_true` does at budget full, on tuning seeds.
+
+python results/reference/control_true.py TASKS FILE: a line for each task and seed, appended to a CSV file.
+score: 0 the random policy, 1 the seed's expert, on the seed's 100 evaluation episodes; under other dynamics,
+1 is that expert's return in the task's own. seconds: processor time of the solve with its checks, in one
+process one after the other; the first of a task may compile.
+"""
+
+import csv
+import sys
+import time
+
+import numpy as np
+
+from harness.judge.evaluation import evaluate
+from harness.judge.results import Conditions
+from harness.learn.seeds import evaluation_seeds, rng_for
+from harness.learn.world import solver_for
+from harness.registry import SPECS
+from harness.run.experts import expert_for
+
+SEEDS = range(100, 120)
+CONDITIONS = Conditions("full", "absorbing", "sbx")
+
+
+def line(env: str, seed: int) -> list[str]:
+    """Return the line of one solve."""
+    name, _, dynamics = env.partition(".")
+    spec = SPECS[name].variant(dynamics) if dynamics else SPECS[name]
+    seeds, random = evaluation_seeds(seed, 100), np.random.default_rng(seed)
+    steps, started = spec.rl_steps["full"], time.process_time()
+    solver = solver_for(spec, "absorbing", rng_for(seed, env, "control_true", "pi_R 0"), "sbx")
+    found = solver.solve(None, steps).policy
+    took = time.process_time() - started
+    expert = expert_for(name, seed, CONDITIONS).policy
+    least = evaluate(spec, lambda obs: spec.random_actions(len(obs), random), seeds).returns.mean()
+    most = evaluate(SPECS[name], expert, seeds).returns.mean()
+    score = (evaluate(spec, found, seeds).returns.mean() - least) / (most - least)
+    return [env, str(steps), str(seed), f"{score:.3f}", f"{took:.1f}"]
+
+
+tasks, path = sys.argv[1:]
+for task in tasks.split(","):
+    for seed in SEEDS:
+        with open(path, "a", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerow(line(task, seed))
