@@ -16,6 +16,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from methods.base import Array
+from methods.soap import Soap
 
 torch.set_num_threads(1)
 
@@ -226,21 +227,18 @@ def contrast(
 
 def descend(
     loss: Callable[..., torch.Tensor],
-    networks: Sequence[torch.nn.Module],
+    optimizer: torch.optim.Optimizer,
     data: Sequence[Array],
-    learning_rate: float,
     steps: int,
     batch: int,
     rng: np.random.Generator,
     points: int = 100,
 ) -> list[float]:
-    """Adam on `loss(*minibatch)` with a learning rate that falls to 0 by a half cosine.
+    """Minimise `loss(*minibatch)`, at a rate that falls from the optimizer's to 0 by a half cosine.
 
     data: arrays of equal length. Returns the mean loss of each of `points` equal stretches.
     """
     tensors = [torch.as_tensor(array, dtype=torch.float32) for array in data]
-    parameters = [p for network in networks for p in network.parameters()]
-    optimizer = torch.optim.Adam(parameters, learning_rate, **ADAM)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     values = np.zeros(steps)
     for step in range(steps):
@@ -254,54 +252,16 @@ def descend(
     return [float(stretch.mean()) for stretch in np.array_split(values, min(points, steps))]
 
 
-def converge(
-    loss: Callable[..., torch.Tensor],
-    networks: Sequence[torch.nn.Module],
-    data: Sequence[Array],
-    iterations: int,
-) -> float:
-    """L-BFGS with a strong-Wolfe line search on `loss(*data)`, all rows at once: what minibatches leave
-    undone on a small network. Returns the final loss."""
-    tensors = [torch.as_tensor(array, dtype=torch.float32) for array in data]
-    optimizer = torch.optim.LBFGS(
-        [p for network in networks for p in network.parameters()],
-        max_iter=iterations,
-        history_size=20,
-        tolerance_grad=0,
-        tolerance_change=0,
-        line_search_fn="strong_wolfe",
-    )
-
-    def closure() -> torch.Tensor:
-        optimizer.zero_grad()
-        value = loss(*tensors)
-        value.backward()  # type: ignore[no-untyped-call]
-        return value
-
-    optimizer.step(closure)  # type: ignore[no-untyped-call]
-    with torch.no_grad():
-        return float(loss(*tensors))
-
-
 @dataclass(frozen=True)
 class Regression:
-    """Hyper-parameters of fits to demonstrations: Adam; then L-BFGS on some rows, for the last percent of the
-    error decides where a cloned balancer drifts to; then a little of it on all rows, or a great many."""
+    """Hyper-parameters of fits to demonstrations, by SOAP."""
 
-    learning_rate: float = 3e-3
-    """Of Adam."""
-    batch: int = 256
-    """Rows of each of Adam's steps."""
-    steps: int = 1000
-    """Of Adam."""
-    iterations: int = 1000
-    """Of L-BFGS."""
-    sample: int = 8192
-    """Rows that L-BFGS sees, but for its last iterations."""
-    final_iterations: int = 50
-    """Of L-BFGS on more rows, where there are more."""
-    final_sample: int = 131_072
-    """Rows that those see, at most."""
+    learning_rate: float = 1e-2
+    """At the start; it falls to 0."""
+    batch: int = 512
+    """Rows of each step."""
+    steps: int = 2000
+    """Of SOAP."""
 
     def minimise(
         self,
@@ -309,16 +269,9 @@ class Regression:
         networks: Sequence[torch.nn.Module],
         data: Sequence[Array],
         rng: np.random.Generator,
+        shares: Sequence[float] | None = None,
     ) -> list[float]:
-        """Fit the networks' parameters to `data`, as in `descend`; the loss after each stretch of steps, and
-        at the end."""
-        curve = descend(loss, networks, data, self.learning_rate, self.steps, self.batch, rng)
-        count = len(data[0])
-        rows = rng.choice(count, min(self.sample, count), replace=False)
-        final = converge(loss, networks, [array[rows] for array in data], self.iterations)
-        if count > self.sample:
-            if count > self.final_sample:
-                rows = rng.choice(count, self.final_sample, replace=False)
-                data = [array[rows] for array in data]
-            final = converge(loss, networks, data, self.final_iterations)
-        return [*curve, final]
+        """Fit the networks' parameters to `data`, as in `descend`; the loss as it falls. shares: of each
+        network, what share of the learning rate is its own, by default all."""
+        rates = [self.learning_rate * share for share in shares or [1.0] * len(networks)]
+        return descend(loss, Soap(networks, rates), data, self.steps, self.batch, rng)

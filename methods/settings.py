@@ -20,8 +20,7 @@ BASES = {"methods.adversarial:Game": GAMES, "methods.network:Regression": ("bc",
 LARGE = ("halfcheetah", "hopper", "walker2d")
 """Environments whose experts the usual networks are too small to clone."""
 ANY: tuple[str, ...] = ()
-CLONE = {"steps": 10_000, "iterations": 100, "final_iterations": 100}
-SMOKE_CLONE = {"steps": 300, "iterations": 10}
+SMOKE_CLONE = {"steps": 200}
 SMOKE_RL = {"iterations": 1, "rollouts": 3}
 SMOKE_RANKS = {"rollouts": 2, "comparisons": 200, "reward_steps": 50, "networks": 2}
 
@@ -39,8 +38,8 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("csil",), ("halfcheetah",), ANY, {"layers": (128, 128)}),
     (("csil", "bc", "dagger", *SHAPED), ANY, ("smoke",), SMOKE_CLONE),
     (("dagger",), ANY, ("smoke",), {"rounds": 1, "rollouts": 2}),
-    (("bc", "dagger"), LARGE, ("quick", "full"), {"layers": (128, 128), **CLONE}),
-    (SHAPED, LARGE, ("quick", "full"), {"f_layers": (128, 128), **CLONE}),
+    (("bc", "dagger"), LARGE, ("quick", "full"), {"layers": (128, 128)}),
+    (SHAPED, LARGE, ("quick", "full"), {"f_layers": (128, 128)}),
     (("shaped_decay",), ANY, ANY, {"weight_decay": 1e-3}),
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
     (("shaped_ranked",), ("swingup", "cartpole_swingup"), ("quick", "full"), {"rl_rounds": 2}),

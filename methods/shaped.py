@@ -10,7 +10,7 @@ Deviates from the paper: f passes through tanh, for actions are bounded and R mu
 their range where there were no demonstrations; the auxiliary loss is squared, for the median that the
 absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
 standardised, and what is fitted is in units of the demonstrated actions' standard deviation, a hundredth of
-their range where an expert balances well; Adam and L-BFGS instead of RMSprop; L starts near 0, where
+their range where an expert balances well; SOAP instead of RMSprop; L starts near 0, where
 R is greatest, for what L is beyond the demonstrations nothing decides, and a large one makes life there worse
 than its end; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
@@ -28,6 +28,9 @@ from methods.network import Network, Regression, mlp, standardiser
 
 FIRST_L = 0.01
 """Size of the last weights of L at the start, of what torch draws."""
+SHARE_OF_L = 0.03
+"""Of the learning rate. Steps of L are as long however little it matters, and carry it away where no
+demonstration is."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,14 @@ class Shaped(Regression):
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             action = torch.tanh(unit * f(s))
             reward = shaped_reward(a, action, chol(s))
-            size = sum(p.square().sum() for p in parameters)
             error = ((a - action) / unit).square().sum(1).mean()
-            return error - reward.mean() / unit.square().mean() + self.weight_decay * size
+            total: torch.Tensor = error - reward.mean() / unit.square().mean()
+            if not self.weight_decay:
+                return total
+            return total + self.weight_decay * sum(p.square().sum() for p in parameters)
 
         data = ((obs - mean) / std, act)
-        curve = self.minimise(loss, [f, chol], data, rng)
+        curve = self.minimise(loss, [f, chol], data, rng, shares=[1.0, SHARE_OF_L])
         policy = Network.from_torch(f, mean, std, tanh=True).scaled(spread)
         reward = ShapedReward(policy, Network.from_torch(chol, mean, std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)

@@ -29,7 +29,7 @@ import torch
 from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, World, roughened
-from methods.network import descend, mlp, standardiser
+from methods.network import ADAM, descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
 from methods.visits import visitations
@@ -111,8 +111,9 @@ class ShapedRanked(Shaped):
                 ranked = softplus((r[1] - r[0]).sum(1)).mean()
                 return ranked + softplus(r[3] - r[2]).mean() if found else ranked
 
+            adam = torch.optim.Adam(network.parameters(), self.reward_rate, **ADAM)
             curves[f"ranking loss, network {i}"] = descend(
-                loss, [network], compared, self.reward_rate, self.reward_steps, self.reward_batch, rng
+                loss, adam, compared, self.reward_steps, self.reward_batch, rng
             )
             reward = NetworkReward.of(network, mean, std, bound=1.0, actions=False)
             least = min(float(paid(reward, episodes).min()) for episodes in ladder)

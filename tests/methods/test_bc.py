@@ -18,7 +18,7 @@ def expert(obs: Array) -> Array:
 def test_it_recovers_a_linear_expert_without_an_environment(
     no_environment: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
-    learned = BehaviourCloning(steps=600, iterations=300).fit(
+    learned = BehaviourCloning(steps=600).fit(
         demonstrate(expert, count=60), no_environment, np.random.default_rng(0)
     )
     obs = np.random.default_rng(9).uniform(-0.9, 0.9, (500, 3))
@@ -36,7 +36,7 @@ def test_the_units_of_observations_do_not_matter(
     units = np.array([1e-3, 1.0, 1e3])
     others = Episodes(tuple(obs * units + 5 * units for obs in demos.obs), demos.act, demos.terminated)
     one, other = (
-        BehaviourCloning(steps=100, iterations=50).fit(d, no_environment, np.random.default_rng(0)).policy
+        BehaviourCloning(steps=100).fit(d, no_environment, np.random.default_rng(0)).policy
         for d in (demos, others)
     )
     obs = demos.pairs()[0]

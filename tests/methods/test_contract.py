@@ -19,7 +19,7 @@ from methods.settings import settings_for
 from methods.sqil import SQIL
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
-FITS = {"steps": 40, "iterations": 10}
+FITS = {"steps": 40}
 MARGINS = {"iterations": 2, "rollouts": 3, "epsilon": -1.0}
 GAME = {"iterations": 2, "rollouts": 3, "reward_steps": 20}
 BRIEF: dict[str, dict[str, Any]] = {

@@ -16,7 +16,7 @@ from methods.settings import settings_for
 from methods.tabular import soft_policy, soft_value_iteration
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
-METHOD = CSIL(steps=200, iterations=20, places=100, rollouts=5)
+METHOD = CSIL(steps=200, places=100, rollouts=5)
 
 
 def wave(obs: Array) -> Array:

@@ -11,7 +11,7 @@ from methods.base import Array, Episodes, Policy
 from methods.bc import BehaviourCloning
 from methods.dagger import DAgger
 
-BRIEF: dict[str, Any] = {"steps": 300, "iterations": 100}
+BRIEF: dict[str, Any] = {"steps": 300}
 
 
 def test_it_does_what_the_expert_does_where_it_comes(finite_world: Any) -> None:

@@ -92,13 +92,13 @@ def test_the_regulators_advantage_is_what_an_action_costs_more_than_the_best() -
 
 def test_cloning_recovers_the_regulators_feedback() -> None:
     demos = REGULATOR.demonstrations(seed=0)
-    learned = BehaviourCloning(iterations=300).fit(demos, WORLD, np.random.default_rng(0))
+    learned = BehaviourCloning().fit(demos, WORLD, np.random.default_rng(0))
     error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
     assert error.mean() < 1e-3
     assert error.max() < 0.05
 
 
-@pytest.mark.parametrize("method", [BehaviourCloning(iterations=300), Shaped(iterations=400)])
+@pytest.mark.parametrize("method", [BehaviourCloning(), Shaped()])
 def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning | Shaped) -> None:
     demos = REGULATOR.demonstrations(seed=0)
     small = replace(demos, act=tuple(0.01 * act for act in demos.act))
@@ -108,7 +108,7 @@ def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning 
 
 @pytest.fixture(scope="module")
 def shaped() -> Learned:
-    method = Shaped(steps=600, iterations=150)
+    method = Shaped(steps=600)
     return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
 
 
@@ -144,7 +144,7 @@ def test_an_inverse_regulator_finds_the_hessian_of_a_cost_of_squares(seed: int) 
 
 @pytest.fixture(scope="module")
 def shaped_ml() -> Learned:
-    method = ShapedML(steps=600, iterations=150)
+    method = ShapedML(steps=600)
     return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
 
 
@@ -165,7 +165,7 @@ def test_it_explores_with_noise_of_the_size_that_it_says() -> None:
             seen.append(super().rollout(policy, episodes, rng))
             return seen[-1]
 
-    method = ShapedML(steps=50, iterations=5, rollouts=200, exploration=0.1)
+    method = ShapedML(steps=50, rollouts=200, exploration=0.1)
     learned = method.fit(
         REGULATOR.demonstrations(seed=0), Watched(REGULATOR.Q, REGULATOR.R), np.random.default_rng(0)
     )
@@ -186,7 +186,7 @@ def test_noise_in_demonstrations_tells_the_advantage_of_any_quadratic_cost() -> 
         return np.clip(regulator.expert(x) + rng.normal(size=(len(x), 2)) @ soft.T, -1, 1)
 
     demos, world = regulator.rollout(noisy, 400, rng), regulator
-    learned = ShapedML(steps=600, iterations=150).fit(demos, world, np.random.default_rng(0))
+    learned = ShapedML(steps=600).fit(demos, world, np.random.default_rng(0))
     assert correlation(learned, regulator) > 0.95
 
 

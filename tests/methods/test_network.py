@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from methods.network import Network, Regression, contrast, converge, descend, mlp, standardiser
+from methods.network import ADAM, Network, contrast, descend, mlp, standardiser
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -121,6 +121,10 @@ def test_standardised_columns_have_mean_0_and_deviation_1_or_0(x: np.ndarray) ->
     np.testing.assert_allclose(z.std(axis=0), varies, atol=1e-6)
 
 
+def adam(net: torch.nn.Module, rate: float) -> torch.optim.Optimizer:
+    return torch.optim.Adam(net.parameters(), rate, **ADAM)
+
+
 def fit(seed: int) -> tuple[Network, list[float]]:
     rng = np.random.default_rng(5)
     x = rng.uniform(-1, 1, (200, 3))
@@ -130,7 +134,7 @@ def fit(seed: int) -> tuple[Network, list[float]]:
     def loss(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         return (net(x) - y).square().mean()
 
-    curve = descend(loss, [net], (x, y), 1e-2, 600, 64, np.random.default_rng(seed), points=20)
+    curve = descend(loss, adam(net, 1e-2), (x, y), 600, 64, np.random.default_rng(seed), points=20)
     fitted = Network.from_torch(net, np.zeros(3), np.ones(3))
     assert np.abs(fitted(x) - y).max() < 0.1
     return fitted, curve
@@ -157,66 +161,10 @@ def test_descend_depends_on_its_generator_alone() -> None:
 def test_fewer_steps_than_points_give_one_value_a_step() -> None:
     net = layers()
     data = (np.ones((4, 3)),)
-    curve = descend(lambda x: net(x).square().mean(), [net], data, 0.0, 3, 2, np.random.default_rng(0))
+    curve = descend(lambda x: net(x).square().mean(), adam(net, 0.0), data, 3, 2, np.random.default_rng(0))
     expected = net(torch.ones(1, 3)).square().mean().item()
     assert curve == pytest.approx([expected] * 3)
     assert expected > 0
-
-
-def test_converge_finishes_what_minibatches_leave() -> None:
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(2000, 3))
-    y = np.sin(x @ [1.0, -2.0, 0.5])[:, None]
-    net = mlp(3, 32, 16, 1, generator=torch.Generator().manual_seed(0))
-
-    def loss(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        value: torch.Tensor = (net(x) - y).square().mean()
-        return value
-
-    left = np.mean(descend(loss, [net], (x, y), 3e-3, 1000, 256, rng)[-10:])
-    assert converge(loss, [net], (x, y), 100) < 0.3 * left
-
-
-def test_a_fit_to_a_sample_of_rows_ends_on_all_of_them() -> None:
-    x = np.arange(100.0)[:, None]
-
-    def fitted(final_iterations: int) -> tuple[float, list[float]]:
-        guess = torch.nn.Linear(1, 1)
-        guess.weight.data[:] = 0
-
-        def loss(x: torch.Tensor) -> torch.Tensor:
-            value: torch.Tensor = (guess(x) - x.square() / 100).square().mean()
-            return value
-
-        fit = Regression(1e-2, 8, 5, 50, sample=4, final_iterations=final_iterations)
-        curve = fit.minimise(loss, [guess], (x,), np.random.default_rng(0))
-        return float(loss(torch.as_tensor(x, dtype=torch.float32)).item()), curve
-
-    best = np.polyfit(x[:, 0], x[:, 0] ** 2 / 100, 1)
-    least = np.mean((np.polyval(best, x[:, 0]) - x[:, 0] ** 2 / 100) ** 2)
-    sampled, _ = fitted(1)
-    final, curve = fitted(50)
-    assert sampled > 1.01 * least
-    assert final == pytest.approx(least, rel=1e-3) == curve[-1]
-    assert len(curve) == 6
-
-
-def test_however_many_rows_there_are_no_step_of_a_fit_sees_more_than_it_is_told() -> None:
-    x = np.arange(300.0)[:, None]
-    guess = torch.nn.Linear(1, 1)
-    seen: list[torch.Tensor] = []
-
-    def loss(x: torch.Tensor) -> torch.Tensor:
-        seen.append(x)
-        value: torch.Tensor = (guess(x) - 1).square().mean()
-        return value
-
-    fit = Regression(1e-3, 8, 3, 2, sample=20, final_iterations=2, final_sample=50)
-    fit.minimise(loss, [guess], (x,), np.random.default_rng(0))
-    sizes = [len(rows) for rows in seen]
-    assert sizes == sorted(sizes)
-    assert set(sizes) == {8, 20, 50}
-    assert len(seen[-1].unique()) == 50
 
 
 def test_slopes_are_those_of_the_network() -> None:

@@ -78,7 +78,7 @@ def test_fit_recovers_a_linear_expert_without_an_environment(
     no_environment: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
     demos = demonstrate(expert, count=60)
-    learned = Shaped(steps=800, iterations=400).fit(demos, no_environment, np.random.default_rng(0))
+    learned = Shaped(steps=800).fit(demos, no_environment, np.random.default_rng(0))
     rng = np.random.default_rng(9)
     obs = rng.uniform(-0.9, 0.9, (500, 3))
     assert np.abs(learned.policy(obs) - expert(obs)).mean() < 0.03
@@ -98,7 +98,7 @@ def test_absorption_pays_what_uniform_actions_earn(
     no_environment: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
     demos = demonstrate(expert, count=60)
-    reward = Shaped(steps=300, iterations=100).fit(demos, no_environment, np.random.default_rng(0)).reward
+    reward = Shaped(steps=300).fit(demos, no_environment, np.random.default_rng(0)).reward
     assert reward is not None
     obs = np.tile(demos.pairs()[0], (20, 1))
     uniform = reward(obs, np.random.default_rng(1).uniform(-1, 1, (len(obs), 2)), obs)
@@ -111,7 +111,7 @@ def test_the_reward_far_from_the_demonstrations_is_no_cliff(
 ) -> None:
     demos = demonstrate(lambda obs: 0.5 * obs[:, :2], count=20)
     narrow = Episodes(tuple(1e-2 * obs for obs in demos.obs), demos.act, demos.terminated)
-    reward = Shaped(steps=300, iterations=20).fit(narrow, no_environment, np.random.default_rng(0)).reward
+    reward = Shaped(steps=300).fit(narrow, no_environment, np.random.default_rng(0)).reward
     assert isinstance(reward, ShapedReward)
     # Even a hundred of the demonstrations' spreads away L is smaller than the identity beside it.
     assert np.abs(reward.chol(100 * narrow.pairs()[0])).max() < 1

@@ -12,7 +12,7 @@ from methods.base import Array, Episodes
 from methods.shaped import Shaped
 from methods.shaped_ranked import ShapedRanked
 
-FITS: dict[str, Any] = {"steps": 40, "iterations": 10}
+FITS: dict[str, Any] = {"steps": 300}
 METHOD = ShapedRanked(**FITS, levels=(0.0, 0.5, 1.0), rollouts=10, reward_steps=200)
 
 

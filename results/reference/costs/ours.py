@@ -1,5 +1,5 @@
 """What the benchmark's methods cost until their policy scores 0.95 of the expert: the least of a few efforts,
-up to that of `full`, that does. Of a fit to demonstrations an effort is a share of its steps and iterations,
+up to that of `full`, that does. Of a fit to demonstrations an effort is a share of its steps,
 of the others it is how often they solve RL.
 
 From the root; prints a line: env, method, seed, reached, seconds, env_steps, check_steps, rl_solves, score.
@@ -33,11 +33,7 @@ def efforts(method: str, env: str) -> list[Any]:
     whole = load_method(method)(**settings_for(method, env, BUDGET))
     if not isinstance(whole, Regression):
         return [replace(whole, iterations=count) for count in range(1, whole.iterations + 1)]
-    names = ("steps", "iterations", "final_iterations")
-    return [
-        replace(whole, **{name: max(1, int(share * getattr(whole, name))) for name in names})
-        for share in SHARES
-    ]
+    return [replace(whole, steps=max(1, int(share * whole.steps))) for share in SHARES]
 
 
 if __name__ == "__main__":

@@ -175,7 +175,7 @@ def test_of_a_package_only_what_is_asked_for_is_imported(
     of_an_earlier_run = keys.cell_keys([cell], CONDITIONS, {})
     plugins.add([], ["bc,of_theirs"])
     assert keys.cell_keys([cell], CONDITIONS, {}) == of_an_earlier_run
-    assert plugins.settings_for("of_theirs", "swingup", "smoke") == {"iterations": 10}
+    assert plugins.settings_for("of_theirs", "swingup", "smoke") == {"steps": 200}
     with pytest.raises(BadInput, match="the method of_theirs_too cannot be loaded: RuntimeError: imported"):
         plugins.add([], ["of_theirs_too"])
 
