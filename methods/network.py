@@ -25,10 +25,10 @@ ADAM: dict[str, Any] = {"fused": True}
 otherwise."""
 NEAR = 0.1
 """Over which slopes are measured, in standard deviations."""
-ROWS = 16_384
-"""That a network answers at a time: of a million, one layer's activations alone are half a gigabyte."""
+ROWS = 1024
+"""That a network answers at a time: their activations fit into a processor's cache."""
 COMPILED_ROWS = 512
-"""Rows of each call of a compiled mean of networks, whose activations fit into a processor's cache."""
+"""The same of a compiled mean of networks."""
 
 
 @dataclass(frozen=True)

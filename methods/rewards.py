@@ -131,6 +131,11 @@ class MeanReward:
         return CompiledReward(networks) if stack else self
 
 
+def fast(reward: Reward) -> Reward:
+    """Return the reward in float32 where it is of networks, else itself."""
+    return reward.compiled if isinstance(reward, MeanReward | NetworkReward) else reward
+
+
 @dataclass(frozen=True)
 class CompiledReward:
     """The mean of rewards, whose networks differ in numbers alone, in float32."""

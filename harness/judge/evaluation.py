@@ -13,6 +13,7 @@ import numpy as np
 from envs import EnvSpec
 from harness.learn.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
+from methods.rewards import fast
 
 
 @dataclass(frozen=True)
@@ -52,18 +53,14 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward
         lengths=np.array([float(len(e.act)) for e in episodes]),
         endings=dict(sorted(Counter(e.ending for e in episodes).items())),
         first=episodes[0],
-        own=None if reward is None else np.array([total(reward, e.obs, e.act) for e in episodes]),
+        own=None if reward is None else totals(reward, [(e.obs, e.act) for e in episodes]),
     )
 
 
-def total(reward: Reward, obs: Array, act: Array) -> float:
-    """What the reward pays for an episode, obs (T+1, O) and act (T, A), counted from what absorption pays."""
-    return float(paid(reward, obs, act).sum())
-
-
-def paid(reward: Reward, obs: Array, act: Array) -> Array:
-    """Return what the reward pays above absorption for each step, (T,).
-
-    The reward gets copies, because it may write into its arguments.
-    """
-    return np.asarray(reward(obs[:-1].copy(), act.copy(), obs[1:].copy()) - reward.absorbing)
+def totals(reward: Reward, episodes: Sequence[tuple[Array, Array]]) -> Array:
+    """Return what the reward pays above absorption for each episode, obs (T+1, O) and act (T, A)."""
+    obs, act = zip(*episodes, strict=True)
+    before, after = (np.concatenate([one[side] for one in obs]) for side in (slice(-1), slice(1, None)))
+    paid = fast(reward)(before, np.concatenate(act), after) - reward.absorbing
+    starts = np.cumsum([0, *map(len, act[:-1])])
+    return np.asarray(np.add.reduceat(paid, starts))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from harness.learn.simulator import Trajectory
 from methods.base import Array, Reward
+from methods.rewards import fast
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Stretches:
         before, after = np.ones((2, len(self.obs)), bool)
         before[self._ends] = after[self._ends - self.lengths] = False
         obs, act = self.obs.astype(np.float64), self.act.astype(np.float64)
-        paid = reward(obs[before], act, obs[after]) - reward.absorbing
+        paid = fast(reward)(obs[before], act, obs[after]) - reward.absorbing
         first = np.cumsum(self.lengths) - self.lengths
         age = np.arange(len(act)) - np.repeat(first, self.lengths)
         return np.asarray(np.add.reduceat(paid * gamma**age, first))

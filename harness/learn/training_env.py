@@ -29,7 +29,7 @@ from envs.copies import Copies
 from envs.spec import LARGEST
 from harness.learn.seeds import training_seeds
 from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Reward, Transitions
-from methods.rewards import Constant, MeanReward, NetworkReward
+from methods.rewards import Constant, fast
 
 NOT_ABSORBED = -1
 REWARD_SIZE = 0.1
@@ -68,9 +68,7 @@ class TrainingEnv(VecEnv):
     def raw_rewards(self, steps: Transitions, true: Array) -> Array:
         """(N,): what each step pays before normalisation. true: what the environment paid. Raises
         FloatingPointError if that is not finite."""
-        reward = self.reward
-        if isinstance(reward, MeanReward | NetworkReward):
-            reward = reward.compiled
+        reward = fast(self.reward) if isinstance(self.reward, Reward) else self.reward
         if reward is None:
             paid = true
         elif isinstance(reward, Reward):

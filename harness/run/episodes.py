@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec
 from harness.judge.advantage import policy_advantage
-from harness.judge.evaluation import Evaluation, paid
+from harness.judge.evaluation import Evaluation
 from harness.judge.numbers import as_text
 from harness.judge.results import LARGEST, recording_of
 from harness.learn.exact import expected_rewards
@@ -104,7 +104,8 @@ def _among(scored: Evaluation, number: int) -> dict[str, str | float]:
 
 def _paid(reward: Reward, trajectory: Trajectory) -> Array:
     """(T,): what R* pays above absorption; numbers that mean nothing are 0."""
-    told = np.asarray(paid(reward, trajectory.obs, trajectory.act), np.float64)
+    obs, act = trajectory.obs.copy(), trajectory.act.copy()
+    told = np.asarray(reward(obs[:-1], act, obs[1:].copy()) - reward.absorbing, np.float64)
     return np.where(np.abs(told) <= LARGEST, told, 0.0)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from envs import EnvSpec
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.controls import control_reward
-from harness.judge.evaluation import Evaluation, evaluate, total
+from harness.judge.evaluation import Evaluation, evaluate, totals
 from harness.judge.numbers import as_text
 from harness.judge.results import (
     CONTROLS,
@@ -216,9 +216,8 @@ def fit(task: Task, demos: Episodes) -> Made:
     with task.during("fit"):
         learned = learned_by(task, task.cell.method, demos, world)
     if learned.reward is not None and demos.whole:
-        both = zip(demos.obs, demos.act, strict=True)
-        paid = [total(learned.reward, obs, act) for obs, act in both]
-        task.noted["own_return_shown"] = float(np.mean(paid))
+        paid = totals(learned.reward, list(zip(demos.obs, demos.act, strict=True)))
+        task.noted["own_return_shown"] = float(paid.mean())
     took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
     most = MOST_CURVES - len(("pi_R", "pi_R_true", "pi_R_chosen"))
@@ -284,7 +283,7 @@ def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[
     """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
     seeds = judging_seeds(task.cell.seed, JUDGING_EPISODES)
     played = list(Simulator(task.place).run_each(policies, seeds))
-    earned = [float(np.mean([total(reward, one.obs, one.act) for one in its])) for its in played]
+    earned = [float(totals(reward, [(one.obs, one.act) for one in its]).mean()) for its in played]
     return earned, sum(len(one.act) for its in played for one in its)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness.judge.evaluation import evaluate, total
+from harness.judge.evaluation import evaluate, totals
 from harness.learn.simulator import Simulator
 from methods.base import Array
 from methods.rewards import Constant
@@ -67,6 +67,18 @@ def test_a_reward_that_writes_into_what_it_is_given_changes_nothing(steady: EnvS
 
     (episode,) = Simulator(steady).run(lambda obs: obs[:, :1] * 0.5, [0])
     before = episode.obs.copy()
-    assert total(Writing(0.0, 0.0), episode.obs, episode.act) == pytest.approx(before[-1, 0] - before[0, 0])
+    (told,) = totals(Writing(0.0, 0.0), [(episode.obs, episode.act)])
+    assert told == pytest.approx(before[-1, 0] - before[0, 0])
     assert np.array_equal(episode.obs, before)
     assert episode.act.any()
+
+
+def test_episodes_are_paid_one_by_one_whatever_their_lengths() -> None:
+    class Step(Constant):
+        def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
+            return next_obs[:, 0] - obs[:, 0]
+
+    rng = np.random.default_rng(0)
+    episodes = [(rng.normal(size=(n + 1, 2)), rng.normal(size=(n, 1))) for n in (3, 1, 7)]
+    told = totals(Step(0.0, absorbing=0.5), episodes)
+    np.testing.assert_allclose(told, [o[-1, 0] - o[0, 0] - 0.5 * len(a) for o, a in episodes])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.judge.evaluation import evaluate, total
+from harness.judge.evaluation import evaluate, totals
 from harness.judge.results import (
     CONTROLS,
     LEARNED,
@@ -56,7 +56,7 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert (skipped.policy, skipped.status, skipped.reason) == ("pi_R", "skipped", "learns no reward")
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
-    assert [x for x, _ in result.curves["loss"]] == list(range(1, 102))
+    assert [x for x, _ in result.curves["loss"]] == list(range(1, 101))
     assert recordings(tmp_path) == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
 
     again = run(BC, tmp_path / "again")
@@ -81,7 +81,7 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
         assert scored.columns() == {name: getattr(row, name) for name in scored.columns()}
         assert "own_return" in scored.columns()
         demos = demonstrations_for("cartpole", 1, cell.shown, SMOKE)
-        shown = [total(learned["reward"], *pair) for pair in zip(demos.obs, demos.act, strict=True)]
+        shown = totals(learned["reward"], list(zip(demos.obs, demos.act, strict=True)))
         assert row.own_return_shown == pytest.approx(np.mean(shown))
     told: list[int] = []
     rng = rng_for(1, "cartpole", "shaped", "pi_R 0")
