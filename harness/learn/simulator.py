@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 
@@ -127,8 +126,13 @@ def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:
     """The scene after the reset and after each of the episode's actions (T, A)."""
     env = spec.make()
     env.reset(seed=seed)
-    frames = [deepcopy(spec.draw(env))]  # for some tasks draw the next one into the same arrays
+    frames = [_copied(spec.draw(env))]
     for action in act:
         env.step(spec.native(action))
-        frames.append(deepcopy(spec.draw(env)))
+        frames.append(_copied(spec.draw(env)))
     return frames
+
+
+def _copied(drawn: dict[str, Shape]) -> dict[str, Shape]:
+    """Return the drawing in arrays of its own, for some tasks draw the next one into the same."""
+    return {name: Shape(np.array(shape.points), shape.colour) for name, shape in drawn.items()}

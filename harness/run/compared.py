@@ -65,14 +65,16 @@ def _played(directory: Path, env: str, results: Sequence[CellResult]) -> list[An
     from harness.show.scenes import scene
 
     spec, seed = SPECS[env], evaluation_seeds(SEED, 1)[0]
-    simulator, played = Simulator(spec, 1), []
-    for result in results:
-        for name, policy in _policies(directory, result):
-            (trajectory,) = simulator.run(policy, [seed])
-            look = scene(spec, seed, trajectory.act)
-            method = "" if name == "expert" else result.cell.method
-            played.append(Ghost(method, name, trajectory, look))
-    return played
+    found = [
+        ("" if name == "expert" else result.cell.method, name, policy)
+        for result in results
+        for name, policy in _policies(directory, result)
+    ]
+    episodes = Simulator(spec).run_each([policy for *_, policy in found], [seed])
+    return [
+        Ghost(method, name, trajectory, scene(spec, seed, trajectory.act))
+        for (method, name, _), (trajectory,) in zip(found, episodes, strict=True)
+    ]
 
 
 def _policies(directory: Path, result: CellResult) -> list[tuple[str, Policy]]:
