@@ -26,12 +26,12 @@ SOLVE = ", a solve"
 """End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
 SHARED = "expert"
 """What stands for a method's name where a job is what cells share."""
-FIT, REST = 8.0, 2.0
+FIT, REST = 5.0, 1.5
 """Seconds of a method's fit besides its RL, which is taken to be one solve, and of all else of a cell."""
-COMPILED, STEPPED, REPLAYED = 30_000.0, 8_000.0, 1_200.0
+COMPILED, STEPPED, REPLAYED = 40_000.0, 8_000.0, 1_200.0
 """RL's steps a second: by PPO where dynamics are written down, by PPO elsewhere, and by other learners. On
-two cores of an AMD EPYC a cell of a method, at quick, takes 9 to 29 s on cart-pole and 28 to 40 s on highway;
-a first guess by these is 15 and 35."""
+two cores of an AMD EPYC a cell of a method, at quick, takes 6 to 18 s on cart-pole and 13 to 24 s on highway;
+a first guess by these is 10 and 16."""
 
 Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
