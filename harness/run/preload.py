@@ -8,10 +8,7 @@ import os
 from harness.run.environment import PRELOAD_VARIABLE
 
 # torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
-_usual = (
-    *("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "harness.run.episodes"),
-    "torch._dynamo",
-)
+_usual = ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo")
 with contextlib.suppress(BaseException):
     # What a cell's key is of, read once, too.
     _keys = importlib.import_module("harness.run.keys")

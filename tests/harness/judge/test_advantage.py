@@ -211,7 +211,7 @@ def best_feedback() -> Array:
     return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
-@pytest.mark.parametrize("method", [Shaped(), ShapedML()])
+@pytest.mark.parametrize("method", [Shaped(steps=3000), ShapedML(steps=3000)])
 def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages(method: Shaped) -> None:
     """Near upright; what a learned expert leaves of it is its own distance from the best."""
     spec, K = SPECS["cartpole"], best_feedback()
