@@ -26,9 +26,9 @@ otherwise."""
 NEAR = 0.1
 """Over which slopes are measured, in standard deviations."""
 ROWS = 1024
-"""That a network answers at a time: their activations fit into a processor's cache."""
+"""Rows that a network answers at a time: their activations fit into a processor's cache."""
 COMPILED_ROWS = 512
-"""The same of a compiled mean of networks."""
+"""Rows that a compiled mean of networks answers at a time."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ class Regression:
     batch: int = 512
     """Rows of each step."""
     steps: int = 2000
-    """Of SOAP."""
+    """Gradient steps."""
 
     def minimise(
         self,

@@ -6,13 +6,13 @@ Maximising R over the demonstrated pairs (eq. 4.4) learns the policy f and the r
 any reinforcement learning. As in figure 4.3, f is an auxiliary output of the model, fitted to the
 demonstrated actions by a loss of its own; R's distance to 0, its upper bound, is the other.
 
-Deviates from the paper: f passes through tanh, for actions are bounded and R must not reward leaving
-their range where there were no demonstrations; the auxiliary loss is squared, for the median that the
-absolute one fits ignores the few steps of a demonstration that recover from its start; observations are
-standardised, and what is fitted is in units of the demonstrated actions' standard deviation, a hundredth of
-their range where an expert balances well; SOAP instead of RMSprop; L starts near 0, where
-R is greatest, for what L is beyond the demonstrations nothing decides, and a large one makes life there worse
-than its end; figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
+Deviates from the paper. f passes through tanh: actions are bounded, and R must not reward leaving their
+range where there were no demonstrations. The auxiliary loss is squared: the median that the absolute one
+fits ignores the few steps of a demonstration that recover from its start. Observations are standardised.
+Errors are in units of the demonstrated actions' standard deviation, a hundredth of their range where an
+expert balances well. SOAP replaces RMSprop. L starts near 0, where R is greatest, and learns at a lower
+rate. Nothing decides what L is beyond the demonstrations, and a large one makes life there worse than its
+end. Figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from methods.network import Network, Regression, mlp, standardiser
 FIRST_L = 0.01
 """Size of the last weights of L at the start, of what torch draws."""
 SHARE_OF_L = 0.03
-"""Of the learning rate. Steps of L are as long however little it matters, and carry it away where no
-demonstration is."""
+"""Share of the learning rate that is L's. SOAP's steps are as long however little L matters, and carry it
+away where no demonstration is."""
 
 
 @dataclass(frozen=True)

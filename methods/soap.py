@@ -1,8 +1,5 @@
 """SOAP (Vyas et al. 2024): Adam in the axes along which a layer's gradients vary.
 
-A network of a few thousand weights it fits to tens of thousands of rows by 2,000 small batches, as well as
-L-BFGS does by a thousand passes over thousands of rows.
-
 Deviates from the paper: a layer's bias is one more column of its weights; axes and moments have one decay.
 """
 
@@ -18,7 +15,7 @@ import torch
 from methods.base import Array
 
 DECAY = 0.95
-"""Of moments and of what the axes are found from, a step."""
+"""Share of the running means that is kept, a step."""
 EVERY = 10
 """Steps between turns of the axes."""
 TINY = 1e-8
@@ -66,8 +63,8 @@ def squares(gradient: Array) -> tuple[Array, Array]:
 
 
 class Soap(torch.optim.Optimizer):
-    """Of all linear layers of some networks, which have no other parameters. Its first step moves nothing, as
-    in the paper: its gradient gives the axes."""
+    """SOAP for all linear layers of some networks, which have no other parameters. The first step moves
+    nothing, as in the paper: its gradient gives the axes."""
 
     def __init__(self, networks: Sequence[torch.nn.Module], rates: Sequence[float]) -> None:
         """rates: of each network, about how far a step moves a layer's weights along each of the axes."""

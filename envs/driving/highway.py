@@ -380,9 +380,7 @@ SPEC = EnvSpec(
     draw=draw,
     why_ended=why_ended,
     shipped=Shipped(steps=120_000, bar=67.0, terminated=0.01, checkpoint_every=1000, rl=THESIS),
-    rl=replace(
-        SMALL_PPO, copies=64, steps=32, batch=512, epochs=8, std=0.6, gae_lambda=0.9, checkpoint_every=20_480
-    ),
+    rl=replace(SMALL_PPO, copies=64, steps=32, batch=512, epochs=8, std=0.6, checkpoint_every=20_480),
     ddpg=THESIS,
     kwargs={"physics": NOMINAL},
     batch=partial(HighwayBatch, physics=NOMINAL),

@@ -68,14 +68,14 @@ class TrainingEnv(VecEnv):
     def raw_rewards(self, steps: Transitions, true: Array) -> Array:
         """(N,): what each step pays before normalisation. true: what the environment paid. Raises
         FloatingPointError if that is not finite."""
-        reward = fast(self.reward) if isinstance(self.reward, Reward) else self.reward
+        reward = self.reward
         if reward is None:
             paid = true
         elif isinstance(reward, Reward):
             paid = np.zeros(len(true))
             alive = ~steps.absorbing
             if alive.any():
-                living = reward(steps.obs[alive], steps.act[alive], steps.next_obs[alive])
+                living = fast(reward)(steps.obs[alive], steps.act[alive], steps.next_obs[alive])
                 if living.shape != (alive.sum(),):
                     raise FloatingPointError("the reward must give one finite number for each step")
                 paid[alive] = living - reward.absorbing if self._offset else living

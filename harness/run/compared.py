@@ -70,7 +70,7 @@ def _played(directory: Path, env: str, results: Sequence[CellResult]) -> list[An
         for result in results
         for name, policy in _policies(directory, result)
     ]
-    episodes = Simulator(spec).run_each([policy for *_, policy in found], [seed])
+    episodes = Simulator(spec, len(found)).run_each([policy for *_, policy in found], [seed])
     return [
         Ghost(method, name, trajectory, scene(spec, seed, trajectory.act))
         for (method, name, _), (trajectory,) in zip(found, episodes, strict=True)

@@ -26,7 +26,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -39,8 +39,10 @@ from envs import EnvSpec
 from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Trajectory
-from harness.show.maps import Maps
 from harness.show.scenes import LONG, Scene
+
+if TYPE_CHECKING:
+    from harness.show.maps import Maps  # all of RL, which what only reads recordings does without
 
 _MARGIN = 0.08  # of the plotted range
 _NAMED = 6  # lines that a legend has room for; the names of more are shown at the pointer
