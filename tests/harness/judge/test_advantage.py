@@ -211,15 +211,16 @@ def best_feedback() -> Array:
     return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
-@pytest.mark.parametrize("method", [Shaped(steps=3000), ShapedML(steps=3000)])
+@pytest.mark.parametrize("method", [shaped(batch=1024, steps=3000) for shaped in (Shaped, ShapedML)])
 def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages(method: Shaped) -> None:
-    """Near upright; what a learned expert leaves of it is its own distance from the best."""
+    """Near upright; what a learned expert leaves of it is its own distance from the best. Of 20 of
+    its episodes the rank was 0.9987 to 0.9998, by seed; of 100, 0.9993 or more."""
     spec, K = SPECS["cartpole"], best_feedback()
 
     def regulate(obs: Array) -> Array:
         return np.clip(-obs @ K.T, -1, 1)
 
-    demos = without_rewards(Simulator(spec).run(regulate, range(20)))
+    demos = without_rewards(Simulator(spec).run(regulate, range(100)))
     learned = method.fit(demos, TaskWorld(spec, "absorbing", "sbx"), np.random.default_rng(0))
     assert learned.reward is not None
     replays = replay(spec, regulate, range(100, 500), np.random.default_rng(0))
