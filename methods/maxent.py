@@ -10,14 +10,15 @@ explains the demonstrations without it may be worth another journey with it.
 
 Deviates from the paper: elsewhere the environments are continuous, so "solve the MDP" is reinforcement
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
-expected visitations E[mu] come from rollouts of what the agent would do, without what it explores. The
-paper's prior on the network's weights is one on its slope here, for with one on its values RL from scratch
-failed on the swing-up (`docs/tuning.md`). R* is the mean of the networks, for in the game between
-reward and policy averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire
-2007). The network sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so
-what absorption pays is learned like any state's reward. But once the policy no longer ends, nothing says that
-an end is bad: so where demonstrations end less often than random actions, an end pays at most the mean of
-what steps of these do.
+expected visitations E[mu] come from rollouts of the policy by chance that it learns. PPO learns one that is
+best in reward plus entropy, as the likelihood asks for; soft actor-critic weighs entropy by itself, and
+Q-learning not at all. pi* is the policy without chance. The paper's prior on the network's weights is one on
+its slope here, for with one on its values RL from scratch failed on the swing-up (`docs/tuning.md`). R* is
+the mean of the networks, for in the game between reward and policy averages converge, and the last choices
+need not (Freund & Schapire 1999; Syed & Schapire 2007). The network sees an absorbing indicator, and
+visitations count absorbing steps up to the horizon, so what absorption pays is learned like any state's
+reward. But once the policy no longer ends, nothing says that an end is bad: so where demonstrations end less
+often than random actions, an end pays at most the mean of what steps of these do.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import numpy as np
 import torch
 
 from envs.spec import Model
-from methods.base import Array, Episodes, Learned, World, seen_by_both
+from methods.base import Agent, Array, Episodes, Learned, Policy, World, seen_by_both
 from methods.network import ADAM, Network, contrast, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, StateReward, deterred, paid
 from methods.tabular import finite_soft_value_iteration, state_visitations
@@ -48,8 +49,8 @@ class MaxEnt:
     """Reward updates, each followed by reinforcement learning that goes on."""
     rl_share: float = 0.06
     """Environment steps of each iteration, of those of a solve from scratch."""
-    entropy: float = 0.0
-    """What a nat of the entropy of its policy is worth to an agent that learns by PPO."""
+    entropy: float = 1.0
+    """What a nat of its policy's entropy is worth to an agent that learns by PPO; 1 in the likelihood."""
     averaged: int = 20
     """Latest iterations, by default all, of whose networks R* is the mean."""
     final_share: float = 0.5
@@ -105,9 +106,9 @@ class MaxEnt:
         visits_policy: list[Array] = []
         rewards: list[NetworkReward] = []
         gaps: list[float] = []
-        agent = world.agent(rng, entropy=self.entropy)
+        agent = world.agent(rng, kind="stochastic", entropy=self.entropy)
         for i in range(self.iterations):
-            rollouts = random if i == 0 else world.rollout(agent.policy, self.rollouts, rng)
+            rollouts = random if i == 0 else world.rollout(drawn_by(agent, rng), self.rollouts, rng)
             visits = visitations(rollouts, world.horizon - rollouts.lengths, mean, std, self.actions)
             visits_policy = [*visits_policy, visits][-self.remembered :]
             for _ in range(self.reward_steps):
@@ -128,6 +129,12 @@ class MaxEnt:
         return Learned(
             agent.best(mean_reward), mean_reward, {"mean reward, demonstrations minus rollouts": gaps}
         )
+
+
+def drawn_by(agent: Agent, rng: np.random.Generator) -> Policy:
+    """Return what the agent's policy does by chance, as it is now."""
+    behaviour = agent.behaviour
+    return lambda obs: behaviour.sample(obs, rng)
 
 
 def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tuple[float, Array]:

@@ -83,6 +83,23 @@ def test_the_prior_bounds_the_slope(world: Any, demonstrate: Callable[..., Episo
     np.testing.assert_allclose(rises[0], 4 * rises[1], rtol=0.4)
 
 
+def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(
+    world: Any, demonstrate: Callable[..., Episodes]
+) -> None:
+    acted, rollout = [], world.rollout
+    obs = np.zeros((50, 3))
+
+    def watched(policy: Callable[[Array], Array], *asked: Any) -> Episodes:
+        acted.append(policy(obs))
+        return rollout(policy, *asked)
+
+    world.rollout = watched
+    METHOD.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
+    drawn = acted[-1]
+    assert len(acted) == METHOD.iterations
+    assert (drawn.std(axis=0) > 0.3).all()
+
+
 def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
     method = dataclasses.replace(METHOD, actions=False)
     reward = method.fit(demonstrate(constant(0.5, 0.0)), world, np.random.default_rng(0)).reward
