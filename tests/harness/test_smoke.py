@@ -11,6 +11,7 @@ import pandas as pd
 
 from harness.registry import ENVS, METHODS
 from harness.run.environment import numeric
+from harness.run.stages import SAME_FIT
 
 ROOT = Path(__file__).parents[2]
 EVERY_METHOD = ("cartpole", "cartpole_discrete", "gridworld")
@@ -34,12 +35,15 @@ def scores(directory: Path, *options: str) -> pd.DataFrame:
 
 
 def test_everything_runs_and_scores_do_not_depend_on_what_runs_before_or_beside(tmp_path: Path) -> None:
-    methods, envs = "all,airl,dagger", ",".join(EVERY_METHOD)
+    methods, envs = "all,airl,dagger,gail_mean", ",".join(EVERY_METHOD)
     every = scores(tmp_path / "every", "--methods", methods, "--envs", envs, "--engine", "inline")
     assert set(every["status"]) == {"ok", "skipped"}
-    assert {*METHODS, "airl", "dagger"} <= {*every["method"]}
+    assert {*METHODS, "airl", "dagger", "gail_mean"} <= {*every["method"]}
     unsuitable = every[(every["policy"] == "pi_star") & (every["status"] != "ok")]
     assert list(zip(unsuitable["env"], unsuitable["method"], strict=True)) == [("cartpole_discrete", "csil")]
+    stars = every[every["policy"] == "pi_star"].pivot(index="method", columns="env", values="return_mean")
+    for method, same in SAME_FIT.items():
+        assert stars.loc[method].equals(stars.loc[same])
     others = ",".join(name for name in ENVS if name not in EVERY_METHOD)
     inline = ("--no-retrain", "--engine", "inline")
     two = scores(tmp_path / "others", "--methods", "maxent,bc", "--envs", others, *inline)
