@@ -63,9 +63,8 @@ def test_every_package_is_installed() -> None:
 
 
 def test_each_heavy_library_has_one_home() -> None:
-    # The benchmark of our own speed compares with it.
     at_home = [f"harness/learn/{name}.py" for name in ("models", "on_policy", "rl", "training_env")]
-    assert importers("stable_baselines3") == ["harness/bench.py", *at_home]
+    assert importers("stable_baselines3") == at_home
     assert importers("sbx") == ["harness/learn/models.py"]
     shows = [f"harness/show/{name}.py" for name in ("comparison", "maps", "recordings", "scenes")]
     assert importers("rerun") == shows

@@ -11,7 +11,7 @@ import pytest
 
 from harness import bench, cli, growth, scale, spread
 from harness.judge.results import Cell, CellResult, Conditions, Row
-from harness.registry import SPECS
+from harness.registry import SPECS, Library
 from harness.run.cluster import Ray
 from harness.run.engines import Engine
 
@@ -63,10 +63,20 @@ def test_a_share_is_of_what_a_cell_took(monkeypatch: pytest.MonkeyPatch) -> None
         ("s", [0.4, 0.4, 0.9], 0.5, False),
         ("MB", [701.0], 700.0, True),
         ("%", [9.0], None, False),
+        (bench.SCORE, [0.9, 0.94, 1.0], 0.95, True),
     ],
 )
 def test_a_bar_is_for_the_median(unit: str, values: list[float], bar: float | None, missed: bool) -> None:
     assert bench.Measure("a", unit, values, bar).missed == missed
+
+
+@pytest.mark.parametrize("library", ["sbx", "sb3"])
+def test_a_solve_of_the_true_reward_is_scored(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "SEEDS", range(100, 101))
+    seconds, score = bench._solves("cartpole", library, bar=None)
+    assert seconds.values[0] > 0.1
+    assert 0.95 < score.values[0] < 1.05
+    assert not score.missed
 
 
 def test_figures_are_told_one_by_one_and_as_json_at_the_end(
