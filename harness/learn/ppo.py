@@ -130,7 +130,7 @@ def functions(kind: Kind) -> Functions:
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.full(kind.act_size, math.log(s.std))
+            params["log_std"] = jnp.full(kind.act_size, math.log(s.std), jnp.float32)
         return State(params, optimizer.init(params))
 
     @jax.jit
