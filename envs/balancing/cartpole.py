@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -119,8 +119,8 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
-    rl_steps={"smoke": 4096, "quick": 49_152, "full": 65_536},
-    rl=SMALL_PPO,
+    rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
+    rl=replace(SMALL_PPO, epochs=10),
     ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -63,7 +63,7 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
-    rl_steps={"smoke": 4096, "quick": 49_152, "full": 65_536},
+    rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
@@ -71,7 +71,7 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     shipped=Shipped(steps=60_000, bar=500.0, rl=DQN()),
     discrete=True,
-    rl=SMALL_PPO,
+    rl=replace(SMALL_PPO, epochs=10),
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
     variants={

@@ -373,6 +373,7 @@ SPEC = EnvSpec(
     bar=lambda seeds: float(idm_return(seeds)[0].mean()),
     max_terminated={"smoke": 1.0, "quick": 0.05, "full": 0.02},
     rl_steps={"smoke": 8192, "quick": 122_880, "full": 245_760},
+    solves={"smoke": 1, "quick": 1, "full": 5},
     ddpg_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},
