@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from methods.base import Array, Episodes, Learned, World
-from methods.network import Network, Regression, mlp, standardiser
+from methods.network import Network, Regression, begin_with, mlp, standardiser
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class BehaviourCloning(Regression):
         unit = torch.as_tensor(spread, dtype=torch.float32)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         policy = mlp(obs.shape[1], *self.layers, act.shape[1], generator=generator)
+        begin_with(policy, act, spread)
 
         def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
             return ((a - torch.tanh(unit * policy(s))) / unit).square().mean()

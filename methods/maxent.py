@@ -10,15 +10,16 @@ explains the demonstrations without it may be worth another journey with it.
 
 Deviates from the paper: elsewhere the environments are continuous, so "solve the MDP" is reinforcement
 learning that goes on a little in each iteration, as in maximum-likelihood IRL (Zeng et al. 2022), and the
-expected visitations E[mu] come from rollouts of the policy by chance that it learns. PPO learns one that is
-best in reward plus entropy, as the likelihood asks for; soft actor-critic weighs entropy by itself, and
-Q-learning not at all. pi* is the policy without chance. The paper's prior on the network's weights is one on
-its slope here, for with one on its values RL from scratch failed on the swing-up (`docs/tuning.md`). R* is
-the mean of the networks, for in the game between reward and policy averages converge, and the last choices
-need not (Freund & Schapire 1999; Syed & Schapire 2007). The network sees an absorbing indicator, and
-visitations count absorbing steps up to the horizon, so what absorption pays is learned like any state's
-reward. But once the policy no longer ends, nothing says that an end is bad: so where demonstrations end less
-often than random actions, an end pays at most the mean of what steps of these do.
+expected visitations E[mu] come from rollouts of the policy by chance that it learns. Our PPO learns one that
+is best in reward plus entropy, as the likelihood asks for; soft actor-critic weighs entropy by itself; other
+learners have no such policy, and theirs is rolled out as it is. pi* is the policy without chance. The paper's
+prior on the network's weights is one on its slope here, for with one on its values RL from scratch failed on
+the swing-up (`docs/tuning.md`). R* is the mean of the networks, for in the game between reward and policy
+averages converge, and the last choices need not (Freund & Schapire 1999; Syed & Schapire 2007). The network
+sees an absorbing indicator, and visitations count absorbing steps up to the horizon, so what absorption pays
+is learned like any state's reward. But once the policy no longer ends, nothing says that an end is bad: so
+where demonstrations end less often than random actions, an end pays at most the mean of what steps of these
+do.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from envs.spec import Model
 from methods.base import Agent, Array, Episodes, Learned, Policy, World, seen_by_both
 from methods.network import ADAM, Network, contrast, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, StateReward, deterred, paid
+from methods.stochastic import EpsilonGreedy
 from methods.tabular import finite_soft_value_iteration, state_visitations
 from methods.visits import demonstrated, sample, visitations
 
@@ -106,7 +108,7 @@ class MaxEnt:
         visits_policy: list[Array] = []
         rewards: list[NetworkReward] = []
         gaps: list[float] = []
-        agent = world.agent(rng, kind="stochastic", entropy=self.entropy)
+        agent = world.agent(rng, entropy=self.entropy)
         for i in range(self.iterations):
             rollouts = random if i == 0 else world.rollout(drawn_by(agent, rng), self.rollouts, rng)
             visits = visitations(rollouts, world.horizon - rollouts.lengths, mean, std, self.actions)
@@ -132,8 +134,14 @@ class MaxEnt:
 
 
 def drawn_by(agent: Agent, rng: np.random.Generator) -> Policy:
-    """Return what the agent's policy does by chance, as it is now."""
-    behaviour = agent.behaviour
+    """Return the policy by chance that the agent learns, as it is now; of an agent that learns none, what it
+    would do."""
+    try:
+        behaviour = agent.behaviour
+    except ValueError:
+        return agent.policy
+    if isinstance(behaviour, EpsilonGreedy):  # by chance only to explore
+        return agent.policy
     return lambda obs: behaviour.sample(obs, rng)
 
 

@@ -25,6 +25,8 @@ ADAM: dict[str, Any] = {"fused": True}
 otherwise."""
 NEAR = 0.1
 """Over which slopes are measured, in standard deviations."""
+LARGEST_MEAN = 0.999
+"""The size of mean actions that networks begin with, at most."""
 ROWS = 1024
 """Rows that a network answers at a time: their activations fit into a processor's cache."""
 COMPILED_ROWS = 512
@@ -189,6 +191,14 @@ def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
     return torch.nn.Sequential(*layers[:-1])
 
 
+def begin_with(layers: torch.nn.Module, act: Array, spread: Array) -> None:
+    """Have tanh(spread * layers(x)) be about the mean of actions (N, A) at first: where the spread (A,) is
+    small, an optimizer would take long to go there."""
+    *_, bias = layers.parameters()
+    outputs = np.arctanh(act.mean(axis=0).clip(-LARGEST_MEAN, LARGEST_MEAN)) / spread
+    bias.data += torch.as_tensor(outputs, dtype=bias.dtype)
+
+
 def standardiser(x: Array) -> tuple[Array, Array]:
     """Mean and standard deviation of each column of (N, I); 1 where a column does not vary."""
     std = x.std(axis=0)
@@ -271,7 +281,9 @@ class Regression:
         rng: np.random.Generator,
         shares: Sequence[float] | None = None,
     ) -> list[float]:
-        """Fit the networks' parameters to `data`, as in `descend`; the loss as it falls. shares: of each
-        network, what share of the learning rate is its own, by default all."""
+        """Fit the networks' parameters to `data`, as in `descend`, and return the loss as it falls.
+
+        shares: of each network, what share of the learning rate is its own, by default all.
+        """
         rates = [self.learning_rate * share for share in shares or [1.0] * len(networks)]
         return descend(loss, Soap(networks, rates), data, self.steps, self.batch, rng)

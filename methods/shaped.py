@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from methods.base import Array, Episodes, Learned, World, default_absorbing
-from methods.network import Network, Regression, mlp, standardiser
+from methods.network import Network, Regression, begin_with, mlp, standardiser
 
 FIRST_L = 0.01
 """Size of the last weights of L at the start, of what torch draws."""
@@ -52,6 +52,7 @@ class Shaped(Regression):
         unit = torch.as_tensor(spread, dtype=torch.float32)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         f = mlp(world.obs_size, *self.f_layers, world.act_size, generator=generator)
+        begin_with(f, act, spread)
         chol = mlp(world.obs_size, *self.l_layers, world.act_size**2, generator=generator)
         *_, weight, bias = chol.parameters()
         weight.data *= FIRST_L

@@ -40,7 +40,7 @@ STABLE = 0.999
 
 @dataclass(frozen=True)
 class ShapedML(Shaped):
-    """Its hyper-parameters, besides those of `Shaped`; as many steps and iterations go to L as to f."""
+    """Its hyper-parameters, besides those of `Shaped`; as many steps go to L as to f."""
 
     rollouts: int = 10
     """Episodes of f with noise, which the dynamics are fitted to."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -41,7 +40,7 @@ class Moments:
         return cls(np.zeros_like(gradient), np.zeros_like(gradient), sides, (left, right))
 
     def step(self, gradient: Array) -> Array:
-        """Take one more gradient into account, and return the direction of the step."""
+        """Take one more gradient (K, I + 1) into account, and return the step's direction, (K, I + 1)."""
         left, right = self.axes
         self.count += 1
         self.first += (1 - DECAY) * (gradient - self.first)
@@ -77,7 +76,7 @@ class Soap(torch.optim.Optimizer):
         super().__init__(groups, {})
         self._moments: dict[int, Moments] = {}
 
-    def step(self, closure: Any = None) -> None:  # type: ignore[override]
+    def step(self) -> None:  # type: ignore[override]
         """Move all weights once, by the gradients that they hold."""
         for number, group in enumerate(self.param_groups):
             weight, bias = (p.detach().numpy() for p in group["params"])

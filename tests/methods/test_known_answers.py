@@ -106,6 +106,16 @@ def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning 
     assert np.abs(learned.policy(HELD_OUT) - 0.01 * REGULATOR.expert(HELD_OUT)).mean() < 2e-5
 
 
+@pytest.mark.parametrize("method", [BehaviourCloning(), Shaped()])
+def test_an_expert_that_hardly_moves_from_one_action_is_cloned_as_well(
+    method: BehaviourCloning | Shaped,
+) -> None:
+    demos = REGULATOR.demonstrations(seed=0)
+    small = replace(demos, act=tuple(0.5 + 1e-4 * act for act in demos.act))
+    learned = method.fit(small, WORLD, np.random.default_rng(0))
+    assert np.abs(learned.policy(HELD_OUT) - 0.5 - 1e-4 * REGULATOR.expert(HELD_OUT)).mean() < 2e-6
+
+
 @pytest.fixture(scope="module")
 def shaped() -> Learned:
     method = Shaped(steps=600)

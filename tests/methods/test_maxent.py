@@ -1,6 +1,7 @@
 """Maximum-entropy IRL raises the reward where demonstrations go and lowers it where the learner goes."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -9,9 +10,10 @@ import pytest
 import torch
 
 from methods.base import Array, Episodes
-from methods.maxent import MaxEnt
-from methods.network import mlp
+from methods.maxent import MaxEnt, drawn_by
+from methods.network import Network, mlp
 from methods.rewards import NetworkReward
+from methods.stochastic import EpsilonGreedy
 
 MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
 METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
@@ -93,11 +95,30 @@ def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(
         acted.append(policy(obs))
         return rollout(policy, *asked)
 
-    world.rollout = watched
+    world.rollout, world.agent = watched, functools.partial(world.agent, kind="stochastic")
     METHOD.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
     drawn = acted[-1]
     assert len(acted) == METHOD.iterations
     assert (drawn.std(axis=0) > 0.3).all()
+
+
+def test_a_policy_without_chance_is_rolled_out_as_it_is() -> None:
+    learned, rng = constant(0.2), np.random.default_rng(0)
+    network = Network(np.zeros(1), np.ones(1), (np.array([[1.0, 0.0]]),), (np.zeros(2),))
+    obs = np.ones((3, 1))
+
+    class Deterministic:
+        policy = staticmethod(learned)
+
+        @property
+        def behaviour(self) -> Any:
+            raise ValueError("it has no stochastic policy")
+
+    class Greedy(Deterministic):
+        behaviour = EpsilonGreedy(network, 0.3)
+
+    for agent in (Deterministic(), Greedy()):
+        np.testing.assert_array_equal(drawn_by(agent, rng)(obs), learned(obs))
 
 
 def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
