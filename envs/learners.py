@@ -115,13 +115,13 @@ SMALL_PPO = PPO(
     copies=32,
     steps=64,
     batch=256,
-    epochs=6,
+    epochs=10,
     learning_rate=1e-3,
     final_learning_rate=0.0,
     checkpoint_every=8192,
 )
 """PPO where some ten thousand steps are enough."""
-FEW_JOINTS = replace(SMALL_PPO, epochs=10, std=0.5, check_episodes=5)
+FEW_JOINTS = replace(SMALL_PPO, std=0.5, check_episodes=5)
 """The same for MuJoCo's bodies of few joints."""
 
 Learner = DDPG | TD3 | SAC | DQN | PPO

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -120,7 +120,7 @@ SPEC = EnvSpec(
     bar=lambda seeds: 495.0,
     max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
-    rl=replace(SMALL_PPO, epochs=10),
+    rl=SMALL_PPO,
     ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     demo_episodes={"smoke": 5, "quick": 100, "full": 100},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -71,7 +71,7 @@ SPEC = EnvSpec(
     why_ended=why_ended,
     shipped=Shipped(steps=60_000, bar=500.0, rl=DQN()),
     discrete=True,
-    rl=replace(SMALL_PPO, epochs=10),
+    rl=SMALL_PPO,
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
     variants={

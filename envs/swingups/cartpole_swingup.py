@@ -158,7 +158,7 @@ SPEC = EnvSpec(
         checkpoint_every=10_000,
         rl=PPO(final_learning_rate=5e-5),
     ),
-    rl=replace(SMALL_PPO, copies=64, checkpoint_every=40_960),
+    rl=replace(SMALL_PPO, copies=64, epochs=6, checkpoint_every=40_960),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5)},
         "heavy": {"physics": Physics(pole_mass=0.5)},

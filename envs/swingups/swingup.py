@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -112,7 +112,7 @@ SPEC = EnvSpec(
     time_step=NOMINAL.time_step,
     bar=lambda seeds: -180.0,
     rl_steps={"smoke": 4096, "quick": 122_880, "full": 163_840},
-    rl=SMALL_PPO,
+    rl=replace(SMALL_PPO, epochs=6),
     ddpg_steps={"smoke": 600, "quick": 15_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
