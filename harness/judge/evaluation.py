@@ -13,7 +13,6 @@ import numpy as np
 from envs import EnvSpec
 from harness.learn.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
-from methods.rewards import fast
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,10 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward
 
 
 def totals(reward: Reward, episodes: Sequence[tuple[Array, Array]]) -> Array:
-    """Return what the reward pays above absorption for each episode, obs (T+1, O) and act (T, A)."""
+    """Return (E,): what the reward pays above absorption for each of E episodes, obs (T+1, O) and act (T, A).
+    It is told copies, and may write into them."""
     obs, act = zip(*episodes, strict=True)
     before, after = (np.concatenate([one[side] for one in obs]) for side in (slice(-1), slice(1, None)))
-    paid = fast(reward)(before, np.concatenate(act), after) - reward.absorbing
+    paid = reward(before, np.concatenate(act), after) - reward.absorbing
     starts = np.cumsum([0, *map(len, act[:-1])])
     return np.asarray(np.add.reduceat(paid, starts))

@@ -12,7 +12,7 @@ from envs import EnvSpec, Shape
 from envs.copies import Copies
 from methods.base import Array, Policy, Transitions
 
-NO_NUMBERS = {"drawings": "It draws pictures."}
+NO_NUMBERS = {"drawings": "It draws pictures.", "_copied": "It draws pictures."}
 
 
 @dataclass

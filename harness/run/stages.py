@@ -51,6 +51,7 @@ from harness.run.codec import printable
 from harness.run.experts import Shared, task_for
 from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
+from methods.rewards import fast
 
 JUDGING_EPISODES = 20
 """Episodes by which a solve is chosen."""
@@ -219,7 +220,7 @@ def fit(task: Task, demos: Episodes) -> Made:
     with task.during("fit"):
         learned = learned_by(task, task.cell.method, demos, world)
     if learned.reward is not None and demos.whole:
-        paid = totals(learned.reward, list(zip(demos.obs, demos.act, strict=True)))
+        paid = totals(fast(learned.reward), list(zip(demos.obs, demos.act, strict=True)))
         task.noted["own_return_shown"] = float(paid.mean())
     took = {"fit_seconds": task.seconds["fit"], "env_steps": world.env_steps}
     took |= {"check_steps": world.check_steps, "rl_solves": world.rl_solves}
@@ -286,7 +287,8 @@ def judge(task: Task, reward: Reward, policies: Sequence[Policy]) -> tuple[list[
     """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
     seeds = judging_seeds(task.cell.seed, JUDGING_EPISODES)
     played = list(Simulator(task.place).run_each(policies, seeds))
-    earned = [float(totals(reward, [(one.obs, one.act) for one in its]).mean()) for its in played]
+    shown = [[(one.obs, one.act) for one in its] for its in played]
+    earned = [float(totals(fast(reward), its).mean()) for its in shown]
     return earned, sum(len(one.act) for its in played for one in its)
 
 
@@ -326,7 +328,7 @@ def score(task: Task, policy: Policy, reward: Reward | None) -> Evaluation:
     """In the original environment, by the true reward, and by the one that it was trained on or found
     with."""
     with task.during("score"):
-        return evaluate(task.place, policy, task.seeds, reward)
+        return evaluate(task.place, policy, task.seeds, reward and fast(reward))
 
 
 def row(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> Row:
