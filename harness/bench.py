@@ -1,4 +1,5 @@
-"""What things cost, as ratios that survive a noisy machine: what is compared runs in turn, several times."""
+"""What things cost, as ratios that survive a noisy machine: what is compared runs in turn, several times. Of
+RL's solves, seconds of one core, and what they score."""
 
 from __future__ import annotations
 
@@ -41,11 +42,9 @@ SOLVES = {
 """Tasks whose true reward is solved at full, and the seconds of one core that a solve may take."""
 SEEDS = range(100, 100 + REPEATS)
 """Of those solves."""
-CONDITIONS = Conditions("quick", "absorbing", "sbx")
-
-
 SCORE = "of the expert"
 """Unit of normalised scores."""
+CONDITIONS = Conditions("quick", "absorbing", "sbx")
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def bench() -> Iterator[Measure]:
             bar,
         )
     for env, bar in SOLVES.items():
-        _solve(env, SEEDS[0], "sbx")  # compiles
+        _compile(env)
         yield from _solves(env, "sbx", bar)
     yield from _solves("cartpole", "sb3", None)
     for method in (*METHODS, *VARIANTS):
@@ -174,13 +173,22 @@ def _one_by_one(spec: EnvSpec, policy: Policy) -> int:
 
 
 def _solves(env: str, library: Library, bar: float | None) -> tuple[Measure, Measure]:
-    """Seconds of one core, and scores, of solves of the true reward."""
+    """Return seconds of one core, and scores, of solves of the true reward."""
     seconds, scores = zip(*(_solve(env, seed, library) for seed in SEEDS), strict=True)
     name = f"{env}, a solve of the true reward by {library} at full"
-    return Measure(name, "s", [*seconds], bar), Measure(f"{name}, score", SCORE, [*scores], 0.95)
+    least = None if bar is None else 0.95
+    return Measure(name, "s", [*seconds], bar), Measure(f"{name}, score", SCORE, [*scores], least)
+
+
+def _compile(env: str) -> None:
+    """Learn one bout, and check it, so that solves find what they need compiled."""
+    agent = Agent(SPECS[env], "absorbing", np.random.default_rng(0), "sbx")
+    agent.learn(agent.whole(1), None)
+    agent.best(None)
 
 
 def _solve(env: str, seed: int, library: Library) -> tuple[float, float]:
+    """Return the seconds of one core that a solve takes, and its normalised score."""
     spec, rng = SPECS[env], np.random.default_rng(seed)
     started = time.process_time()
     found = Agent(spec, "absorbing", rng, library).solve(None, spec.rl_steps["full"])
