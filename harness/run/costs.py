@@ -1,11 +1,15 @@
 """What jobs are expected to take, for their order and the time that is left: what earlier runs measured, kept
-in the cache; where they measured nothing, a guess by the environment's RL steps."""
+in the cache; where they measured nothing, what a machine of ours took, by how much slower this one is; and
+where that has nothing, a guess by the environment's RL steps."""
 
 from __future__ import annotations
 
+import functools
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -22,6 +26,10 @@ from harness.run.files import read, write_atomic
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
 
 FILE = "seconds.json"
+SHIPPED = Path(__file__).with_name(FILE)
+"""What one machine took, of the form of the file in the cache."""
+WORK = 4.5e-3
+"""Seconds that it takes for a little work, in `slowness`."""
 SOLVE = ", a solve"
 """End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
 SHARED = "expert"
@@ -44,19 +52,15 @@ class Costs:
         told = (c.rl, f"experts {c.experts}", *(() if c.retrain else ("without pi_R",)))
         told += (c.learner,) if c.learner != "own" else ()
         self._under = ", ".join([c.budget, *told])
-        self._measured: dict[str, float] = _stored().get(self._under, {})
+        self._measured = _Known(_stored(cache_folder() / FILE).get(self._under, {}))
         self._noted: dict[str, float] = {}
-        by_env: dict[str, list[tuple[float, float]]] = {}
-        for name in self._measured:
-            env, _, rest = name.partition(" ")
-            if rest not in ("", SHARED) and not name.endswith(SOLVE):
-                by_env.setdefault(env, []).append(self._known(name))
-        self._usual = {env: tuple(map(_median, zip(*its, strict=True))) for env, its in by_env.items()}
-        """Medians of `_known` over an environment's cells."""
+        elsewhere = _stored(SHIPPED).get(self._under, {})
+        slower = slowness() if elsewhere else 1.0
+        self._shipped = _Known({name: seconds * slower for name, seconds in elsewhere.items()})
 
     def known(self, job: Job) -> bool:
-        """Whether a job like it was measured."""
-        return name_of(job) in self._measured
+        """Whether a job like it was measured here."""
+        return name_of(job) in self._measured.by_name
 
     def of(self, job: Job) -> float:
         """What a job is expected to take, in seconds."""
@@ -87,21 +91,18 @@ class Costs:
         """Stores what was noted for later runs, where that can be done."""
         with suppress(OSError):
             cache_folder().mkdir(parents=True, exist_ok=True)
-            stored = _stored()
+            stored = _stored(cache_folder() / FILE)
             stored[self._under] = stored.get(self._under, {}) | self._noted
             write_atomic(cache_folder() / FILE, json.dumps(stored, indent=1, sort_keys=True) + "\n")
 
-    def _known(self, name: str) -> tuple[float, float]:
-        """Return the seconds of a job besides RL on a reward, and of one solve of that."""
-        return self._measured[name], self._measured.get(name + SOLVE, 0.0)
-
     def _parts(self, job: Job) -> tuple[float, ...]:
-        """Return the two numbers of `_known`, or a guess where the job was not measured."""
+        """Return the two numbers of `_Known.of`, or a guess where the job was not measured."""
         env, c = job.cells[0].env, self._conditions
-        if self.known(job):
-            return self._known(name_of(job))
-        if env in self._usual and not job.shared:
-            return self._usual[env]
+        known, name = (self._measured, self._shipped), name_of(job)
+        exact = [its.of(name) for its in known if name in its.by_name]
+        alike = [its.usual[env] for its in known if env in its.usual and not job.shared]
+        for seconds in exact + alike:
+            return seconds
         try:
             task = plugins.task(env)
             steps = (task.rl_steps if c.learner == "own" else task.ddpg_steps)[c.budget]
@@ -114,6 +115,34 @@ class Costs:
         if cell.method == REFERENCE:
             return REST, 0.0
         return (REST if cell.method in CONTROLS else REST + FIT + took), took
+
+
+class _Known:
+    """Seconds that jobs took, by their name. usual: medians of `of` over an environment's cells."""
+
+    def __init__(self, by_name: Mapping[str, float]) -> None:
+        self.by_name = by_name
+        by_env: dict[str, list[tuple[float, float]]] = {}
+        for name in by_name:
+            env, _, rest = name.partition(" ")
+            if rest not in ("", SHARED) and not name.endswith(SOLVE):
+                by_env.setdefault(env, []).append(self.of(name))
+        self.usual = {env: tuple(map(_median, zip(*its, strict=True))) for env, its in by_env.items()}
+
+    def of(self, name: str) -> tuple[float, float]:
+        """Return the seconds of a job besides RL on a reward, and of one solve of that."""
+        return self.by_name[name], self.by_name.get(name + SOLVE, 0.0)
+
+
+@functools.cache
+def slowness() -> float:
+    """Return how many times as long as the machine of `SHIPPED` this one takes for a little work."""
+    took = []
+    for _ in range(5):
+        started = time.perf_counter()
+        sum(number * number for number in range(100_000))
+        took.append(time.perf_counter() - started)
+    return min(took) / WORK
 
 
 def _rate(task: plugins.Offer | EnvSpec) -> float:
@@ -134,8 +163,8 @@ def _median(values: Sequence[float]) -> float:
     return sorted(values)[len(values) // 2]
 
 
-def _stored() -> dict[str, dict[str, float]]:
+def _stored(file: Path) -> dict[str, dict[str, float]]:
     """By conditions and job; nothing where the file cannot be used."""
     with suppress(OSError, ValueError):
-        return msgspec.json.decode(read(cache_folder() / FILE), type=dict[str, dict[str, Seconds]])
+        return msgspec.json.decode(read(file), type=dict[str, dict[str, Seconds]])
     return {}

@@ -180,7 +180,7 @@ def as_lines(found: Plan) -> list[str]:
         ),
         f"'{SHARED}' makes what the cells of a seed share; '{REFERENCE}' scores expert and random policy",
         f"measured: what it took last on this machine ({cache_folder() / FILE}); a guess: the median of the "
-        "task's cells, or by its steps of RL",
+        "task's cells here, what another machine took, or by its steps of RL",
         f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
         *[f"{solves} solves of a learned reward (--solves) take {clock(found.retraining)}"] * bool(solves),
         *(f"wall time with {count:,} cores: {clock(took)}" for count, took in found.wall.items()),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
-from harness.registry import SPECS
+from harness.registry import METHODS, SPECS
 from harness.run import costs, plan
 from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, Outcome
@@ -105,6 +105,25 @@ def test_what_a_solve_took_is_known_for_any_number_of_them() -> None:
     assert (known.of(other), known.known(other)) == (known.of(job), False)
     by_ddpg = Costs(dataclasses.replace(CONDITIONS, learner="ddpg"))
     assert not by_ddpg.known(job)
+
+
+def test_what_nobody_measured_here_is_what_another_machine_took(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(costs, "slowness", lambda: 2.0)
+    quick = Conditions("quick", "absorbing", "sbx")
+    shipped = json.loads(costs.SHIPPED.read_text())["quick, sbx, experts shipped"]
+    for env in ("cartpole", "highway"):
+        for method in METHODS:
+            job = Job((Cell(env, method, 0),), False, quick, "")
+            its, solve = (shipped.get(f"{env} {method}{end}", 0.0) for end in ("", costs.SOLVE))
+            assert its > 0
+            assert Costs(quick).of(job) == 2 * (its + SPECS[env].solves["quick"] * solve)
+            assert not Costs(quick).known(job)
+    quick_costs = Costs(quick)
+    quick_costs.note(job, 7.0)
+    quick_costs.keep()
+    assert Costs(quick).of(job) == 7.0
 
 
 def test_a_plan_of_nothing_says_nothing() -> None:
