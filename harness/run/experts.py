@@ -86,9 +86,9 @@ def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions)
     found = {EXPERT: _as_kept(expert)}
     for one in shown:
         found[name_of(one)] = _demonstrations(expert, env, seed, one, conditions)
-    if not spec.tabular:
+    if conditions.retrain and not spec.tabular:
         found[REPLAYED] = _replays(expert, env, seed, conditions)
-    if policies := [expert.policy] if spec.tabular else shipped_policies(env):
+    if conditions.retrain and (policies := [expert.policy] if spec.tabular else shipped_policies(env)):
         found[RANKING] = _ranking(policies, env, seed, conditions)
     return {name: as_bytes(what) for name, what in found.items()}
 

@@ -28,7 +28,7 @@ def prepare(env: str, seed: int, conditions: Conditions) -> dict[str, bytes]:
     arrays, policy = to_arrays(clone, "policy")
     facts = vars(Expert(given.source_of(said), clone, [], 0.0, 0, 0))
     found = {EXPERT: Kept(arrays, {**facts, "policy": policy})}
-    if not task.spec.tabular:
+    if conditions.retrain and not task.spec.tabular:
         seeds = evaluation_seeds(seed, REPLAYS[conditions.budget])
         found[REPLAYED] = Kept(replay(task.spec, clone, seeds, rng_for(seed, env, "replays")).arrays(), {})
     return {name: as_bytes(what) for name, what in found.items()}
