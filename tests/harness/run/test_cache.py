@@ -156,6 +156,11 @@ def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.M
         prepare("cartpole", 4, [Shown(4)], conditions)
 
 
+def test_where_no_reward_is_retrained_nothing_is_made_to_measure_one() -> None:
+    conditions = Conditions("smoke", "absorbing", "sbx", retrain=False)
+    assert set(prepare("cartpole", 0, [], conditions)) == {experts.EXPERT}
+
+
 def test_demonstrations_come_back_as_they_were_drawn() -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
     first, again = (demonstrations_for("cartpole", 2, Shown(6), conditions) for _ in range(2))
