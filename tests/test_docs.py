@@ -6,6 +6,7 @@ import importlib.util
 import itertools
 import os
 import re
+import statistics
 import subprocess
 import sys
 import textwrap
@@ -199,6 +200,27 @@ def test_what_rl_earns_of_rewards_with_good_policies_is_that_of_the_files() -> N
             such = [fit for fit in good if (fit["pi_R"][0] >= 0.9) == retrained]
             found += [len(such), sum(fit["pi_R"][1] < fit["pi_star"][1] for fit in such)]
         assert [int(count) for count in shown] == found, run
+
+
+def single_and_chosen_solves() -> list[list[str]]:
+    """Of each task and method."""
+    found: dict[tuple[str, str], list[dict[str, str]]] = {}
+    for solve in csv.DictReader((ROOT / "results/reference/rl_solves.csv").read_text("utf-8").splitlines()):
+        found.setdefault((solve["env"], solve["method"]), []).append(solve)
+    lines = []
+    for (env, method), solves in found.items():
+        chosen = [solve for solve in solves if solve["chosen"] == "1"]
+        failed = [sum(its["solved"] == "0" for its in some) for some in (solves, chosen)]
+        scores = [statistics.mean(float(its[name]) for its in chosen) for name in ("score_star", "score")]
+        counts = [f"{failed[0]} of {len(solves)}", f"{failed[1]} of {len(chosen)}"]
+        lines.append([f"`{env}`", f"`{method}`", *counts, *(f"{score:z.2f}" for score in scores)])
+    return lines
+
+
+def test_which_solves_fail_is_that_of_the_file() -> None:
+    text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"<!-- single and chosen solves -->\n(.*?)<!-- end", text, re.DOTALL)
+    assert cells_of(table)[2:] == single_and_chosen_solves()
 
 
 def test_what_more_solves_found_is_that_of_the_file() -> None:

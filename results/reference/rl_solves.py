@@ -16,12 +16,13 @@ from pathlib import Path
 
 from harness.judge.leaderboard import scored_rows
 from harness.judge.results import usable
-from harness.run.store import Store
+from harness.run.opening import open_to_verify
 
 COLUMNS = ("env", "method", "seed", "solve", "chosen", "solved", "score", "score_star")
 RETURNS = ("own_return", "own_return_star", "own_return_random")
 
-results, damaged = Store(Path(sys.argv[1])).load()
+with open_to_verify(Path(sys.argv[1])) as run:
+    results, damaged = run.load()
 assert not damaged
 rows = {(row.env, row.method, row.seed, row.policy): row for row in scored_rows([*results.values()])}
 lines = []
