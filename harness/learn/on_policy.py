@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import stable_baselines3 as sb3
 import torch
+from gymnasium import spaces
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -185,7 +186,8 @@ def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
             "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
         },
     )
-    model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
+    if not env.spec.discrete:
+        model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
     return model
 
 
@@ -199,8 +201,9 @@ def forget_rewards(model: sb3.PPO) -> None:
 
 def explore(model: sb3.PPO, noise: float) -> None:
     """Have it explore by so much at least: after it has learned it hardly does, and another reward may ask
-    for other actions."""
-    model.policy.log_std.data.clamp_(min=np.log(noise))
+    for other actions. Where actions are choices it draws by their probabilities, and nothing is done."""
+    if isinstance(model.action_space, spaces.Box):
+        model.policy.log_std.data.clamp_(min=np.log(noise))
 
 
 def layers(model: sb3.PPO) -> torch.nn.Module:

@@ -88,7 +88,8 @@ def _distance(entry: Entry) -> Number:
 
 def note(entry: Entry) -> str:
     """What there is to say of it, in a line."""
-    parts = [entry.note] if entry.note else []
+    parts = [f"R* solved on {as_text(entry.solved, '.0%')} of seeds"] if entry.unsolved else []
+    parts += [entry.note] if entry.note else []
     if entry.varies == "episodes" and math.isfinite(entry.return_low):
         parts.append("one seed: intervals are over episodes")
     noted = " ".join("; ".join(parts).split())

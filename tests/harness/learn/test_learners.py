@@ -53,6 +53,14 @@ def test_it_learns_the_task_and_another_after_it(
 
 
 @both_libraries
+def test_by_choices_it_learns_the_task_and_goes_on_under_another_reward(library: Library) -> None:
+    agent = Agent(SPECS["cartpole_discrete"], "absorbing", rng(), library)
+    solution = agent.solve(None, 40_960)
+    assert max(value for _, value in solution.curve) > 300
+    agent.learn(4096, NOTHING)
+
+
+@both_libraries
 def test_noise_drifts_in_ddpg_and_is_white_in_td3(steady: EnvSpec, library: Library) -> None:
     drawn = {}
     for settings in (DDPG(noise=0.4), TD3(noise=0.4)):
