@@ -37,9 +37,7 @@ SHARED = "expert"
 FIT, REST = 5.0, 1.5
 """Seconds of a method's fit besides its RL, which is taken to be one solve, and of all else of a cell."""
 COMPILED, STEPPED, REPLAYED = 40_000.0, 8_000.0, 1_200.0
-"""RL's steps a second: by PPO where dynamics are written down, by PPO elsewhere, and by other learners. On
-two cores of an AMD EPYC a cell of a method, at quick, takes 6 to 18 s on cart-pole and 13 to 24 s on highway;
-a first guess by these is 10 and 16."""
+"""RL's steps a second: by PPO where dynamics are written down, by PPO elsewhere, and by other learners."""
 
 Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
@@ -101,8 +99,8 @@ class Costs:
         known, name = (self._measured, self._shipped), name_of(job)
         exact = [its.of(name) for its in known if name in its.by_name]
         alike = [its.usual[env] for its in known if env in its.usual and not job.shared]
-        for seconds in exact + alike:
-            return seconds
+        if found := exact + alike:
+            return found[0]
         try:
             task = plugins.task(env)
             steps = (task.rl_steps if c.learner == "own" else task.ddpg_steps)[c.budget]
