@@ -223,14 +223,13 @@ REACHER = task(
 )
 """An arm of two links in a plane, seen from above. A step pays minus the distance from its tip to the target,
 less 0.1 of the action's square. The target is another one in each episode. None ends before 50 steps."""
-RUNNING = SAC(
+RUNNING = replace(
+    FEW_JOINTS,
     net=(128, 128),
-    batch=256,
-    n_steps=1,
-    tau=0.01,
-    final_learning_rate=3e-4,
-    checkpoint_every=5000,
-    check_episodes=5,
+    steps=128,
+    learning_rate=4e-4,
+    gae_lambda=0.97,
+    checkpoint_every=40_960,
 )
 """RL where a body runs."""
 FEW = {"smoke": 1, "quick": 2, "full": 2}
@@ -247,10 +246,18 @@ HALFCHEETAH = task(
         checkpoint_every=2500,
         experts=3,
         episodes=100,
-        rl=replace(RUNNING, buffer=450_000),
+        rl=SAC(
+            net=(128, 128),
+            batch=256,
+            n_steps=1,
+            tau=0.01,
+            final_learning_rate=3e-4,
+            check_episodes=5,
+            buffer=450_000,
+        ),
     ),
     rl=RUNNING,
-    rl_steps={"smoke": 600, "quick": 50_000, "full": 100_000},
+    rl_steps={"smoke": 8192, "quick": 819_200, "full": 1_966_080},
     variants={
         "weak_leg": Physics(weak=("fthigh", "fshin", "ffoot")),
         "heavy": Physics(mass=1.5),
@@ -267,9 +274,11 @@ HOPPER = task(
     "MuJoCo Hopper-v5: hop without falling, up to 1000 steps",
     obs_scale=(1.0, 0.1, 0.3, 0.5, 0.5, 1.5, 1.0, 1.0, 2.0, 3.0, 4.0),
     bar=3000.0,
-    shipped=Shipped(steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100),
-    rl=MANY,
-    rl_steps={"smoke": 8000, "quick": 200_000, "full": 500_000},
+    shipped=Shipped(
+        steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100, rl=MANY
+    ),
+    rl=replace(RUNNING, net=(64, 64), steps=64, learning_rate=5e-4),
+    rl_steps={"smoke": 8192, "quick": 491_520, "full": 983_040},
     variants={
         "weak_foot": Physics(weak=("foot_joint",)),
         "heavy": Physics(mass=1.3),
@@ -287,9 +296,11 @@ WALKER2D = task(
     "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps",
     obs_scale=(1.0, 0.2, 0.4, 0.5, 0.4, 0.4, 0.5, 0.4, 2.0, 1.0, 1.5, 3.0, 4.0, 4.0, 3.0, 4.0, 4.0),
     bar=3500.0,
-    shipped=Shipped(steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100),
-    rl=MANY,
-    rl_steps={"smoke": 8000, "quick": 200_000, "full": 500_000},
+    shipped=Shipped(
+        steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100, rl=MANY
+    ),
+    rl=RUNNING,
+    rl_steps={"smoke": 8192, "quick": 614_400, "full": 1_228_800},
     variants={
         "weak_leg": Physics(weak=("thigh_left_joint", "leg_left_joint", "foot_left_joint")),
         "heavy": Physics(mass=1.3),

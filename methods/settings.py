@@ -29,6 +29,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (MAXMARGIN, ("gridworld",), ANY, {"iterations": 30}),
     (("maxent_state",), ANY, ANY, {"actions": False}),
     (MAXENT, ("gridworld",), ANY, {"iterations": 300, "learning_rate": 1e-2}),
+    ((*MAXENT, *GAMES), ("cartpole_swingup",), ANY, {"iterations": 60}),
     ((*ITERATIVE, *GAMES, "maxent_linear"), ANY, ("smoke",), SMOKE_RL),
     (("gail_mean", "gail_mean_state"), ANY, ANY, {"mean": True}),
     (("gail_mean_state", "airl_state"), ANY, ANY, {"actions": False}),
