@@ -179,7 +179,7 @@ def _because(ends: str, env: gym.Env[Any, Any]) -> str:
 
 
 MANY = PPO(copies=20, steps=200, checkpoint_every=20_000, check_episodes=5)
-"""RL where a body balances: many steps take less time than soft actor-critic's few."""
+"""What trained the experts of bodies that balance."""
 ANGLES = ("first", "second")
 DOUBLE_PENDULUM = task(
     "double_pendulum",

@@ -262,7 +262,11 @@ def _instead(unknown: Sequence[str], choices: Sequence[str]) -> list[str]:
             told.append(NO_NAMES[as_ours].format(name))
         elif env in ENVS and variant in ENVS[env].variants:
             told.append(f"it is --envs {env} --transfer {variant}")
-        elif near := _mentioning(name, choices) or difflib.get_close_matches(as_ours, choices, 1):
+        elif near := (
+            [one for one in choices if one.startswith(as_ours)]
+            or _mentioning(name, choices)
+            or difflib.get_close_matches(as_ours, choices, 1)
+        ):
             meant.append(repr(near[0]))
         elif re.fullmatch(r".+-v\d+", name):
             told.append(f"a task of Gymnasium is gym:{name}")

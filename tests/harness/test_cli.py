@@ -197,6 +197,7 @@ def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
         ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
         ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),
         ("run --methods bc,,shaped", "no method named: give 'all' or some of shaped"),
+        ("run --envs cart", "no env named 'cart'; did you mean 'cartpole'?"),
         ("run --envs cartpol,highway", "no env named 'cartpol'; did you mean 'cartpole'?"),
         ("run --envs zzz", "no env named 'zzz'; there are cartpole, pendulum, highway"),
         ("run --methods ,", "no method named: give 'all' or some of"),
