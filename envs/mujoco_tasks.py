@@ -273,6 +273,7 @@ HOPPER = task(
     "Hopper-v5",
     "MuJoCo Hopper-v5: hop without falling, up to 1000 steps",
     obs_scale=(1.0, 0.1, 0.3, 0.5, 0.5, 1.5, 1.0, 1.0, 2.0, 3.0, 4.0),
+    gamma=0.995,
     bar=3000.0,
     shipped=Shipped(
         steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100, rl=MANY
