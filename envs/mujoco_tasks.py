@@ -279,7 +279,7 @@ HOPPER = task(
         steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100, rl=MANY
     ),
     rl=replace(RUNNING, net=(64, 64), steps=64, learning_rate=5e-4),
-    rl_steps={"smoke": 8192, "quick": 491_520, "full": 983_040},
+    rl_steps={"smoke": 8192, "quick": 491_520, "full": 1_474_560},
     variants={
         "weak_foot": Physics(weak=("foot_joint",)),
         "heavy": Physics(mass=1.3),
