@@ -275,9 +275,7 @@ HOPPER = task(
     obs_scale=(1.0, 0.1, 0.3, 0.5, 0.5, 1.5, 1.0, 1.0, 2.0, 3.0, 4.0),
     gamma=0.995,
     bar=3000.0,
-    shipped=Shipped(
-        steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100, rl=MANY
-    ),
+    shipped=Shipped(steps=1_500_000, bar=3000.0, checkpoint_every=8000, experts=3, episodes=100, rl=MANY),
     rl=replace(RUNNING, net=(64, 64), steps=64, learning_rate=5e-4),
     rl_steps={"smoke": 8192, "quick": 491_520, "full": 1_474_560},
     variants={
@@ -297,9 +295,7 @@ WALKER2D = task(
     "MuJoCo Walker2d-v5: walk without falling, up to 1000 steps",
     obs_scale=(1.0, 0.2, 0.4, 0.5, 0.4, 0.4, 0.5, 0.4, 2.0, 1.0, 1.5, 3.0, 4.0, 4.0, 3.0, 4.0, 4.0),
     bar=3500.0,
-    shipped=Shipped(
-        steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100, rl=MANY
-    ),
+    shipped=Shipped(steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100, rl=MANY),
     rl=RUNNING,
     rl_steps={"smoke": 8192, "quick": 614_400, "full": 1_228_800},
     variants={
