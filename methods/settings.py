@@ -36,7 +36,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("airl", "airl_state", "f_irl"), ("gridworld",), ("smoke",), {"known_steps": 20}),
     (("sqil", "csil"), ANY, ("quick",), {"rl_steps": 8000}),
     (("sqil", "csil"), ANY, ("smoke",), {"rl_steps": 320}),
-    (("csil",), ("halfcheetah",), ANY, {"layers": (128, 128)}),
+    (("csil",), ("halfcheetah", "walker2d"), ANY, {"layers": (128, 128)}),
     (("csil", "bc", "dagger", *SHAPED), ANY, ("smoke",), SMOKE_CLONE),
     (("dagger",), ANY, ("smoke",), {"rounds": 1, "rollouts": 2}),
     (("bc", "dagger"), LARGE, ("quick", "full"), {"layers": (128, 128)}),
