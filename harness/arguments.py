@@ -282,7 +282,7 @@ def _add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         "--engine",
         default="isolated",
         choices=ENGINES,
-        help="each cell in a process of its own, here or on a Ray cluster (docs/cluster.md), or all inline, "
+        help="cells in worker processes, here or on a Ray cluster (docs/cluster.md), or all inline, "
         "in this one, for a debugger",
     )
     add("--address", metavar="ADDRESS", help="of a Ray cluster, or 'auto'; without it ray starts one here")

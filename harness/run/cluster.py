@@ -1,5 +1,5 @@
-"""The engine of runs on many machines: cells are tasks of a Ray cluster, each in a process of its own there,
-as `harness.run.isolated` starts it here.
+"""The engine of runs on many machines: cells are tasks of a Ray cluster, computed there in processes
+as `harness.run.isolated` starts them here.
 
 Only the driver, this process, reads or writes the run's directory. The program, plug-ins and shipped experts
 travel as the tasks' working directory, what cells share travels through Ray's object store, and results and

@@ -3,13 +3,14 @@ and what it computes knows nothing of the run's directory."""
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import os
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -129,19 +130,13 @@ class Inline:
         self._ended: list[tuple[Job, Outcome]] = []
 
     def start(self, job: Job) -> None:
-        variables, folder = os.environ.copy(), Path.cwd()
         try:
-            plugins.check_alone(job.methods, [job.cells[0].env])
-            outcome = compute(self._work, job)
+            with process_restored():
+                plugins.check_alone(job.methods, [job.cells[0].env])
+                outcome = compute(self._work, job)
         except (Exception, SystemExit, GeneratorExit) as error:
             traceback.print_exc(file=sys.stderr)
             outcome = Outcome(error=describe(error))
-        finally:  # what a cell does to its process is not for the next one, nor is what it holds in cycles
-            os.environ.clear()
-            os.environ.update(variables)
-            os.chdir(folder)
-            gc.collect()
-            gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
         self._ended.append((job, outcome))
 
     def finished(self) -> list[tuple[Job, Outcome]]:
@@ -160,6 +155,24 @@ class Inline:
         os.environ.clear()
         os.environ.update(self._before)
         gc.unfreeze()
+
+
+@contextlib.contextmanager
+def process_restored() -> Iterator[None]:
+    """Restore this process's environment and folder as the context ends, for the next job there, and free
+    what the last one holds in cycles."""
+    variables, folder = os.environ.copy(), None
+    with contextlib.suppress(FileNotFoundError):  # which another job may have deleted
+        folder = Path.cwd()
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(variables)
+        if folder:
+            os.chdir(folder)
+        gc.collect()
+        gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
 
 
 AFTERWARDS = " Or did the cell change sys.path and then import from there? Do that as the module is imported."

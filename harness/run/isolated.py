@@ -1,34 +1,37 @@
-"""The engine of every run: each job in a fresh process of its own, which may die, hang, print and start
-others as it likes."""
+"""The engine of every run: jobs in processes, which may die, hang, print and start others as they like.
+
+A job that needs a plug-in has a fresh process of its own. Built-in methods and tasks share processes, one job
+after the other, so that what JAX traced and loaded for one job serves the next."""
 
 from __future__ import annotations
 
 import contextlib
 import faulthandler
+import math
 import os
 import shutil
 import signal
 import sys
 import tempfile
+import time
 import traceback
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from multiprocessing import connection
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from pebble import ProcessExpired
-from pebble.concurrent import process as in_a_process
-
-from harness.run.engines import WORK, Job, Outcome, compute, describe
+from harness.run.engines import WORK, Job, Outcome, compute, describe, process_restored
 from harness.run.environment import PRELOAD_VARIABLE, numeric
 from harness.run.files import appending, opened, write_atomic
-from harness.run.orphans import end_descendants, end_orphans
+from harness.run.orphans import PATIENCE, end_descendants, end_orphans
 from harness.run.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
 from harness.run.scratch import scratch_folder
 
+MOST_JOBS = 50
+"""Jobs that a process does before another takes its place."""
 LOOK_EVERY = 1.0
 """Seconds between looks for processes that jobs left behind."""
 LOG, TEMPORARY, DOING = "log", "tmp", "doing"
@@ -59,17 +62,17 @@ class Isolated:
         self.workers, self.timeout = workers, timeout
         self.variables = numeric(deterministic)
         self._deterministic, self._modules, self._work, self._preload = deterministic, modules, work, preload
-        self._running: dict[Future[Outcome], tuple[Job, Path]] = {}
+        self._running: dict[Worker, tuple[Job, Path, float]] = {}
+        """Jobs, their folders, and when they are stopped, in seconds of `time.monotonic`."""
+        self._idle: list[Worker] = []
+        self._not_started: list[tuple[Job, Outcome]] = []
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
             os.environ[PRELOAD_VARIABLE] = ",".join(self._modules)
             stack.callback(os.environ.pop, PRELOAD_VARIABLE, None)
             self._folders = stack.enter_context(scratch_folder())
-            context = stack.enter_context(fresh_processes(self._preload, self._deterministic))
-            # pebble's stubs call this argument mp_context, its code context.
-            options = {"name": NAME, "context": context, "timeout": self.timeout}
-            self._launch = in_a_process(**options)(_do)  # type: ignore[call-overload]
+            self._context = stack.enter_context(fresh_processes(self._preload, self._deterministic))
             self._stack = stack.pop_all()
         return self
 
@@ -77,12 +80,35 @@ class Isolated:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._running.clear()
+        self._idle.clear()
+        self._not_started.clear()
         self._stack.__exit__(kind, error, trace)
 
     def start(self, job: Job) -> None:
         folder = self._folders / job.name
         (folder / TEMPORARY).mkdir(parents=True, exist_ok=True)
-        self._running[_launched(self._launch, self._work, job, folder)] = job, folder
+        wake_server()
+        try:
+            worker = self._worker(job)
+            worker.connection.send((self._work, job, folder))
+        except (OSError, EOFError, RuntimeError) as error:
+            died = isinstance(error, EOFError | ConnectionError)
+            reason = (
+                "the process that it is forked from was killed (out of memory?)" if died else describe(error)
+            )
+            outcome = Outcome(error=f"its process could not be started: {reason}", lost=True)
+            self._not_started.append((job, outcome))
+        else:
+            stopped = math.inf if self.timeout is None else time.monotonic() + self.timeout
+            self._running[worker] = job, folder, stopped
+
+    def _worker(self, job: Job) -> Worker:
+        """Return a process for the job: a fresh one where it needs plug-ins."""
+        while self._idle and not job.plugins:
+            worker = self._idle.pop()
+            if worker.process.is_alive():
+                return worker
+        return Worker(self._context)
 
     def doing(self, name: str) -> str:
         with contextlib.suppress(OSError, ValueError), opened(self._folders / name / DOING) as file:
@@ -90,57 +116,83 @@ class Isolated:
         return ""
 
     def finished(self) -> list[tuple[Job, Outcome]]:
-        ended = []
-        for future in wait(self._running, LOOK_EVERY, return_when=FIRST_COMPLETED).done:
-            job, folder = self._running.pop(future)
-            ended.append((job, replace(self._outcome(future), log=_printed(folder / LOG))))
+        ended, self._not_started = self._not_started, []
+        waiting = [end for worker in self._running for end in (worker.connection, worker.process.sentinel)]
+        connection.wait(waiting, 0 if ended else LOOK_EVERY)
+        for worker, (job, folder, stopped) in [*self._running.items()]:
+            outcome = worker.outcome()
+            if outcome is None and time.monotonic() >= stopped:
+                outcome = Outcome(error=f"it was stopped after {self.timeout:g} s")
+            if outcome is None:
+                continue
+            del self._running[worker]
+            if outcome.error or job.plugins or worker.jobs >= MOST_JOBS:
+                worker.end()
+            else:
+                self._idle.append(worker)
+            ended.append((job, replace(outcome, log=_printed(folder / LOG))))
             shutil.rmtree(folder, ignore_errors=True)
         end_orphans()
         wake_server()
         return ended
 
-    def _outcome(self, future: Future[Outcome]) -> Outcome:
-        error = future.exception()  # not raised here: some would end the run
-        if error is None:
-            return future.result()
-        if isinstance(error, NotStarted):
-            return Outcome(error=f"its process could not be started: {error}", lost=True)
-        if isinstance(error, ProcessExpired):
-            code = error.exitcode
-            if code is not None and code < 0:
-                name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-                hint = " (out of memory?)" if name == "SIGKILL" else ""
-                return Outcome(error=f"its process was killed by {name}{hint}")
-            reason = f"its process ended without a result, exit code {code}"
-            return Outcome(error=reason, lost=code == SERVER_DIED)
-        if isinstance(error, TimeoutError) and self.timeout is not None:
-            return Outcome(error=f"it was stopped after {self.timeout:g} s")
-        return Outcome(error=describe(error))
+
+class Worker:
+    """A process that does jobs, one after the other, as they are sent through its connection."""
+
+    def __init__(self, starter: Any) -> None:
+        self.connection, theirs = starter.Pipe()
+        self.jobs = 0
+        """How many it has done."""
+        with theirs:
+            self.process = starter.Process(target=_serve, args=(theirs,), name=NAME)
+            self.process.start()
+
+    def outcome(self) -> Outcome | None:
+        """Return the outcome of the job that was sent last, None where it goes on."""
+        alive = self.process.is_alive()
+        if self.connection.poll():
+            with contextlib.suppress(EOFError, OSError):
+                outcome: Outcome = self.connection.recv()
+                self.jobs += 1
+                return outcome
+        elif alive:
+            return None
+        self.process.join(PATIENCE)
+        code = self.process.exitcode
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            hint = " (out of memory?)" if name == "SIGKILL" else ""
+            return Outcome(error=f"its process was killed by {name}{hint}")
+        reason = f"its process ended without a result, exit code {code}"
+        return Outcome(error=reason, lost=code == SERVER_DIED)
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self.process.kill()
+        self.process.join(PATIENCE)
+        self.connection.close()
 
 
-class NotStarted(Exception):
-    """Why a process could not be started, in a line."""
-
-
-def _launched(launch: Callable[..., Future[Outcome]], *arguments: object) -> Future[Outcome]:
-    """The future of a process that starts, or of one that cannot."""
-    wake_server()
-    try:
-        return launch(*arguments)
-    except (OSError, EOFError, RuntimeError) as error:
-        died = isinstance(error, EOFError | ConnectionError)
-        reason = "the process that it is forked from was killed (out of memory?)" if died else describe(error)
-        future: Future[Outcome] = Future()
-        future.set_exception(NotStarted(reason))
-        return future
+def _serve(jobs: connection.Connection) -> None:
+    """Do jobs until there are none."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_cell()
+    while True:
+        try:
+            work, job, folder = jobs.recv()
+        except EOFError:
+            return
+        with process_restored():
+            outcome = _do(work, job, folder)
+        jobs.send(outcome)
 
 
 def _do(work: str, job: Job, folder: Path) -> Outcome:
-    """Does one job, in its own process; whatever it prints goes to the log in its folder, and its temporary
-    files there, too."""
+    """Do a job. What it prints goes to the log in its folder, and so do its temporary files."""
     try:
         os.environ["TMPDIR"] = tempfile.tempdir = str(folder / TEMPORARY)
-        begin_cell()
+        os.makedirs(tempfile.tempdir, exist_ok=True)  # An earlier cell may have deleted it.
         bound_memory()
         with appending(folder / LOG) as file:
             os.dup2(file.fileno(), 1)

@@ -1,4 +1,4 @@
-"""What a node of a cluster does: jobs, one after the other, each in a fresh process of its own."""
+"""What a node of a cluster does: jobs, one after the other, by an engine that starts processes."""
 
 from __future__ import annotations
 

@@ -86,7 +86,6 @@ def begin_cell() -> None:
     if hasattr(os, "setsid"):
         os.setsid()
     orphans.take_in(True)
-    os.makedirs(os.environ["TMPDIR"], exist_ok=True)  # An earlier cell may have deleted it.
 
     def watch() -> None:
         parent = multiprocessing.parent_process()

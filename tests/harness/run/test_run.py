@@ -153,7 +153,24 @@ def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.Mo
     assert run(directory, [], workers=2) == {}
 
 
-def test_every_process_is_fresh(directory: Path) -> None:
+def processes(directory: Path) -> list[str]:
+    """Return the process of each cell that was computed, in order."""
+    return (directory / "computed.txt").read_text().split()[1::2]
+
+
+def test_cells_share_a_process_until_it_has_done_its_share(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cells = [Cell("cartpole", "good", seed) for seed in range(3)]
     run(directory, cells, workers=1)
-    assert len(set((directory / "computed.txt").read_text().split()[1::2])) == len(cells)
+    assert len(set(processes(directory))) == 1
+    monkeypatch.setattr("harness.run.isolated.MOST_JOBS", 1)
+    run(directory, cells, workers=1)
+    assert len(set(processes(directory))) == 1 + len(cells)
+
+
+@pytest.mark.parametrize("fault", ["raise", "kill", "hungry"])
+def test_no_cell_shares_a_process_in_which_another_failed(directory: Path, fault: str) -> None:
+    run(directory, [Cell("cartpole", fault, 0), Cell("cartpole", "good", 1)], workers=1)
+    first, second = processes(directory)
+    assert first != second

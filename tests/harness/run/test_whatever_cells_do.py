@@ -31,7 +31,7 @@ ODD = {
     "panic": "Panic: index out of bounds; in faked",
     "mute": "Mute: (its message raises RuntimeError); in faked",
     "surrogate": r"ValueError: caf\udce9 \x1b[2J; in faked",
-    "group": "its process ended without a result, exit code 15",
+    "group": "its process was killed by SIGTERM",
     "many_curves": "ValueError: Expected `object` of length <= 30 - at `$.curves`",
     "other_protocol": "ValueError: pi_star: of protocol another, not absorbing",
     "ghost_recording": "ValueError: its files are not those that its result names",
