@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 
-from envs.learners import FEW_JOINTS, PPO, SAC, Learner
+from envs.learners import DDPG, FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
 from envs.spec import EnvSpec, Quantity, Shape, Shipped
 
@@ -232,6 +232,8 @@ RUNNING = replace(
     checkpoint_every=40_960,
 )
 """RL where a body runs."""
+RUNNING_DDPG = DDPG(net=RUNNING.net)
+"""The same by DDPG, and by the soft actor-critic of csil, whose clone has these networks."""
 FEW = {"smoke": 1, "quick": 2, "full": 2}
 """Solves of a reward where each takes minutes."""
 HALFCHEETAH = task(
@@ -257,6 +259,7 @@ HALFCHEETAH = task(
         ),
     ),
     rl=RUNNING,
+    ddpg=RUNNING_DDPG,
     rl_steps={"smoke": 8192, "quick": 819_200, "full": 1_966_080},
     variants={
         "weak_leg": Physics(weak=("fthigh", "fshin", "ffoot")),
@@ -297,6 +300,7 @@ WALKER2D = task(
     bar=3500.0,
     shipped=Shipped(steps=2_000_000, bar=3500.0, checkpoint_every=20_000, experts=3, episodes=100, rl=MANY),
     rl=RUNNING,
+    ddpg=RUNNING_DDPG,
     rl_steps={"smoke": 8192, "quick": 614_400, "full": 1_228_800},
     variants={
         "weak_leg": Physics(weak=("thigh_left_joint", "leg_left_joint", "foot_left_joint")),

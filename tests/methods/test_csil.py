@@ -136,4 +136,5 @@ def test_it_learns_from_itself_alone_where_some_steps_are_not_shown(
 @pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])
 def test_it_clones_what_the_actor_can_begin_as(env: str) -> None:
     clone = settings_for("csil", env, "full").get("layers", CSIL.layers)
-    assert clone == soft(SPECS[env].rl, discrete=False).net
+    for learner in (SPECS[env].rl, SPECS[env].ddpg):
+        assert clone == soft(learner, discrete=False).net
