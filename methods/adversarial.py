@@ -35,7 +35,7 @@ class Turn(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """pi*, the last reward, and the mean of the latest."""
+    """pi*, the last reward, and the mean of all."""
 
     policy: Policy
     last: Reward
@@ -63,10 +63,8 @@ class Game:
     slope_penalty: float = 1.0
     """Weight of the reward's mean squared slope between the two (`contrast_among_living`), observations being
     standardised."""
-    averaged: int = 20
-    """Latest rewards, by default all, of whose mean the agent learns at the end."""
     final_share: float = 0.5
-    """Environment steps of that, of those of a solve from scratch."""
+    """Environment steps under the mean of all rewards at the end, of those of a solve from scratch."""
     rollouts: int = 10
     """Episodes of random actions, with which observations are standardised; where the model is known, also of
     the agent in each turn."""
@@ -97,7 +95,7 @@ class Game:
             else:
                 seen = Transitions.of(world.rollout(agent.policy, self.rollouts, rng))
             turns.append(answer(seen))
-        mean = MeanReward(tuple(turn.reward for turn in turns[1:][-self.averaged :]))
+        mean = MeanReward(tuple(turn.reward for turn in turns[1:]))
         agent.learn(math.ceil(self.final_share * world.solve_steps), mean)
         return Outcome(agent.best(mean), turns[-1].reward, mean)
 

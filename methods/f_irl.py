@@ -12,7 +12,7 @@ Deviates from the paper: only the gradient's direction counts, for its size is d
 trajectories' ratios; several steps go along each; the reward has a penalty on its slope instead of bounds, of
 half the weight of the discriminator's, which has one as well; ratios have bounds (`LARGEST_LOG`);
 the ratio is of the agent's latest steps, and so of slightly older policies too; where actions are choices the
-policy is Q-learning's, which has no entropy; R* is the mean of the latest networks, for single ones swing.
+policy is Q-learning's, which has no entropy; R* is the mean of all networks, for single ones swing.
 """
 
 from __future__ import annotations

@@ -121,12 +121,12 @@ def test_it_plays_with_a_soft_agent_and_returns_the_mean(
     world: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
     demos = demonstrate(lambda obs: obs[:, :2])
-    learned = AIRL(iterations=3, averaged=2, reward_steps=20).fit(demos, world, np.random.default_rng(0))
+    learned = AIRL(iterations=3, reward_steps=20).fit(demos, world, np.random.default_rng(0))
     assert world.given == [{"kind": "stochastic", "entropy": 1.0}]
     payments = [payment for payment, _, _ in world.solves]
     assert [type(payment) for payment in payments] == [Shaped] * 3 + [MeanReward]
     assert learned.reward is payments[-1]
-    assert len(payments[-1].rewards) == 2
+    assert len(payments[-1].rewards) == 3
 
 
 def test_the_reward_of_a_fit_is_the_true_one_where_the_model_is_known(finite_world: Any) -> None:
@@ -152,7 +152,7 @@ def test_demonstrated_states_pay_more(world: Any) -> None:
     rng = np.random.default_rng(0)
     obs = tuple(np.abs(rng.uniform(-1, 1, (21, 3))) for _ in range(20))
     demos = Episodes(obs, tuple(np.zeros((20, 2)) for _ in obs), (False,) * 20)
-    learned = AIRL(iterations=3, averaged=1, actions=False).fit(demos, world, np.random.default_rng(0))
+    learned = AIRL(iterations=3, actions=False).fit(demos, world, np.random.default_rng(0))
     there, act = np.full((1, 3), 0.5), np.zeros((1, 2))
     assert learned.reward(there, act, there)[0] > learned.reward(-there, act, there)[0] + 0.3
 
@@ -168,7 +168,7 @@ def test_what_the_agent_is_sure_of_tells_less(world: Any, monkeypatch: pytest.Mo
     rng = np.random.default_rng(0)
     obs = tuple(rng.uniform(-1, 1, (21, 3)) for _ in range(20))
     demos = Episodes(obs, tuple(rng.uniform(-1, 1, (20, 2)) for _ in obs), (False,) * 20)
-    method = AIRL(iterations=3, averaged=1, actions=False, slope_penalty=0.01, reward_steps=500)
+    method = AIRL(iterations=3, actions=False, slope_penalty=0.01, reward_steps=500)
     learned = method.fit(demos, world, np.random.default_rng(0))
     sure, act = np.tile([[0.5, 0.0, 0.0]], (1, 1)), np.zeros((1, 2))
     assert learned.reward(sure, act, sure)[0] > learned.reward(-sure, act, -sure)[0] + 1
@@ -180,7 +180,7 @@ def test_an_end_that_is_shown_pays_more_than_one_that_is_not(
     def absorbing(lifetime: int, where: Any) -> float:
         """What it pays, above a step elsewhere."""
         demos = demonstrate(lambda obs: 0 * obs[:, :2], lifetime=lifetime)
-        method = AIRL(iterations=3, averaged=1, actions=False)
+        method = AIRL(iterations=3, actions=False)
         reward = method.fit(demos, where, np.random.default_rng(0)).reward
         at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
         return float(reward.absorbing - reward(*at)[0])

@@ -120,7 +120,7 @@ def test_a_penalty_on_its_slope_makes_the_reward_flat(
     world: Any, demonstrate: Callable[..., Episodes]
 ) -> None:
     def spread(slope_penalty: float) -> float:
-        method = FIRL(iterations=2, averaged=1, slope_penalty=slope_penalty)
+        method = FIRL(iterations=2, slope_penalty=slope_penalty)
         reward = method.fit(demonstrate(lambda o: o[:, :2]), world, np.random.default_rng(0)).reward
         obs = np.random.default_rng(1).uniform(-1, 1, (100, 3))
         return float(np.ptp(reward(obs, obs[:, :2], obs)))
@@ -147,7 +147,7 @@ def test_demonstrated_states_pay_more(world: Any) -> None:
     rng = np.random.default_rng(0)
     obs = tuple(np.abs(rng.uniform(-1, 1, (21, 3))) for _ in range(5))
     demos = Episodes(obs, tuple(np.zeros((20, 2)) for _ in obs), (False,) * 5)
-    method = FIRL(iterations=3, averaged=1, reward_steps=100)
+    method = FIRL(iterations=3, reward_steps=100)
     learned = method.fit(demos, world, np.random.default_rng(0))
     assert world.given == [{"kind": "stochastic"}]
     there, act = np.full((1, 3), 0.5), np.zeros((1, 2))
@@ -161,7 +161,7 @@ def test_an_end_that_is_shown_pays_more_than_one_that_is_not(
     def absorbing(lifetime: int, where: Any) -> float:
         """What it pays, above a step elsewhere."""
         demos = demonstrate(lambda obs: 0 * obs[:, :2], lifetime=lifetime)
-        reward = FIRL(iterations=3, averaged=1).fit(demos, where, np.random.default_rng(0)).reward
+        reward = FIRL(iterations=3).fit(demos, where, np.random.default_rng(0)).reward
         at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
         return float(reward.absorbing - reward(*at)[0])
 

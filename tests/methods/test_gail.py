@@ -83,14 +83,14 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(
 ) -> None:
     demos = demonstrate(constant(0.7, -0.4))
     last, mean = (
-        GAIL(iterations=4, averaged=3, rl_share=0.07, final_share=0.5, mean=mean).fit(
+        GAIL(iterations=4, rl_share=0.07, final_share=0.5, mean=mean).fit(
             demos, world, np.random.default_rng(0)
         )
         for mean in (False, True)
     )
     assert isinstance(last.reward, NetworkReward)
     assert isinstance(mean.reward, MeanReward)
-    assert len(mean.reward.rewards) == 3
+    assert len(mean.reward.rewards) == 4
     half = len(world.solves) // 2
     assert [(steps, warm) for _, steps, warm in world.solves[:half]] == [
         *((70, False), (70, True), (70, True), (70, True), (500, True))
@@ -140,7 +140,7 @@ def play(tabular: Tabular, finite_world: Any, iterations: int, mean: bool) -> tu
     pays it more than the expert, in mean sizes of R*: what is left of the game's duality gap."""
     world = finite_world(tabular, horizon=50, gamma=GAMMA)
     demos = world.rollout(world.optimal(), 20, np.random.default_rng(1))
-    game = GAIL(iterations=iterations, averaged=iterations, reward_steps=20, slope_penalty=0.1, mean=mean)
+    game = GAIL(iterations=iterations, reward_steps=20, slope_penalty=0.1, mean=mean)
     learned = game.fit(demos, world, np.random.default_rng(2))
     obs = np.repeat(tabular.obs, ACTIONS, axis=0)
     r = learned.reward(obs, np.tile(np.eye(ACTIONS), (STATES, 1)), obs).reshape(STATES, ACTIONS)
