@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 from functools import partial
 
 import numpy as np
@@ -73,8 +74,8 @@ def _check_reward(reward: Reward, obs: Array, act: Array) -> None:
         "a reward needs `absorbing`, what a step after termination pays (docs/termination.md)",
     )
     expect(
-        isinstance(reward.absorbing, float) and bool(np.isfinite(reward.absorbing)),
-        f"`absorbing` must be a finite float, not {reward.absorbing!r}",
+        isinstance(reward.absorbing, numbers.Real) and bool(np.isfinite(reward.absorbing)),
+        f"`absorbing` must be a finite number, not {reward.absorbing!r}",
     )
     paid = reward(obs.copy(), act.copy(), obs.copy())
     expect(

@@ -128,7 +128,7 @@ BROKEN = [
     (Returns(Learned(lambda obs: linear(obs) + 0j, None)), "fit returns", "real numbers.*docs/plugins.md"),
     (Returns(Learned(linear, None, {"loss": []})), "fit returns", "the curve 'loss'"),
     (Returns(Learned(linear, linear)), "fit returns", "needs `absorbing`"),  # type: ignore[arg-type]
-    (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "must be a finite float, not None"),
+    (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "must be a finite number, not None"),
     (Returns(Learned(linear, Pays(size=2))), "fit returns", r"one number a step, \(40,\), not \(80,\)"),
     (Returns(Learned(linear, Pays(1j))), "fit returns", "rewards must be real numbers"),  # type: ignore[arg-type]
     (Returns(Learned(linear, Pays(np.inf))), "fit returns", "rewards must be finite"),
@@ -145,3 +145,9 @@ def test_who_breaks_the_contract_is_told_how(method: Method, title: str, why: st
     assert re.search(why, found)
     with pytest.raises(ContractError):
         check_method(method)
+
+
+def test_absorption_may_pay_a_whole_number() -> None:
+    method = Returns(Learned(linear, Pays(absorbing=0)))
+    (check,) = [check for check in checks(method) if check.title.startswith("fit returns")]
+    assert check.outcome()[0] != "FAILED"
