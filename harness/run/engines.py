@@ -170,7 +170,8 @@ def process_restored() -> Iterator[None]:
         os.environ.clear()
         os.environ.update(variables)
         if folder:
-            os.chdir(folder)
+            with contextlib.suppress(OSError):
+                os.chdir(folder)
         gc.collect()
         gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
 

@@ -13,9 +13,11 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
 from functools import partial
 from multiprocessing import connection
@@ -90,7 +92,6 @@ class Isolated:
         wake_server()
         try:
             worker = self._worker(job)
-            worker.connection.send((self._work, job, folder))
         except (OSError, EOFError, RuntimeError) as error:
             died = isinstance(error, EOFError | ConnectionError)
             reason = (
@@ -99,6 +100,7 @@ class Isolated:
             outcome = Outcome(error=f"its process could not be started: {reason}", lost=True)
             self._not_started.append((job, outcome))
         else:
+            worker.begin(self._work, job, folder)
             stopped = math.inf if self.timeout is None else time.monotonic() + self.timeout
             self._running[worker] = job, folder, stopped
 
@@ -108,6 +110,9 @@ class Isolated:
             worker = self._idle.pop()
             if worker.process.is_alive():
                 return worker
+            worker.end()
+        while self._idle and len(self._idle) + len(self._running) >= self.workers:
+            self._idle.pop().end()
         return Worker(self._context)
 
     def doing(self, name: str) -> str:
@@ -117,8 +122,7 @@ class Isolated:
 
     def finished(self) -> list[tuple[Job, Outcome]]:
         ended, self._not_started = self._not_started, []
-        waiting = [end for worker in self._running for end in (worker.connection, worker.process.sentinel)]
-        connection.wait(waiting, 0 if ended else LOOK_EVERY)
+        wait([worker.answer for worker in self._running], 0 if ended else LOOK_EVERY, FIRST_COMPLETED)
         for worker, (job, folder, stopped) in [*self._running.items()]:
             outcome = worker.outcome()
             if outcome is None and time.monotonic() >= stopped:
@@ -138,54 +142,88 @@ class Isolated:
 
 
 class Worker:
-    """A process that does jobs, one after the other, as they are sent through its connection."""
+    """A process that does jobs, one after the other, as they are sent through its connection.
+
+    jobs: how many it has done. answer: what it says of the one that it does now.
+    """
 
     def __init__(self, starter: Any) -> None:
+        self.jobs, self.answer, self._began = 0, Future[Outcome](), False
         self.connection, theirs = starter.Pipe()
-        self.jobs = 0
-        """How many it has done."""
         with theirs:
             self.process = starter.Process(target=_serve, args=(theirs,), name=NAME)
             self.process.start()
 
+    def begin(self, *job: object) -> None:
+        """Send the arguments of `_do`, and have the answer awaited: where the process is suspended, each of
+        both may take for ever."""
+        self.answer, self._began = Future(), False
+        threading.Thread(target=self._ask, args=job, daemon=True).start()
+
+    def _ask(self, *job: object) -> None:
+        try:
+            self.connection.send(job)
+            self._began = self.connection.recv() is True
+            outcome = self.connection.recv()
+            if not isinstance(outcome, Outcome):
+                raise TypeError("a process wrote to its connection")
+        except Exception as error:
+            self.answer.set_exception(error)
+        else:
+            self.answer.set_result(outcome)
+
     def outcome(self) -> Outcome | None:
-        """Return the outcome of the job that was sent last, None where it goes on."""
-        alive = self.process.is_alive()
-        if self.connection.poll():
-            with contextlib.suppress(EOFError, OSError):
-                outcome: Outcome = self.connection.recv()
-                self.jobs += 1
-                return outcome
-        elif alive:
-            return None
-        self.process.join(PATIENCE)
+        """Return the outcome of the job, None where it goes on."""
+        if alive := self.process.is_alive():
+            if not self.answer.done():
+                return None
+        else:
+            wait([self.answer], LOOK_EVERY)  # What was said last may be on its way.
+        if self.answer.done() and self.answer.exception() is None:
+            self.jobs += 1
+            return self.answer.result()
+        if alive:
+            self.process.join(LOOK_EVERY)
         code = self.process.exitcode
-        if code is not None and code < 0:
+        if code is None:
+            return Outcome(error="it closed its connection to the run, or wrote to it")
+        lost = code == SERVER_DIED or not self._began
+        if code < 0:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
             hint = " (out of memory?)" if name == "SIGKILL" else ""
-            return Outcome(error=f"its process was killed by {name}{hint}")
-        reason = f"its process ended without a result, exit code {code}"
-        return Outcome(error=reason, lost=code == SERVER_DIED)
+            return Outcome(error=f"its process was killed by {name}{hint}", lost=lost)
+        return Outcome(error=f"its process ended without a result, exit code {code}", lost=lost)
 
     def end(self) -> None:
         """End the process, whatever it does."""
         self.process.kill()
         self.process.join(PATIENCE)
-        self.connection.close()
+        if self.answer.done():  # else it is waited for there, and closed with this object
+            self.connection.close()
 
 
 def _serve(jobs: connection.Connection) -> None:
-    """Do jobs until there are none."""
+    """Do jobs until there are none, or one has left signals to come or their handlers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_cell()
-    while True:
+    process, signals = os.getpid(), _signals()
+    while _signals() == signals:
         try:
             work, job, folder = jobs.recv()
         except EOFError:
             return
+        jobs.send(True)
         with process_restored():
             outcome = _do(work, job, folder)
+        if os.getpid() != process:  # A copy of the process came back from a job that made it.
+            os._exit(0)
         jobs.send(outcome)
+
+
+def _signals() -> list[object]:
+    """Return the handlers of signals, and the alarm that is set."""
+    alarm = signal.getitimer(signal.ITIMER_REAL) if hasattr(signal, "getitimer") else None
+    return [*map(signal.getsignal, sorted(signal.valid_signals())), alarm]
 
 
 def _do(work: str, job: Job, folder: Path) -> Outcome:

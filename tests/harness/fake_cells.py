@@ -4,6 +4,7 @@ beside the run's directory says for the cell's name; an env named 'nowhere' has 
 As a script it is the real command line with these cells, for tests that send it signals.
 """
 
+import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -13,6 +14,7 @@ import math
 import os
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 import time
@@ -151,6 +153,20 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     if behaviour == "changes_its_process":
         os.chdir("/")
         os.environ["OMP_NUM_THREADS"] = "7"
+    if behaviour == "forks":
+        os.fork()  # and both go on
+    if behaviour == "leaves_an_alarm":
+        signal.alarm(1)
+    if behaviour == "naps":
+        time.sleep(2)
+    if behaviour == "closes_files":
+        os.closerange(3, 4096)
+    if behaviour in ("babbles", "babbles_well"):
+        message = b"hello" if behaviour == "babbles" else b"\0\0\0\5hello"
+        for file in map(int, os.listdir("/proc/self/fd")):
+            with contextlib.suppress(OSError):
+                if stat.S_ISSOCK(os.fstat(file).st_mode):
+                    os.write(file, message)
     if behaviour == "one_row":
         return CellResult(cell, _rows(cell, conditions, 1.0)[:1])
     if behaviour == "many_curves":

@@ -285,7 +285,7 @@ def test_modules_of_the_current_folder_are_not_imported(tmp_path: Path, name: st
         assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("package", ["msgspec", "rich", "filelock", "psutil", "pebble", "pandas", "jinja2"])
+@pytest.mark.parametrize("package", ["msgspec", "rich", "filelock", "psutil", "pandas", "jinja2"])
 def test_a_package_that_cannot_be_imported_is_one_line_before_anything_is_written(
     tmp_path: Path, package: str
 ) -> None:

@@ -246,3 +246,37 @@ def test_ctrl_z_suspends_the_cells_and_they_go_on(tmp_path: Path) -> None:
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.mark.parametrize("behaviour", ["forks", "leaves_an_alarm"])
+def test_what_a_cell_leaves_in_its_process_reaches_no_other(run: Run, behaviour: str) -> None:
+    results = run(behaviour, "naps", workers=1)
+    assert [row.status for method in (behaviour, "naps", "good") for row in results[method].rows] == [
+        "ok"
+    ] * 6
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "reason"),
+    [
+        ("babbles", "it was stopped after 3 s"),
+        ("babbles_well", "it closed its connection to the run, or wrote to it"),
+        ("closes_files", "its process ended without a result, exit code 1"),
+    ],
+)
+def test_a_cell_that_disturbs_its_connection_fails_alone(run: Run, behaviour: str, reason: str) -> None:
+    results = run(behaviour, workers=1, timeout=3)
+    assert {row.reason for row in results[behaviour].rows} == {reason}
+    assert [row.status for row in results["good"].rows] == ["ok", "ok"]
+
+
+def test_a_process_that_is_killed_while_it_waits_costs_no_job_its_result(tmp_path: Path) -> None:
+    job = Job((Cell("cartpole", "good", 0),), True, CONDITIONS, "")
+    with Isolated(1, work="fake_cells", preload="fake_preload") as engine:
+        worker = engine._worker(job)
+        worker.process.kill()
+        worker.begin("fake_cells", job, tmp_path)
+        engine._running[worker] = job, tmp_path, time.monotonic() + 60
+        while not (ended := engine.finished()):
+            pass
+        assert ended[0][1].lost
