@@ -130,7 +130,7 @@ class Isolated:
             if outcome is None:
                 continue
             del self._running[worker]
-            if outcome.error or job.plugins or worker.jobs >= MOST_JOBS:
+            if outcome.error or job.plugins or worker.jobs >= MOST_JOBS or not worker.goes_on:
                 worker.end()
             else:
                 self._idle.append(worker)
@@ -144,11 +144,12 @@ class Isolated:
 class Worker:
     """A process that does jobs, one after the other, as they are sent through its connection.
 
-    jobs: how many it has done. answer: what it says of the one that it does now.
+    jobs: how many it has done. answer: what it says of the one that it does now. goes_on: whether it can do
+    another one.
     """
 
     def __init__(self, starter: Any) -> None:
-        self.jobs, self.answer, self._began = 0, Future[Outcome](), False
+        self.jobs, self.answer, self._began, self.goes_on = 0, Future[Outcome](), False, False
         self.connection, theirs = starter.Pipe()
         with theirs:
             self.process = starter.Process(target=_serve, args=(theirs,), name=NAME)
@@ -165,6 +166,7 @@ class Worker:
             self.connection.send(job)
             self._began = self.connection.recv() is True
             outcome = self.connection.recv()
+            self.goes_on = self.connection.recv() is True
             if not isinstance(outcome, Outcome):
                 raise TypeError("a process wrote to its connection")
         except Exception as error:
@@ -218,6 +220,7 @@ def _serve(jobs: connection.Connection) -> None:
         if os.getpid() != process:  # A copy of the process came back from a job that made it.
             os._exit(0)
         jobs.send(outcome)
+        jobs.send(_signals() == signals)
 
 
 def _signals() -> list[object]:
