@@ -156,8 +156,8 @@ class Worker:
             self.process.start()
 
     def begin(self, *job: object) -> None:
-        """Send the arguments of `_do`, and have the answer awaited: where the process is suspended, each of
-        both may take for ever."""
+        """Send the arguments of `_do`, and await the answer, in a thread: with a suspended process either may
+        take for ever."""
         self.answer, self._began = Future(), False
         threading.Thread(target=self._ask, args=job, daemon=True).start()
 
@@ -165,8 +165,7 @@ class Worker:
         try:
             self.connection.send(job)
             self._began = self.connection.recv() is True
-            outcome = self.connection.recv()
-            self.goes_on = self.connection.recv() is True
+            outcome, self.goes_on = self.connection.recv()
             if not isinstance(outcome, Outcome):
                 raise TypeError("a process wrote to its connection")
         except Exception as error:
@@ -208,8 +207,8 @@ def _serve(jobs: connection.Connection) -> None:
     """Do jobs until there are none, or one has left signals to come or their handlers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_cell()
-    process, signals = os.getpid(), _signals()
-    while _signals() == signals:
+    process, signals, goes_on = os.getpid(), _signals(), True
+    while goes_on:
         try:
             work, job, folder = jobs.recv()
         except EOFError:
@@ -219,8 +218,8 @@ def _serve(jobs: connection.Connection) -> None:
             outcome = _do(work, job, folder)
         if os.getpid() != process:  # A copy of the process came back from a job that made it.
             os._exit(0)
-        jobs.send(outcome)
-        jobs.send(_signals() == signals)
+        goes_on = _signals() == signals
+        jobs.send((outcome, goes_on))
 
 
 def _signals() -> list[object]:
