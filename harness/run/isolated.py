@@ -144,12 +144,12 @@ class Isolated:
 class Worker:
     """A process that does jobs, one after the other, as they are sent through its connection.
 
-    jobs: how many it has done. answer: what it says of the one that it does now. goes_on: whether it can do
-    another one.
+    jobs: how many it has done. answer: what it says of the one that it does now, None where it ended without.
+    goes_on: whether it can do another one.
     """
 
     def __init__(self, starter: Any) -> None:
-        self.jobs, self.answer, self._began, self.goes_on = 0, Future[Outcome](), False, False
+        self.jobs, self.answer, self._began, self.goes_on = 0, Future[Outcome | None](), False, False
         self.connection, theirs = starter.Pipe()
         with theirs:
             self.process = starter.Process(target=_serve, args=(theirs,), name=NAME)
@@ -162,16 +162,13 @@ class Worker:
         threading.Thread(target=self._ask, args=job, daemon=True).start()
 
     def _ask(self, *job: object) -> None:
-        try:
+        answer = None
+        with contextlib.suppress(Exception):  # of a process that ended, or of a job that wrote here
             self.connection.send(job)
             self._began = self.connection.recv() is True
             outcome, self.goes_on = self.connection.recv()
-            if not isinstance(outcome, Outcome):
-                raise TypeError("a process wrote to its connection")
-        except Exception as error:
-            self.answer.set_exception(error)
-        else:
-            self.answer.set_result(outcome)
+            answer = outcome if isinstance(outcome, Outcome) else None
+        self.answer.set_result(answer)
 
     def outcome(self) -> Outcome | None:
         """Return the outcome of the job, None where it goes on."""
@@ -180,9 +177,9 @@ class Worker:
                 return None
         else:
             wait([self.answer], LOOK_EVERY)  # What was said last may be on its way.
-        if self.answer.done() and self.answer.exception() is None:
+        if self.answer.done() and (answer := self.answer.result()):
             self.jobs += 1
-            return self.answer.result()
+            return answer
         if alive:
             self.process.join(LOOK_EVERY)
         code = self.process.exitcode
@@ -199,7 +196,8 @@ class Worker:
         """End the process, whatever it does."""
         self.process.kill()
         self.process.join(PATIENCE)
-        if self.answer.done():  # else it is waited for there, and closed with this object
+        wait([self.answer], LOOK_EVERY)
+        if self.answer.done():  # else what a job left behind holds the other end, and a thread waits here
             self.connection.close()
 
 
