@@ -16,12 +16,14 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from envs import EnvSpec
-from harness.judge.results import ALL_SHOWN, Cell, Conditions
+from harness.cell.fitting import fit
+from harness.cell.inputs import Inputs
+from harness.cell.run import prepare
+from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import BUILT_IN, SPECS
-from harness.run.experts import Shared, demonstrations_for, expert_for
-from harness.run.stages import Task, fit
+from harness.run.experts import Shared, expert_for
 from harness.show.maps import maps
 from harness.show.recordings import Episode, record
 from harness.show.scenes import scene
@@ -72,11 +74,12 @@ def of_expert(spec: EnvSpec) -> bytes:
 def shaped() -> bytes:
     """The same of what `shaped` learns on the highway, with its R*."""
     spec, expert = SPECS["highway"], expert_for("highway", 0, CONDITIONS).policy
-    task = Task(Cell("highway", "shaped", 0), CONDITIONS, Shared({}))
-    made = fit(task, demonstrations_for("highway", 0, ALL_SHOWN, CONDITIONS))
-    assert made.policy is not None
-    assert isinstance(made.reward, ShapedReward)
-    return played(spec, "shaped", "pi_star", made.policy, expert, made.reward)
+    cell = Cell("highway", "shaped", 0)
+    star = fit(Inputs(cell, CONDITIONS, Shared(prepare([cell], CONDITIONS)))).star
+    assert star is not None
+    assert star.policy is not None
+    assert isinstance(star.reward, ShapedReward)
+    return played(spec, "shaped", "pi_star", star.policy, expert, star.reward)
 
 
 def played(

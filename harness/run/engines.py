@@ -35,7 +35,7 @@ from harness.run.files import LARGEST_OF_CELL, sha256_of
 from harness.run.keys import cell_keys, machine
 from harness.run.plugins import Plugin
 
-WORK = "harness.run.cells"
+WORK = "harness.cell.run"
 
 
 class Work(Protocol):

@@ -1,4 +1,4 @@
-"""What a job says that it does (`harness.run.stages`), taken apart for who shows it."""
+"""What a job says that it does (`harness.cell`), taken apart for who shows it."""
 
 from __future__ import annotations
 

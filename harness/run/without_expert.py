@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from harness.cell.fitting import learned_by
+from harness.cell.inputs import Inputs
 from harness.judge.advantage import replay
 from harness.judge.results import ALL_SHOWN, Cell, Conditions, Row, name_of
 from harness.learn.seeds import evaluation_seeds, rng_for
@@ -16,21 +18,20 @@ from harness.registry import SPECS
 from harness.run import given
 from harness.run.cache import Kept, as_bytes
 from harness.run.experts import EXPERT, REPLAYED, REPLAYS, Expert, Shared
-from harness.run.stages import Task, learned_by
 
 
 def prepare(env: str, seed: int, conditions: Conditions) -> dict[str, bytes]:
     """What `Shared` reads, but for demonstrations."""
     said = conditions.demonstrations
     shared = Shared({name_of(ALL_SHOWN): as_bytes(given.shown(said, env, seed, ALL_SHOWN))})
-    task = Task(Cell(env, "bc", seed), conditions, shared)
-    clone = learned_by(task, "bc", shared.demonstrations(ALL_SHOWN), task.world()).policy
+    inputs = Inputs(Cell(env, "bc", seed), conditions, shared)
+    clone = learned_by(inputs, "bc", shared.demonstrations(ALL_SHOWN), inputs.world()).policy
     arrays, policy = to_arrays(clone, "policy")
     facts = vars(Expert(given.source_of(said), clone, [], 0.0, 0, 0))
     found = {EXPERT: Kept(arrays, {**facts, "policy": policy})}
-    if conditions.retrain and not task.spec.tabular:
+    if conditions.retrain and not inputs.spec.tabular:
         seeds = evaluation_seeds(seed, REPLAYS[conditions.budget])
-        found[REPLAYED] = Kept(replay(task.spec, clone, seeds, rng_for(seed, env, "replays")).arrays(), {})
+        found[REPLAYED] = Kept(replay(inputs.spec, clone, seeds, rng_for(seed, env, "replays")).arrays(), {})
     return {name: as_bytes(what) for name, what in found.items()}
 
 

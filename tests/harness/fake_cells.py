@@ -1,4 +1,4 @@
-"""Stand-ins for `harness.run.cells`. A cell does what its method is called, or what the file faults.json
+"""Stand-ins for `harness.cell.run`. A cell does what its method is called, or what the file faults.json
 beside the run's directory says for the cell's name; an env named 'nowhere' has no expert.
 
 As a script it is the real command line with these cells, for tests that send it signals.

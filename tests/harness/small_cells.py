@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.cell.run import prepare, run_cell
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.files import sha256_of
 

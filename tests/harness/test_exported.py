@@ -18,13 +18,13 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import irl_bench
+from harness.cell.run import prepare, run_cell
 from harness.cli import main
 from harness.exported import FACTS, export, load_learned
 from harness.judge.results import Cell, Conditions, Request, artifact_of
 from harness.learn.seeds import evaluation_seeds
 from harness.registry import ENVS, PLUGINS, SPECS, BadInput
 from harness.run.artifacts import artifact, read_artifact
-from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.files import sha256_of
 from harness.run.opening import open_for_run, open_to_verify
@@ -243,7 +243,7 @@ def test_odd_descriptions_are_refused(
         {},
         "x",
         {"class": "os:system", "fields": {}},
-        {"class": "harness.run.cells:run_cell"},
+        {"class": "harness.cell.run:run_cell"},
     ]
     counts: Counter[str] = Counter()
     for key in ("format", "env", "policy", "reward", "files"):

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import pandas as pd
 import pytest
 
+from harness.cell.run import prepare, run_cell
 from harness.cli import main
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import (
@@ -25,7 +26,6 @@ from harness.judge.results import (
 )
 from harness.registry import SPECS
 from harness.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES, _study
-from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.request import existing
 from methods.shaped import Shaped

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from harness.cell.fitting import SAME_FIT
 from harness.registry import ENVS, METHODS
 from harness.run.environment import numeric
-from harness.run.stages import SAME_FIT
 
 ROOT = Path(__file__).parents[2]
 EVERY_METHOD = ("cartpole", "cartpole_discrete", "gridworld")

@@ -16,6 +16,7 @@ import pytest
 
 from harness import commands
 from harness.arguments import parser
+from harness.cell.run import prepare, run_cell
 from harness.cli import main
 from harness.judge.command_line import command_of
 from harness.judge.leaderboard import leaderboard, scored_rows
@@ -39,7 +40,6 @@ from harness.judge.results import (
 from harness.learn.seeds import rng_for
 from harness.registry import BadInput
 from harness.run.artifacts import read_artifact
-from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for
 from harness.run.opening import open_for_report, open_for_run

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.cell import scoring
+from harness.cell.run import prepare, run_cell
 from harness.judge.evaluation import evaluate, totals
 from harness.judge.results import (
     CONTROLS,
@@ -23,9 +25,7 @@ from harness.judge.results import (
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
-from harness.run import stages
 from harness.run.artifacts import learned_in, read_artifact
-from harness.run.cells import prepare, run_cell
 from harness.run.experts import demonstrations_for, expert_for
 from harness.run.phases import phase_of
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
@@ -146,7 +146,7 @@ def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
     scored = dataclasses.replace(
         scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
     )
-    monkeypatch.setattr(stages, "evaluate", lambda *of: scored)
+    monkeypatch.setattr(scoring, "evaluate", lambda *of: scored)
     assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
 
 

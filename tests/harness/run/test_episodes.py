@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from harness.cell import fitting
+from harness.cell.inputs import Inputs
+from harness.cell.recording import LEAST_WEIGHT, advantages, play
+from harness.cell.run import prepare, run_cell
+from harness.cell.watched import Watched, chosen
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS, Record
-from harness.run import stages
-from harness.run.cells import prepare, run_cell
 from harness.run.compared import write_compared
-from harness.run.episodes import LEAST_WEIGHT, advantages, play
 from harness.run.experts import Shared
-from harness.run.watched import Watched, chosen
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 
@@ -119,11 +120,11 @@ def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pyt
                 array[:] = 0
             return Learned(lambda obs: np.zeros((len(obs), SPEC.act_size)), None)
 
-    task = stages.Task(Cell("cartpole", "bc", 0), SMOKE, Shared(shared()))
-    demos = stages.demonstrations(task)
+    task = Inputs(Cell("cartpole", "bc", 0), SMOKE, Shared(shared()))
+    demos = fitting.demonstrations(task)[0]
     before = [array.copy() for array in (*demos.obs, *demos.act)]
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Spoiling())
-    stages.learned_by(task, "bc", demos, task.world())
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Spoiling())
+    fitting.learned_by(task, "bc", demos, task.world())
     assert all(map(np.array_equal, (*demos.obs, *demos.act), before))
 
 

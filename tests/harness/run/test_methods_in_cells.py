@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
+from harness.cell import fitting, retraining
 from harness.judge.results import (
     LONGEST_TEXT,
     MOST_CURVES,
@@ -25,7 +26,6 @@ from harness.learn import world
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS, load_method
-from harness.run import stages
 from harness.run.codec import decode, encode
 from harness.run.experts import expert_for
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
@@ -40,7 +40,7 @@ def test_who_is_marked_so_may_ask_the_expert_and_nobody_else(
     assert result.details == {"answers of the expert": result.rows[0].env_steps}
     assert result.rows[0].env_steps > 0
     asking = load_method("dagger")
-    monkeypatch.setattr(stages, "load_method", lambda name: asking)
+    monkeypatch.setattr(fitting, "load_method", lambda name: asking)
     with pytest.raises(ValueError, match="only methods that are marked"):
         run(BC, tmp_path)
 
@@ -74,7 +74,7 @@ def test_whatever_it_says_its_cell_can_be_kept(
         def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
             raise Unsuitable(said)
 
-    monkeypatch.setattr(stages, "load_method", lambda name: Refuses)
+    monkeypatch.setattr(fitting, "load_method", lambda name: Refuses)
     result = decode(encode(run(BC, tmp_path)))
     assert {row.status for row in result.rows} == {"skipped"}
     assert {row.reason for row in result.rows} == {kept or said[:LONGEST_TEXT]}
@@ -126,7 +126,7 @@ def ones(obs: Array) -> Array:
 def test_what_breaks_the_contract_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: Policy, reward: Reward, message: str
 ) -> None:
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Method(policy, reward))
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Method(policy, reward))
     with pytest.raises((ValueError, FloatingPointError), match=message):
         run(Cell("cartpole", "shaped", 1), tmp_path)
 
@@ -141,7 +141,7 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
                 self.policy, None, {"long": [float(x) for x in range(123_456)], "none": [], **many}
             )
 
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Talkative(still, Pays(ones)))
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Talkative(still, Pays(ones)))
     result = decode(encode(run(BC, tmp_path)))
     long = result.curves["long"]
     assert len(result.curves) < len(long) <= MOST_POINTS
@@ -168,7 +168,7 @@ def test_demonstrations_are_the_experts_and_of_no_evaluation_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spy = Spy(still, Pays(ones))
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: spy)
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: spy)
     run(Cell("cartpole", "shaped", 3), tmp_path)
     env, count = SPECS["cartpole"].make(), len(spy.demos.act)
     assert count == SPECS["cartpole"].demo_episodes["smoke"]
@@ -196,9 +196,9 @@ def test_every_solve_of_a_cell_is_under_its_protocol(
         asked.append((protocol, library))
         return solver_for(spec, protocol, rng, library, **more)
 
-    for module in (stages, world):
+    for module in (retraining, world):
         monkeypatch.setattr(module, "solver_for", solver)
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Spy(still, Pays(ones)))
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Spy(still, Pays(ones)))
     result = run(Cell("cartpole", "shaped", 1), tmp_path, Conditions("smoke", protocol, "sb3"))
     assert asked == [(protocol, "sb3")] * 2  # the method's, and pi_R's
     assert {row.protocol for row in result.rows} == {protocol}

@@ -161,7 +161,7 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
     (its_key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
     mine.write_text(MINE + "# edited\n")
     with pytest.raises(RuntimeError, match="are not those that the run began with"):
-        compute("harness.run.cells", Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], [])))
+        compute("harness.cell.run", Job((cell,), False, CONDITIONS, its_key, plugins.needed(["mine"], [])))
 
 
 def test_of_what_is_imported_late_it_is_said_why_the_cell_does_not_count(

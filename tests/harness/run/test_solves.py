@@ -14,16 +14,27 @@ import pytest
 
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
+from harness.cell import fitting, retraining
+from harness.cell.inputs import Inputs
+from harness.cell.retraining import JUDGING_EPISODES
 from harness.judge.evaluation import evaluate
-from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Request, Solve
+from harness.judge.results import (
+    NOMINAL,
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    Request,
+    Solve,
+    row_of,
+)
 from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
-from harness.run import experts, stages
+from harness.run import experts
 from harness.run.codec import checksum, decode, encode
 from harness.run.experts import Expert, Shared
 from harness.run.request import merged, stored_request, write_request
-from harness.run.stages import JUDGING_EPISODES, Task
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 
@@ -79,8 +90,8 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[EnvSpec, Any]]:
             curve = [(0.0, 0.0), (float(steps), self.force)]
             return Solution(Push(self.force), curve, curve, steps, FEW, best=1)
 
-    monkeypatch.setattr(stages, "solver_for", Solver)
-    monkeypatch.setattr(stages, "load_method", lambda name: lambda **settings: Fits())
+    monkeypatch.setattr(retraining, "solver_for", Solver)
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Fits())
     return found
 
 
@@ -129,7 +140,7 @@ def test_of_equals_the_first_counts_and_what_earns_no_number_never_does(
 ) -> None:
     for earned_by, expected in (([1.0, 2.0, 2.0, 2.0], 0.9), ([math.nan, -3.0, -3.0, -2.0], -0.5)):
         solved.clear()
-        monkeypatch.setattr(stages, "judge", lambda *given, its=earned_by: (its, 0))
+        monkeypatch.setattr(retraining, "judge", lambda *given, its=earned_by: (its, 0))
         result = run(CELL, tmp_path, many(4))
         assert result.curves["pi_R_chosen"] == [(float(STEPS), expected)]
         assert decode(encode(result)).solves[1:] == result.solves[1:]
@@ -183,7 +194,9 @@ def test_where_no_reward_is_learned_or_none_is_solved_nothing_is_said_of_it(
 
 def test_the_task_says_how_many_unless_the_run_does() -> None:
     def solves(env: str, budget: str, asked: int = 0) -> int:
-        return Task(Cell(env, "shaped", 0), Conditions(budget, "absorbing", "sbx", solves=asked), None).solves  # type: ignore[arg-type]
+        return Inputs(
+            Cell(env, "shaped", 0), Conditions(budget, "absorbing", "sbx", solves=asked), None
+        ).solves  # type: ignore[arg-type]
 
     assert [solves("swingup", budget) for budget in ("smoke", "quick", "full")] == [1, 2, 5]
     assert [solves(env, "full") for env in ("halfcheetah", "hopper", "walker2d", "gridworld")] == [2, 2, 2, 1]
@@ -192,9 +205,9 @@ def test_the_task_says_how_many_unless_the_run_does() -> None:
 
 def test_it_is_told_how_far_all_solves_are(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
     told: list[str] = []
-    task = Task(CELL, many(2), None, tell=told.append)  # type: ignore[arg-type]
+    task = Inputs(CELL, many(2), None, report=told.append)  # type: ignore[arg-type]
     for number in range(2):
-        stages.solve(task, None, number)
+        retraining.solve(task, None, number)
     assert told == [f"retrain, step {done * STEPS:,} of {2 * STEPS:,}" for done in (1, 2)]
 
 
@@ -205,7 +218,7 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
     cell = dataclasses.replace(CELL, dynamics=dynamics)
     for learner, rl, steps in (("own", SAC(), STEPS), ("ddpg", DDPG(batch=64), 70)):
         conditions = dataclasses.replace(SMOKE, learner=learner, experts="trained")
-        task = Task(cell, conditions, Shared({}))
+        task = Inputs(cell, conditions, Shared({}))
         assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
         assert (task.place is task.spec) == (dynamics == NOMINAL)
         assert experts.task_for("cartpole", conditions).rl == rl
@@ -235,7 +248,7 @@ def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, An
 
 
 def test_cells_of_earlier_versions_have_no_solves() -> None:
-    result = CellResult(CELL, [stages.row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
+    result = CellResult(CELL, [row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
     stored = json.loads(encode(result))["result"]
     del stored["solves"]
     for row in stored["rows"]:

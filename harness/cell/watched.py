@@ -1,4 +1,4 @@
-"""Which evaluation episodes of a policy are recorded, and what it did in them."""
+"""A policy's actions in its evaluation episodes, and the choice of those that are recorded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from methods.base import Array, Policy
 
 
 class Watched:
-    """A policy, and what it did, so that whatever it is like its episodes can be played again."""
+    """A policy that remembers its actions, so that its episodes can be played again."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -20,28 +20,30 @@ class Watched:
 
     def __call__(self, obs: Array, /) -> Array:
         act = self.policy(obs)
-        self._answers.append(np.array(act))  # for it may be the policy's own buffer
+        self._answers.append(np.array(act))  # a copy, because it may be the policy's own buffer
         return act
 
     def actions(self, lengths: Sequence[int]) -> list[Array]:
-        """What it did in each of the episodes of these lengths that a `Simulator` just ran, (T, A) each."""
+        """Return the actions of each episode that a `Simulator` just ran, (T, A) each, by their lengths."""
         waiting = iter(range(len(lengths)))
         playing = {place: next(waiting) for place in range(len(self._answers[0]))}
-        found: list[list[Array]] = [[] for _ in lengths]
+        actions: list[list[Array]] = [[] for _ in lengths]
         for answer in self._answers:
             for place, act in zip(sorted(playing), answer, strict=True):
                 episode = playing[place]
-                found[episode].append(act)
-                if len(found[episode]) == lengths[episode]:
+                actions[episode].append(act)
+                if len(actions[episode]) == lengths[episode]:
                     del playing[place]
                     if (following := next(waiting, None)) is not None:
                         playing[place] = following
-        return [np.array(acts) for acts in found]
+        return [np.array(acts) for acts in actions]
 
 
 def chosen(kind: Record, returns: Array) -> dict[str, int]:
-    """The numbers of the episodes to record, by what each is: the median, the lower of two, and the worst;
-    the first of those that return as much."""
+    """Return the numbers of the episodes to record, by what each is.
+
+    The median is the lower of two. Ties go to the first episode.
+    """
     order = np.argsort(returns, kind="stable")
     named = {"median": int(order[(len(order) - 1) // 2]), "worst": int(order[0])}
     match kind:

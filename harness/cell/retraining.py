@@ -1,0 +1,127 @@
+"""The third stage of a cell: RL from scratch on the learned reward."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from harness.cell.fitting import Candidate, Fitted, random_policy, skipped
+from harness.cell.inputs import Inputs, Seconds, added
+from harness.judge.advantage import known_comparison, sampled_comparison
+from harness.judge.evaluation import totals
+from harness.judge.results import usable
+from harness.learn.rl import Solution
+from harness.learn.seeds import judging_seeds
+from harness.learn.simulator import Simulator
+from harness.learn.world import solver_for
+from methods.base import Policy, Reward
+from methods.rewards import fast
+
+JUDGING_EPISODES = 20
+"""Episodes on which the solves of one reward are compared."""
+
+
+@dataclass(frozen=True)
+class Retrained:
+    """The policies of a cell, ready to be scored.
+
+    columns: columns of all rows of the cell.
+    """
+
+    candidates: Sequence[Candidate]
+    columns: Mapping[str, float] = field(default_factory=dict)
+    seconds: Seconds = field(default_factory=dict)
+
+
+def reference(inputs: Inputs) -> Retrained:
+    """Return the expert and the random policy, which nothing is learned for."""
+    expert = inputs.shared.expert
+    columns = {
+        "fit_seconds": expert.seconds,
+        "env_steps": expert.env_steps,
+        "check_steps": expert.check_steps,
+        "rl_solves": 1,
+    }
+    policy = None if inputs.conditions.experts == "none" else expert.policy
+    best = Candidate("expert", policy, columns=columns, curves={"expert": expert.curve} if policy else {})
+    return Retrained([best, Candidate("random", random_policy(inputs))])
+
+
+def retrain(inputs: Inputs, fitted: Fitted) -> Retrained:
+    """Return pi* and pi_R: the solve that earns the most under R* on the judging episodes.
+
+    Ties go to the first solve. Each solve learns from scratch with the expert's budget.
+    """
+    if fitted.skipped:
+        return Retrained(skipped(inputs, fitted), fitted.columns, fitted.seconds)
+    reward = fitted.reward
+    with inputs.stage("retrain") as stopwatch:
+        solutions = [solve(inputs, reward, number) for number in range(inputs.solves)]
+        judged, judging_steps = [math.nan], 0
+        if reward is not None and len(solutions) > 1:
+            judged, judging_steps = judge(inputs, reward, [solution.policy for solution in solutions])
+    chosen = max(range(len(solutions)), key=lambda i: judged[i] if usable(judged[i]) else -math.inf)
+    distances, measuring = measure(inputs, reward)
+    trained = Candidate(
+        "pi_R",
+        solutions[chosen].policy,
+        reward,
+        columns={
+            "fit_seconds": stopwatch.seconds,
+            "env_steps": sum(solution.env_steps for solution in solutions),
+            "check_steps": sum(solution.check_steps for solution in solutions) + judging_steps,
+            "rl_solves": len(solutions),
+            "solves": len(solutions),
+            **distances,
+        },
+        curves=_curves(solutions[chosen]),
+        solves=[(solution.policy, earned) for solution, earned in zip(solutions, judged, strict=True)],
+    )
+    candidates = [trained] if fitted.star is None else [fitted.star, trained]
+    seconds = added(fitted.seconds, {"retrain": stopwatch.seconds}, measuring)
+    return Retrained(candidates, fitted.columns, seconds)
+
+
+def _curves(solution: Solution) -> dict[str, list[tuple[float, float]]]:
+    """Return the learning curves of a solve, with the checkpoint that was chosen."""
+    chosen = solution.curve[solution.best : solution.best + 1]
+    return {"pi_R": solution.curve, "pi_R_true": solution.true_curve, "pi_R_chosen": chosen}
+
+
+def solve(inputs: Inputs, reward: Reward | None, number: int) -> Solution:
+    """Return what RL learns from scratch under the reward.
+
+    number: the number of the solve. It alone decides the random numbers, so that no solve depends on another.
+    """
+    before, steps = number * inputs.rl_steps, inputs.solves * inputs.rl_steps
+    solver = solver_for(
+        *(inputs.place, inputs.conditions.protocol, inputs.rng(f"pi_R {number}"), inputs.conditions.rl),
+        told=lambda done: inputs.report(f"retrain, step {before + done:,} of {steps:,}"),
+    )
+    return replace(solver.solve(reward, inputs.rl_steps), checkpoints=())
+
+
+def judge(inputs: Inputs, reward: Reward, policies: Sequence[Policy]) -> tuple[list[float], int]:
+    """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
+    seeds = judging_seeds(inputs.cell.seed, JUDGING_EPISODES)
+    played = list(Simulator(inputs.place).run_each(policies, seeds))
+    shown = [[(episode.obs, episode.act) for episode in episodes] for episodes in played]
+    earned = [float(totals(fast(reward), episodes).mean()) for episodes in shown]
+    return earned, sum(len(episode.act) for episodes in played for episode in episodes)
+
+
+def measure(inputs: Inputs, reward: Reward | None) -> tuple[dict[str, float], Seconds]:
+    """Return the columns that compare the reward with the true one in the task's own dynamics."""
+    if inputs.is_transfer:
+        return {}, {}
+    spec = inputs.spec
+    with inputs.stage("measure") as stopwatch:
+        if spec.tabular:
+            comparison = known_comparison(reward, spec.tabular, spec.gamma)
+        else:
+            comparison = sampled_comparison(reward, inputs.shared.replays)
+        columns = {f"reward_{name}": value for name, value in comparison._asdict().items()}
+        if ranked := inputs.shared.ranked:
+            columns["policy_ranking"] = ranked.ranking(reward)
+    return columns, {"measure": stopwatch.seconds}

@@ -1,0 +1,128 @@
+"""A cell from its inputs to its result: Inputs -> Fitted -> Retrained -> Scored -> CellResult."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from harness.cell.fitting import fit, fit_control
+from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.retraining import Retrained, reference, retrain
+from harness.cell.scoring import Scored, score
+from harness.judge import effort
+from harness.judge.results import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, name_of
+from harness.run import given, plugins, without_expert
+from harness.run.artifacts import KIND, artifact
+from harness.run.cache import as_bytes
+from harness.run.experts import Shared
+from harness.run.experts import prepare as shared_by
+from harness.run.files import sha256_of
+from methods.base import Policy, Reward
+
+Files = dict[str, bytes]
+"""Files that a cell adds to its run, by their path there."""
+
+
+def prepare(cells: Sequence[Cell], conditions: Conditions) -> Files:
+    """Return what these cells, of one environment and seed, share, by name."""
+    env, seed, said = cells[0].env, cells[0].seed, conditions.demonstrations
+    shown = sorted({cell.shown for cell in cells if cell.method not in UNSHOWN})
+    if not said:
+        return shared_by(env, seed, shown, conditions)
+    theirs = {name_of(one): as_bytes(given.shown(said, env, seed, one)) for one in shown}
+    if conditions.experts == "none":
+        return without_expert.prepare(env, seed, conditions) | theirs
+    return shared_by(env, seed, (), conditions) | theirs
+
+
+def run_cell(
+    cell: Cell,
+    conditions: Conditions,
+    shared: Mapping[str, bytes],
+    report: Callable[[str], None] = lambda stage: None,
+) -> tuple[CellResult, Files]:
+    """Return the result of a cell, and the files that it adds to its run.
+
+    shared: the result of `prepare`, and what the cell before learned. report: as of `Inputs`. Raises whatever
+    the cell's method raises.
+    """
+    inputs = Inputs(cell, conditions, Shared(shared), report)
+    scored = score(inputs, _retrained(inputs))
+    learned, unstored, storing = learned_file(inputs, scored)
+    recordings, unrecorded, recording = _record(inputs, scored)
+    warnings = [warning for one in scored.candidates for warning in one.warnings]
+    warnings += [*filter(None, [scored.below_bar, _effort(inputs)]), *unstored, *unrecorded]
+    result = CellResult(
+        cell,
+        rows=[_named(inputs, row) for row in scored.rows],
+        curves={name: curve for one in scored.candidates for name, curve in one.curves.items()},
+        endings={name: evaluation.endings for name, evaluation in scored.evaluations.items()},
+        warnings=warnings,
+        recordings={name: sha256_of(data) for name, data in recordings.items()},
+        artifacts={name: sha256_of(data) for name, data in learned.items()},
+        below_bar=bool(scored.below_bar),
+        details={name: value for one in scored.candidates for name, value in one.details.items()},
+        like=list(plugins.like(cell.method)),
+        solves=list(scored.solves),
+        seconds=added(scored.seconds, storing, recording),
+    )
+    folders = {"recordings": recordings, "artifacts": learned}
+    return result, {f"{at}/{name}": data for at, files in folders.items() for name, data in files.items()}
+
+
+def _retrained(inputs: Inputs) -> Retrained:
+    """Return the policies that the cell scores."""
+    if inputs.cell.method == REFERENCE:
+        return reference(inputs)
+    return retrain(inputs, fit_control(inputs) if inputs.cell.method in CONTROLS else fit(inputs))
+
+
+def learned_file(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
+    """Return what was learned as a file by its name, warnings of what is not in it, and the wall time."""
+    candidates = scored.candidates
+    learned: dict[str, Policy | Reward | None] = {
+        one.name: one.policy for one in candidates if one.policy and one.name != "random"
+    }
+    if learned and inputs.cell.method not in (REFERENCE, "control_true"):
+        learned["reward"] = candidates[0].reward
+    with inputs.stage("record") as stopwatch:
+        data, warnings = artifact(inputs.cell, inputs.conditions, learned)
+    files = {f"{inputs.cell.name}.{KIND}": data} if data else {}
+    return files, warnings, {"record": stopwatch.seconds}
+
+
+def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
+    """Return the recordings by file name, warnings of those that are missing, and the wall time."""
+    if not scored.watched:
+        return {}, [], {}
+    from harness.cell.recording import record  # imports rerun, 30 MB that other seeds do without
+
+    files, warnings = Files(), list[str]()
+    with inputs.stage("record") as stopwatch:
+        for one in scored.candidates:
+            if watched := scored.watched.get(one.name):
+                recordings, missing = record(inputs, one, scored.evaluations[one.name], watched)
+                files |= recordings
+                warnings += missing
+    return files, warnings, {"record": stopwatch.seconds}
+
+
+def _effort(inputs: Inputs) -> str:
+    """Return a warning where a plug-in's settings ask for many more environment steps than others' do."""
+    cell = inputs.cell
+    more = plugins.times_as_many(cell.method, cell.env, inputs.conditions.budget)
+    if more <= effort.MOST:
+        return ""
+    asked = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"
+    return f"{cell.name}: its own settings ask for {asked}: not compared like with like"
+
+
+def _named(inputs: Inputs, row: Row) -> Row:
+    """Return the row with the name of whoever demonstrated, and the returns of demonstrations of a file in
+    place of an expert's."""
+    conditions = inputs.conditions
+    if row.policy == "expert" and conditions.experts == "none":
+        row = without_expert.in_its_place(row, conditions)
+    if conditions.demonstrations and inputs.cell.method not in UNSHOWN:
+        return replace(row, expert=given.source_of(conditions.demonstrations))
+    return row
