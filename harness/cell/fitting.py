@@ -74,14 +74,12 @@ class Fitted:
 def fit(inputs: Inputs) -> Fitted:
     """Return what the cell's method learns, or what the cell before learned where that was handed over."""
     learned = inputs.shared.learned
-    try:
-        if {"pi_star", "reward"} <= learned.keys():
-            fitted = Fitted(Candidate("pi_star", learned["pi_star"], learned["reward"]), learned["reward"])
-        else:
-            fitted = _fit_now(inputs)
-    except Unsuitable as error:
-        reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
-        return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason)
+    if {"pi_star", "reward"} <= learned.keys():
+        fitted = Fitted(Candidate("pi_star", learned["pi_star"], learned["reward"]), learned["reward"])
+    else:
+        fitted = _fit_now(inputs)
+    if fitted.skipped:
+        return fitted
     if fitted.reward is None:
         return replace(fitted, skipped="learns no reward")
     return fitted if inputs.conditions.retrain else replace(fitted, skipped="not asked for")
@@ -90,9 +88,15 @@ def fit(inputs: Inputs) -> Fitted:
 def _fit_now(inputs: Inputs) -> Fitted:
     demos, columns, seconds = demonstrations(inputs)
     world = inputs.world()
+    reason = ""
     with inputs.stage("fit") as stopwatch:
-        learned = learned_by(inputs, inputs.cell.method, demos, world)
+        try:
+            learned = learned_by(inputs, inputs.cell.method, demos, world)
+        except Unsuitable as error:
+            reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
     seconds = added(seconds, {"fit": stopwatch.seconds})
+    if reason:
+        return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason, seconds=seconds)
     if inputs.is_transfer:  # the cell in the task's own dynamics has the columns of the fit
         star = Candidate("pi_star", learned.policy, learned.reward)
         return Fitted(star, learned.reward, seconds=seconds)
@@ -108,7 +112,7 @@ def _star(inputs: Inputs, learned: Learned, world: TaskWorld, seconds: float) ->
     most = MOST_CURVES - OWN_CURVES
     warnings: tuple[str, ...] = ()
     if len(learned.curves) > most:
-        warnings = (f"{inputs.cell.name}: of {len(learned.curves)} curves the first {most} are stored",)
+        warnings = (f"{inputs.cell.name}: of {len(learned.curves)} curves the first {most} are kept",)
     answers = {"answers of the expert": world.answers} if world.answers else {}
     return Candidate(
         "pi_star",

@@ -8,7 +8,7 @@ from dataclasses import replace
 from harness.cell.fitting import fit, fit_control
 from harness.cell.inputs import Inputs, Seconds, added
 from harness.cell.retraining import Retrained, reference, retrain
-from harness.cell.scoring import Scored, score
+from harness.cell.scoring import Scored, means, score
 from harness.judge import effort
 from harness.judge.results import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, name_of
 from harness.run import given, plugins, without_expert
@@ -85,7 +85,7 @@ def learned_file(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seco
     }
     if learned and inputs.cell.method not in (REFERENCE, "control_true"):
         learned["reward"] = candidates[0].reward
-    with inputs.stage("record") as stopwatch:
+    with inputs.stage(f"record; {means(scored.evaluations)}") as stopwatch:
         data, warnings = artifact(inputs.cell, inputs.conditions, learned)
     files = {f"{inputs.cell.name}.{KIND}": data} if data else {}
     return files, warnings, {"record": stopwatch.seconds}
@@ -98,7 +98,7 @@ def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
     from harness.cell.recording import record  # imports rerun, 30 MB that other seeds do without
 
     files, warnings = Files(), list[str]()
-    with inputs.stage("record") as stopwatch:
+    with inputs.stage(f"record; {means(scored.evaluations)}") as stopwatch:
         for one in scored.candidates:
             if watched := scored.watched.get(one.name):
                 recordings, missing = record(inputs, one, scored.evaluations[one.name], watched)

@@ -57,6 +57,11 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
     )
 
 
+def means(evaluations: Evaluations) -> str:
+    """Return the mean returns of policies, as they are reported."""
+    return returned({str(name): float(result.returns.mean()) for name, result in evaluations.items()})
+
+
 def evaluated(inputs: Inputs, policy: Policy, reward: Reward | None) -> Evaluation:
     """Return the evaluation of a policy, by the true reward and by the one that belongs to it."""
     return evaluate(inputs.place, policy, inputs.seeds, reward and fast(reward))
@@ -82,8 +87,7 @@ def _evaluations(
     for one in candidates:
         if one.policy:
             evaluations[one.name] = evaluated(inputs, watched.get(one.name, one.policy), one.reward)
-            means = {str(name): float(result.returns.mean()) for name, result in evaluations.items()}
-            inputs.report(f"score; {returned(means)}")
+            inputs.report(f"score; {means(evaluations)}")
     return evaluations
 
 

@@ -97,7 +97,8 @@ def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> N
     conditions, told = dataclasses.replace(SMOKE, record="none"), list[str]()
     result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
     assert result.rows[0].status == "ok"
-    assert [phase_of(said).name for said in told] == ["demonstrate", "fit", "score", "record"]
+    stages = [phase_of(said).name for said in told]
+    assert list(dict.fromkeys(stages)) == ["demonstrate", "fit", "score", "record"]
     assert phase_of(told[-1]).returns == {"pi_star": pytest.approx(result.rows[0].return_mean, abs=0.06)}
     assert result.recordings == {}
     assert files.keys() == result.files.keys() == {artifact_of(BC)}
