@@ -28,8 +28,8 @@ from harness.learn.simulator import Simulator
 from harness.registry import METHODS, SPECS, VARIANTS, Library
 from harness.run.engines import Engine
 from harness.run.experts import expert_for
-from harness.run.grid import Grid
 from harness.run.isolated import Isolated
+from harness.schedule.grid import Grid
 from methods.base import Policy
 
 REPEATS = 5

@@ -207,7 +207,7 @@ def _prepare() -> None:
         raise BadInput(f"{missing[0]} is missing; install the program again")
     try:
         importlib.import_module("harness.run.isolated")
-        importlib.import_module("harness.run.grid")
+        importlib.import_module("harness.schedule.grid")
         importlib.import_module("harness.run.reporting")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
         raise BadInput(f"nothing can draw the report: {error}") from error
@@ -299,7 +299,7 @@ def _check_plugins_inline(
 
 def _plan(args: argparse.Namespace, request: Request, engine: Engine, baseline: Sequence[CellResult]) -> int:
     """Says what the run would take, and neither computes nor writes anything."""
-    from harness.run import plan
+    from harness.schedule import plan
 
     with open_to_plan(args.out, request, engine.variables) as run:
         known, unusable = run.load()
@@ -330,7 +330,7 @@ def _compute(
     """Computes what the request asks for and the directory lacks; returns all that is there then. programs:
     of `outcome.for_programs`."""
     from harness.run.events import Events
-    from harness.run.grid import Grid
+    from harness.schedule.grid import Grid
 
     known, unusable = run.load()
     outcome.tell_unusable(unusable, LEFT_OUT)

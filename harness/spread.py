@@ -15,8 +15,8 @@ from harness.judge.results import Cell, CellResult, Shown
 from harness.local_cluster import local_cluster
 from harness.run.cluster import Ray
 from harness.run.engines import Engine
-from harness.run.grid import Grid
 from harness.run.isolated import Isolated
+from harness.schedule.grid import Grid
 
 FEW, REPEATS = 2, 3
 """Times that a comparison of many minutes, and of seconds, is repeated."""

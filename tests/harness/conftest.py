@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from harness import apart, cli, commands, demonstration_forms
-from harness.run import engines, grid, isolated
+from harness.run import engines, isolated
 from harness.run.environment import CACHE_VARIABLE
+from harness.schedule import grid
 
 HERE = Path(__file__).parent
 Main = Callable[..., tuple[int, str, str]]

@@ -216,18 +216,18 @@ def write_report(directory: Path, request: Request, results: list[CellResult]) -
 def install() -> None:
     """Makes the command line use the cells and the report of this file."""
     import harness.run.engines
-    import harness.run.grid
     import harness.run.isolated
+    import harness.schedule.grid
 
-    grid = harness.run.grid.Grid
+    grid = harness.schedule.grid.Grid
 
     def told_where(
         conditions: Conditions, run: RunDirectory, engine: Engine, *more: object
-    ) -> harness.run.grid.Grid:
+    ) -> harness.schedule.grid.Grid:
         os.environ[FOLDER] = str(run.path.absolute())
         return grid(conditions, run, engine, *more)
 
-    harness.run.grid.Grid = told_where
+    harness.schedule.grid.Grid = told_where
     harness.run.isolated.Isolated = functools.partial(
         harness.run.isolated.Isolated, work="fake_cells", preload=PRELOAD
     )

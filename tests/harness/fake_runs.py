@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from harness.judge.results import CONTROLS, Cell, CellResult, Conditions, artifact_of
-from harness.run.grid import Grid
 from harness.run.isolated import Isolated
+from harness.schedule.grid import Grid
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -187,7 +187,7 @@ class Computes:
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
-    monkeypatch.setattr("harness.run.grid.Grid", Computes)
+    monkeypatch.setattr("harness.schedule.grid.Grid", Computes)
     monkeypatch.setattr(commands, "handle_signals", lambda: None)
     monkeypatch.chdir(tmp_path)
     return lambda *words: main(["run", "--methods", "gail", "--envs", "cartpole", "--seeds", "3", *words])

@@ -114,7 +114,7 @@ def test_other_content_is_another_run_and_another_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(commands, "handle_signals", lambda: None)
-    monkeypatch.setattr("harness.run.grid.Grid.run", lambda self, cells: None)
+    monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
     for name, seed in (("one", (9, 8)), ("two", (9, 7))):
         demos.write(tmp_path / f"{name}.npz", made(seed, (True, True))[0])
     run = ["run", "--methods", "bc", "--envs", "swingup", "--out", str(tmp_path / "run"), "--demos-from"]

@@ -399,7 +399,7 @@ def test_without_the_extra_one_line_says_what_to_install(
 
 def test_a_run_is_shown_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "handle_signals", lambda: None)
-    monkeypatch.setattr("harness.run.grid.Grid.run", lambda self, cells: None)
+    monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
     path, out = minari_folder(tmp_path / "d", "hdf5", **made()), tmp_path / "run"
     main(["run", "--methods", "bc", "--envs", "swingup", "--out", str(out), "--demos-from", str(path)])
     stored = json.loads((out / "run.json").read_text())

@@ -63,7 +63,7 @@ class InstantGrid:
 
 @pytest.fixture
 def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
-    monkeypatch.setattr("harness.run.grid.Grid", InstantGrid)
+    monkeypatch.setattr("harness.schedule.grid.Grid", InstantGrid)
     monkeypatch.setattr("harness.commands.handle_signals", lambda: None)
     InstantGrid.computed.clear()
     return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])

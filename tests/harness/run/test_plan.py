@@ -10,11 +10,11 @@ import pytest
 
 from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
 from harness.registry import METHODS, SPECS
-from harness.run import costs, plan
-from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE, numeric
-from harness.run.grid import Grid, Schedule
+from harness.schedule import costs, plan
+from harness.schedule.costs import Costs
+from harness.schedule.grid import Grid, Schedule
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 VARIABLES = numeric(True)

@@ -237,7 +237,7 @@ def test_inline_what_libraries_read_of_this_process_is_part_of_the_key(
 def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("harness.run.grid.cell_keys", lambda cells, *_: dict.fromkeys(cells, "other"))
+    monkeypatch.setattr("harness.schedule.grid.cell_keys", lambda cells, *_: dict.fromkeys(cells, "other"))
     found = compute(tmp_path, [Cell("cartpole", "good", 0)]).results
     assert "are not those that the run began with" in found[0].rows[0].reason
 

@@ -1,6 +1,8 @@
-"""What jobs are expected to take, for their order and the time that is left: what earlier runs measured, kept
-in the cache; where they measured nothing, what a machine of ours took, by how much slower this one is; and
-where that has nothing, a guess by the environment's RL steps."""
+"""Expected seconds of jobs, by which they are ordered and the time that is left is estimated.
+
+They come from earlier runs, which the cache has. Jobs that this machine did not measure take the shipped seconds
+of another machine, scaled by how slow this one is. All others are guessed by the RL steps of their task.
+"""
 
 from __future__ import annotations
 
@@ -27,23 +29,23 @@ NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers 
 
 FILE = "seconds.json"
 SHIPPED = Path(__file__).with_name(FILE)
-"""What one machine took, of the form of the file in the cache."""
+"""The seconds of one machine, in the form of the file in the cache."""
 WORK = 4.5e-3
-"""Seconds that it takes for a little work, in `slowness`."""
+"""Seconds of that machine for the work that `slowness` times."""
 SOLVE = ", a solve"
-"""End of a job's name where it means one RL solve of a reward; the bare name means all else of the job."""
+"""The end of a job's name that stands for one RL solve. The bare name stands for the rest of the job."""
 SHARED = "expert"
-"""What stands for a method's name where a job is what cells share."""
+"""The method's name of a job that makes shared inputs."""
 FIT, REST = 5.0, 1.5
-"""Seconds of a method's fit besides its RL, which is taken to be one solve, and of all else of a cell."""
+"""Guessed seconds of a fit besides its RL, which counts as one solve, and of the rest of a cell."""
 COMPILED, STEPPED, REPLAYED = 40_000.0, 8_000.0, 1_200.0
-"""RL's steps a second: by PPO where dynamics are written down, by PPO elsewhere, and by other learners."""
+"""Guessed RL steps a second: PPO with compiled dynamics, PPO elsewhere, and other learners."""
 
 Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
 
 class Costs:
-    """Seconds that jobs under these conditions take."""
+    """Expected seconds of jobs under one set of conditions."""
 
     def __init__(self, conditions: Conditions) -> None:
         self._conditions = c = conditions
@@ -57,36 +59,36 @@ class Costs:
         self._shipped = _Known({name: seconds * slower for name, seconds in elsewhere.items()})
 
     def known(self, job: Job) -> bool:
-        """Whether a job like it was measured here."""
+        """Return whether this machine measured such a job."""
         return name_of(job) in self._measured.by_name
 
     def of(self, job: Job) -> float:
-        """What a job is expected to take, in seconds."""
+        """Return the expected seconds of a job."""
         besides, solve = self._parts(job)
         return besides + self.solves(job) * solve
 
     def retraining(self, job: Job) -> float:
-        """Return the seconds of it that RL on a reward takes."""
+        """Return the expected seconds of RL on a reward in a job."""
         return self.solves(job) * self._parts(job)[1]
 
     def solves(self, job: Job) -> int:
-        """Return how often RL solves the reward of a job's cell; 1 where that is not known."""
+        """Return the number of RL solves of a job's reward, 1 where it is unknown."""
         c, cell = self._conditions, job.cells[0]
         if job.shared or takes_one_solve(cell) or not c.retrain:
             return 1
         try:
             return c.solves or plugins.task(cell.env).solves[c.budget]
-        except Exception:  # whatever is wrong with an environment, its own cells tell
+        except Exception:  # an environment that fails is reported by its own cells
             return 1
 
     def note(self, job: Job, seconds: float, retraining: float = 0.0) -> None:
-        """Remember the seconds that it took, and how many of them RL on a reward took."""
+        """Remember the seconds of a job, and how many of them RL on a reward took."""
         self._noted[name_of(job)] = max(seconds - retraining, 1e-3)
         if retraining:
             self._noted[name_of(job) + SOLVE] = max(retraining / self.solves(job), 1e-3)
 
     def keep(self) -> None:
-        """Stores what was noted for later runs, where that can be done."""
+        """Store the noted seconds for later runs, where the cache can be written."""
         with suppress(OSError):
             cache_folder().mkdir(parents=True, exist_ok=True)
             stored = _stored(cache_folder() / FILE)
@@ -94,13 +96,13 @@ class Costs:
             write_atomic(cache_folder() / FILE, json.dumps(stored, indent=1, sort_keys=True) + "\n")
 
     def _parts(self, job: Job) -> tuple[float, ...]:
-        """Return the two numbers of `_Known.of`, or a guess where the job was not measured."""
+        """Return the seconds besides RL and of one RL solve, or a guess."""
         env, c = job.cells[0].env, self._conditions
         known, name = (self._measured, self._shipped), name_of(job)
-        exact = [its.of(name) for its in known if name in its.by_name]
-        alike = [its.usual[env] for its in known if env in its.usual and not job.shared]
-        if found := exact + alike:
-            return found[0]
+        exact = [one.of(name) for one in known if name in one.by_name]
+        alike = [one.usual[env] for one in known if env in one.usual and not job.shared]
+        if measured := exact + alike:
+            return measured[0]
         try:
             task = plugins.task(env)
             steps = (task.rl_steps if c.learner == "own" else task.ddpg_steps)[c.budget]
@@ -116,7 +118,7 @@ class Costs:
 
 
 class _Known:
-    """Seconds that jobs took, by their name. usual: medians of `of` over an environment's cells."""
+    """Measured seconds of jobs by name. usual: their medians by environment."""
 
     def __init__(self, by_name: Mapping[str, float]) -> None:
         self.by_name = by_name
@@ -125,7 +127,7 @@ class _Known:
             env, _, rest = name.partition(" ")
             if rest not in ("", SHARED) and not name.endswith(SOLVE):
                 by_env.setdefault(env, []).append(self.of(name))
-        self.usual = {env: tuple(map(_median, zip(*its, strict=True))) for env, its in by_env.items()}
+        self.usual = {env: tuple(map(_median, zip(*pairs, strict=True))) for env, pairs in by_env.items()}
 
     def of(self, name: str) -> tuple[float, float]:
         """Return the seconds of a job besides RL on a reward, and of one solve of that."""
@@ -134,24 +136,24 @@ class _Known:
 
 @functools.cache
 def slowness() -> float:
-    """Return how many times as long as the machine of `SHIPPED` this one takes for a little work."""
-    took = []
+    """Return the time of a little work, in units of the shipped machine's."""
+    seconds = []
     for _ in range(5):
         started = time.perf_counter()
         sum(number * number for number in range(100_000))
-        took.append(time.perf_counter() - started)
-    return min(took) / WORK
+        seconds.append(time.perf_counter() - started)
+    return min(seconds) / WORK
 
 
 def _rate(task: plugins.Offer | EnvSpec) -> float:
-    """Return about how many steps RL takes in a second there."""
+    """Return a guess of the RL steps a second in a task."""
     if not isinstance(task, EnvSpec) or not isinstance(task.rl, PPO):
         return REPLAYED
     return COMPILED if isinstance(task.kwargs.get("physics"), Dynamics) else STEPPED
 
 
 def name_of(job: Job) -> str:
-    """What jobs are measured by: task, method and what is shown; not the seed."""
+    """Return the name under which jobs are measured: task, method and demonstrations, without the seed."""
     cell = job.cells[0]
     shown = f" {cell.shown}" if cell.shown != ALL_SHOWN else ""
     return f"{cell.env} {SHARED}" if job.shared else f"{cell.task} {cell.method}{shown}"
@@ -162,7 +164,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _stored(file: Path) -> dict[str, dict[str, float]]:
-    """By conditions and job; nothing where the file cannot be used."""
+    """Return seconds by conditions and job, nothing where the file cannot be used."""
     with suppress(OSError, ValueError):
         return msgspec.json.decode(read(file), type=dict[str, dict[str, Seconds]])
     return {}

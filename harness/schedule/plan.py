@@ -1,4 +1,4 @@
-"""What cells would take, before any is computed: the schedule of a run, on an engine in simulated time."""
+"""A plan of a run: its schedule on an engine in simulated time, before any cell is computed."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from harness.judge.results import (
     before,
     takes_one_solve,
 )
-from harness.run.costs import FILE, SHARED, Costs, name_of
 from harness.run.engines import Job, Outcome
 from harness.run.environment import cache_folder
-from harness.run.grid import Grid, Schedule
 from harness.run.progress import NOTHING
 from harness.run.tally import clock
+from harness.schedule.costs import FILE, SHARED, Costs, name_of
+from harness.schedule.grid import Grid, Schedule
 
 CORES = (2, 64, 1000)
 LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505
-"""MB, measured (docs/costs.md): resident, of a cell of `shaped` at full; of all processes of a run with one
-worker at smoke; and what a second worker adds, which shares its libraries."""
+"""MB, measured: of one cell of `shaped` at full, of a whole run with one worker at smoke, and of a second worker."""
 MEGABYTE = 1 << 20
 
 
 class Simulated:
-    """An engine in simulated time. does: how many seconds a job takes, and what comes back.
+    """An engine in simulated time.
 
-    now: seconds since its beginning. busy: seconds of all jobs so far.
+    does: a function from a job to its seconds and its outcome. now: seconds since the beginning. busy: the
+    seconds of all jobs so far.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Simulated:
 
 
 class Silent:
-    """Progress that nobody is told of, and a sink that keeps nothing."""
+    """A display that shows nothing, and a sink that stores nothing."""
 
     def started(self, job: Job) -> None: ...
 
@@ -97,7 +97,7 @@ class Silent:
 
 @dataclass(frozen=True)
 class Line:
-    """Jobs that differ by their seed alone: how many, and what each takes."""
+    """Jobs that differ by their seed only, with their number and the seconds of each."""
 
     name: str
     jobs: int
@@ -107,9 +107,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Plan:
-    """What cells take: lines by task and method; the wall time by the number of cores; and the longest chain
-    of jobs that wait for each other, with what each takes: no number of cores makes it shorter. solves: of
-    learned rewards, which take `retraining` seconds of it."""
+    """The seconds of cells, by task and method.
+
+    wall: the wall time by the number of cores. chain: the longest chain of jobs that wait for each other, which
+    no number of cores shortens. solves: numbers of RL solves of a learned reward. retraining: their seconds.
+    """
 
     lines: tuple[Line, ...]
     wall: dict[int, float]
@@ -121,7 +123,7 @@ class Plan:
 def plan(
     cells: Sequence[Cell], conditions: Conditions, variables: Mapping[str, str], cores: Sequence[int] = CORES
 ) -> Plan:
-    """Of these cells. variables: those of the engine that would compute them."""
+    """Return the plan of these cells. variables: those of the engine that would compute them."""
     costs, silent = Costs(conditions), Silent()
     jobs = Grid(conditions, silent, Simulated(1, _unknown, variables)).jobs(cells, costs)
     counts = Counter(map(name_of, jobs))
@@ -132,7 +134,7 @@ def plan(
     solves = {costs.solves(job) for job in learned if conditions.retrain}
 
     def does(job: Job) -> tuple[float, Outcome]:
-        # A cell that fails lets the same ones go on as one that does not, and has no result to be read.
+        # A failed cell releases the same cells as any other, and has no result to be read.
         return seconds[name_of(job)], Outcome() if job.shared else Outcome(error="only planned")
 
     wall = {}
@@ -161,30 +163,30 @@ def _longest_chain(jobs: Sequence[Job], seconds: Mapping[str, float]) -> tuple[t
     return tuple((name, seconds[name]) for name in longest)
 
 
-def as_lines(found: Plan) -> list[str]:
-    """For people."""
-    if not found.lines:
+def as_lines(plan: Plan) -> list[str]:
+    """Return the plan as text, a line each."""
+    if not plan.lines:
         return []
-    width = max(len(line.name) for line in found.lines)
-    total = sum(line.jobs * line.seconds for line in found.lines)
-    guessed = sum(line.jobs * line.seconds for line in found.lines if not line.measured)
-    solves = " or ".join(map(str, found.solves))
-    marks = ["" if line.measured else "  a guess" for line in found.lines]
-    chain = ", ".join(f"{name} {clock(seconds)}" for name, seconds in found.chain)
+    width = max(len(line.name) for line in plan.lines)
+    total = sum(line.jobs * line.seconds for line in plan.lines)
+    guessed = sum(line.jobs * line.seconds for line in plan.lines if not line.measured)
+    solves = " or ".join(map(str, plan.solves))
+    marks = ["" if line.measured else "  a guess" for line in plan.lines]
+    chain = ", ".join(f"{name} {clock(seconds)}" for name, seconds in plan.chain)
     memory = psutil.virtual_memory()
     return [
         f"{'job':{width}}    jobs  seconds each",
         *(
             f"{line.name:{width}}  {line.jobs:6,}  {line.seconds:12,.1f}{mark}"
-            for line, mark in zip(found.lines, marks, strict=True)
+            for line, mark in zip(plan.lines, marks, strict=True)
         ),
         f"'{SHARED}' makes what the cells of a seed share; '{REFERENCE}' scores expert and random policy",
         f"measured: what it took last on this machine ({cache_folder() / FILE}); a guess: the median of the "
         "task's cells here, what another machine took, or by its steps of RL",
         f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
-        *[f"{solves} solves of a learned reward (--solves) take {clock(found.retraining)}"] * bool(solves),
-        *(f"wall time with {count:,} cores: {clock(took)}" for count, took in found.wall.items()),
-        f"no number of cores takes less than {clock(sum(s for _, s in found.chain))}: {chain}",
+        *[f"{solves} solves of a learned reward (--solves) take {clock(plan.retraining)}"] * bool(solves),
+        *(f"wall time with {count:,} cores: {clock(took)}" for count, took in plan.wall.items()),
+        f"no number of cores takes less than {clock(sum(s for _, s in plan.chain))}: {chain}",
         f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "
         f"(docs/costs.md); most of it libraries that processes share: at smoke one worker took "
         f"{FIRST_PROCESS:,} MB in all, a second one {ANOTHER_PROCESS} more",

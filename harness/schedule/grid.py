@@ -1,6 +1,6 @@
-"""The grid: every cell once, on an engine, as many at a time as it does.
+"""The schedule of a run: every cell once, on an engine, as many at a time as it has workers.
 
-A cell that raises, dies or yields NaN becomes `failed` rows with the reason; the others go on.
+A cell that raises, dies or yields NaN becomes `failed` rows with the reason. The others go on.
 """
 
 from __future__ import annotations
@@ -25,39 +25,37 @@ from harness.judge.results import (
     needs,
 )
 from harness.run.codec import decode
-from harness.run.costs import Costs
 from harness.run.engines import Engine, Inline, Job, Outcome
 from harness.run.keys import cell_keys
 from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
+from harness.schedule.costs import Costs
 
 Group = tuple[str, int]
-"""An environment and a seed: what its cells share is made first."""
+"""An environment and a seed, whose cells share an expert and demonstrations."""
 MOST_SHARED, USUAL_SHARED = 1 << 34, 1 << 26
-"""Bytes of what cells share that this process holds at most, and that one group is thought to have until its
-own are there: the half-cheetah's are 59 MB."""
+"""Bytes of shared inputs: the most that this process holds, and the guess for a group before its own are known."""
 
 
 class Sink(Protocol):
-    """Where results go."""
+    """A place for results."""
 
     def save(self, result: CellResult, files: Mapping[str, bytes]) -> None:
-        """Stores a cell's result and its files, by their path in the run."""
+        """Store a cell's result and its files, by their path in the run."""
 
     def log(self, printed: bytes) -> None:
-        """Keeps what a job printed."""
+        """Store what a job printed."""
 
     def learned(self, cell: Cell) -> bytes:
-        """The artifact of a cell that was stored, empty where there is none."""
+        """Return what a stored cell learned, empty where nothing is stored."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What to do with cells: under which conditions, on which engine, and where results go, each as soon as
-    it is there.
+    """The conditions of cells, their engine, and the place for results.
 
-    told: makes what is told meanwhile, from what is to be done and what jobs that run do (`progress_for`).
+    told: a function that makes the display of progress, as `progress_for` does.
     """
 
     conditions: Conditions
@@ -66,7 +64,7 @@ class Grid:
     told: Callable[[Tally, Callable[[str], str]], Progress] = progress_for
 
     def run(self, cells: Sequence[Cell]) -> None:
-        """Computes every cell. On an exception, KeyboardInterrupt included, the engine is left first."""
+        """Compute every cell. On an exception, KeyboardInterrupt included, the engine is left first."""
         if not cells:
             return
         costs = Costs(self.conditions)
@@ -83,7 +81,7 @@ class Grid:
                     costs.keep()
 
     def jobs(self, cells: Sequence[Cell], costs: Costs) -> list[Job]:
-        """What computes the cells, the first to be done first."""
+        """Return the jobs that compute the cells, in order."""
         groups: dict[Group, list[Cell]] = {}
         for cell in cells:
             groups.setdefault((cell.env, cell.seed), []).append(cell)
@@ -98,12 +96,12 @@ class Grid:
             for cell in cells
         ]
         expected = {job.name: costs.of(job) for job in jobs}
-        ahead = dict(expected)  # with what waits for it
+        ahead = dict(expected)  # with the jobs that wait for it
         for job in jobs:
             if not job.shared and (source := before(job.cells[0])) and source.name in ahead:
                 ahead[source.name] += expected[job.name]
-        # Seed by seed, so that what cells share need not be there for all of them at once.
-        # In one process, before any plug-in is imported there that is not theirs.
+        # Seed by seed, so that the shared inputs of all seeds are not held at once. In one process, jobs without
+        # plug-ins come first.
         inline = isinstance(self.engine, Inline)
         plugged = {job.name: inline * len(modules(job.methods, [job.cells[0].env])) for job in jobs}
 
@@ -114,43 +112,46 @@ class Grid:
 
 
 class Schedule:
-    """What is left of a grid's jobs, the first to be done first. Nothing of it enters the grid's engine."""
+    """The jobs of a grid that have not ended, in order."""
 
     def __init__(self, grid: Grid, jobs: Sequence[Job], progress: Progress, costs: Costs) -> None:
         self.grid, self.progress, self.costs = grid, progress, costs
         self.rank = {job.name: rank for rank, job in enumerate(jobs)}
         self.shared = deque(job for job in jobs if job.shared)
         self.ready: list[tuple[int, Job]] = []
-        """Cells that can be started, a heap."""
+        """Cells that can start, a heap by rank."""
         self.held: dict[Group, list[Job]] = {}
-        """Cells whose shared inputs are not there yet."""
+        """Cells that wait for their shared inputs."""
         self.later: dict[Cell, list[Job]] = {}
-        """Cells that go on from another one, by that one, until it has ended."""
+        """Cells that use what another cell learned, by that cell, until it has ended."""
         for job in jobs:
             if not job.shared:
                 self.held.setdefault(_group(job), []).append(job)
                 self.later[job.cells[0]] = []
         self.left = {group: len(held) for group, held in self.held.items()}
-        """Cells that have not ended, of each group."""
+        """The number of cells of each group that have not ended."""
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
         self.bytes = self.preparing = 0
-        """Of all inputs; and how many groups' are being made."""
+        """The size of all shared inputs, and the number of groups whose inputs are being made."""
         self.started: dict[str, float] = {}
-        """When each job that runs began, in seconds of `time.monotonic`."""
+        """The start of each running job, in seconds of `time.monotonic`."""
         self.lost: list[Job] = []
         self.losses: Counter[str] = Counter()
         self.alone: set[str] = set()
-        """Jobs that were lost and are tried with no other beside them; lost again, they have failed."""
+        """Jobs that were lost and run alone. One that is lost again has failed."""
 
     def run(self) -> None:
+        """Do every job."""
         while self.shared or self.ready or self.lost:
             self._do(self._next)
             if self.lost:
                 self._do_again()
 
     def _do_again(self) -> None:
-        """What was lost once more. One of those jobs may be why the others were lost: so half as many at a
-        time whenever one of them is lost again, at last each alone."""
+        """Do lost jobs again, half as many at a time after each loss, at last each alone.
+
+        One of them may be the cause of the others' loss.
+        """
         again, self.lost = deque(self.lost), []
         most = max(1, self.grid.engine.workers >> max(self.losses[job.name] for job in again))
         if most == 1:
@@ -158,8 +159,7 @@ class Schedule:
         self._do(lambda: again.popleft() if again else None, most)
 
     def _do(self, following: Callable[[], Job | None], most: float = math.inf) -> None:
-        """Does the jobs that follow, as many at a time as the engine can but at most `most`, until there is
-        none and all have ended."""
+        """Do the jobs that follow until all have ended, at most `most` at a time."""
         while True:
             limit = min(most, self.grid.engine.workers)
             while len(self.started) < limit and (job := following()):
@@ -171,7 +171,7 @@ class Schedule:
                 self._ended(job, outcome, seconds)
 
     def _next(self) -> Job | None:
-        """The first that may be started now; None where nothing may."""
+        """Return the first job that may start now, None where all must wait."""
         enough = self.bytes + (self.preparing + 1) * USUAL_SHARED > MOST_SHARED
         if self.shared and not (enough and self.started):
             first = self.rank[self.shared[0].name]
@@ -193,7 +193,7 @@ class Schedule:
         self.grid.engine.start(job)
 
     def _release(self, job: Job) -> None:
-        """Lets a cell be started, now or when the one that it goes on from has ended."""
+        """Let a cell start, now or after the cell whose result it uses."""
         source = before(job.cells[0])
         if source in self.later:
             self.later[source].append(job)
