@@ -38,11 +38,11 @@ OWN_CURVES = 3
 
 @dataclass(frozen=True)
 class Candidate:
-    """A policy to be scored, or the reason why there is none.
+    """A policy to be scored, or the reason why there is no policy.
 
-    reward: the learned reward that it was trained on or found with; None for the true one or none.
-    columns: columns of its row of scores.csv besides the scores.
-    solves: the policy of each RL solve, with its return under R* on the judging episodes.
+    `reward`: the learned reward that belongs to it, None where that is the true one or missing.
+    `columns`: columns of its row of scores.csv besides the scores.
+    `solves`: the policy of each RL solve, with its return under R* on the judging episodes.
     """
 
     name: PolicyName
@@ -59,9 +59,9 @@ class Candidate:
 class Fitted:
     """A learned policy and reward.
 
-    star: pi*, None for a control, which is a reward alone.
-    skipped: the reason why RL does not follow, '' where it does.
-    columns: columns of all rows of the cell.
+    `star`: pi*, None for a control, which is a reward alone.
+    `skipped`: the reason why RL does not follow, '' where it does.
+    `columns`: columns of all rows of the cell.
     """
 
     star: Candidate | None

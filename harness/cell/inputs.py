@@ -30,9 +30,9 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Inputs:
-    """A cell, its conditions, and the expert, demonstrations and replays that it shares with other cells.
+    """A cell, its conditions, and the expert, demonstrations and replays that it shares with others.
 
-    report: a callable that receives the name of the stage that begins, and how far it is.
+    `report`: a callable that receives the name of the stage that begins, and how far it is.
     """
 
     cell: Cell
@@ -62,7 +62,7 @@ class Inputs:
 
     @property
     def is_transfer(self) -> bool:
-        """Whether policies are scored in other dynamics than they were learned in."""
+        """True where policies are scored in other dynamics than they were learned in."""
         return self.place is not self.spec
 
     @property

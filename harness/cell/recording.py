@@ -120,7 +120,7 @@ def _paid(reward: Reward, trajectory: Trajectory) -> Array:
 
 
 def _shaped(reward: Reward | None, obs: Array) -> tuple[Array, Array] | None:
-    """Return f(s) and the eigenvalues of L(s) L(s)^T + I, (T, A) each, for a reward of that form."""
+    """Return f(s) and the eigenvalues of L(s) L(s)^T + I, (T, A) each, where the reward has them."""
     from methods.shaped import ShapedReward  # imports torch, which other cells do without
 
     if not isinstance(reward, ShapedReward):

@@ -25,8 +25,8 @@ Evaluations = Mapping[PolicyName, Evaluation]
 class Scored:
     """The rows of a cell, with the evaluations that they come from.
 
-    watched: the policies whose episodes are recorded, with their actions.
-    below_bar: the reason why the expert cannot be trusted, '' where it meets its bar.
+    `watched`: the policies whose episodes are recorded, with their actions.
+    `below_bar`: the reason why the expert cannot be trusted, '' where it meets its bar.
     """
 
     candidates: Sequence[Candidate]
@@ -63,7 +63,7 @@ def means(evaluations: Evaluations) -> str:
 
 
 def evaluated(inputs: Inputs, policy: Policy, reward: Reward | None) -> Evaluation:
-    """Return the evaluation of a policy, by the true reward and by the one that belongs to it."""
+    """Return the evaluation of a policy, by the true reward and by its own."""
     return evaluate(inputs.place, policy, inputs.seeds, reward and fast(reward))
 
 

@@ -1,7 +1,7 @@
 """Expected seconds of jobs, by which they are ordered and the time that is left is estimated.
 
-They come from earlier runs, which the cache has. Jobs that this machine did not measure take the shipped seconds
-of another machine, scaled by how slow this one is. All others are guessed by the RL steps of their task.
+They come from earlier runs, which the cache has. Jobs that this machine did not measure take the shipped
+seconds of another machine, scaled by how slow this one is. Others are guessed by the RL steps of their task.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from harness.schedule.costs import Costs
 Group = tuple[str, int]
 """An environment and a seed, whose cells share an expert and demonstrations."""
 MOST_SHARED, USUAL_SHARED = 1 << 34, 1 << 26
-"""Bytes of shared inputs: the most that this process holds, and the guess for a group before its own are known."""
+"""Bytes of shared inputs: the most that this process holds, and the first guess for a group."""
 
 
 class Sink(Protocol):
@@ -100,8 +100,8 @@ class Grid:
         for job in jobs:
             if not job.shared and (source := before(job.cells[0])) and source.name in ahead:
                 ahead[source.name] += expected[job.name]
-        # Seed by seed, so that the shared inputs of all seeds are not held at once. In one process, jobs without
-        # plug-ins come first.
+        # Seed by seed, so that the shared inputs of all seeds are not held at once.
+        # In one process, jobs without plug-ins come first.
         inline = isinstance(self.engine, Inline)
         plugged = {job.name: inline * len(modules(job.methods, [job.cells[0].env])) for job in jobs}
 

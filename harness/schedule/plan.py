@@ -29,7 +29,7 @@ from harness.schedule.grid import Grid, Schedule
 
 CORES = (2, 64, 1000)
 LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505
-"""MB, measured: of one cell of `shaped` at full, of a whole run with one worker at smoke, and of a second worker."""
+"""MB, measured: a cell of `shaped` at full, a whole run with one worker at smoke, and a second worker."""
 MEGABYTE = 1 << 20
 
 
@@ -109,8 +109,9 @@ class Line:
 class Plan:
     """The seconds of cells, by task and method.
 
-    wall: the wall time by the number of cores. chain: the longest chain of jobs that wait for each other, which
-    no number of cores shortens. solves: numbers of RL solves of a learned reward. retraining: their seconds.
+    `wall`: the wall time by the number of cores.
+    `chain`: the longest chain of jobs that wait for each other, which no number of cores shortens.
+    `solves`: numbers of RL solves of a learned reward, which take `retraining` seconds.
     """
 
     lines: tuple[Line, ...]
