@@ -38,7 +38,7 @@ OWN_CURVES = 3
 
 @dataclass(frozen=True)
 class Candidate:
-    """A policy to be scored, or the reason why there is no policy.
+    """A policy to be scored, or the reason for its absence.
 
     `reward`: the learned reward that belongs to it, None where that is the true one or missing.
     `columns`: columns of its row of scores.csv besides the scores.
