@@ -1,9 +1,9 @@
 """A Ray cluster on this machine's loopback, to try what a run does on many machines:
 
-    python -m harness.local_cluster NODES
+    python -m harness.benchmarks.local_cluster NODES
 
-A head that computes nothing and nodes of one core each, until standard input ends; each line there kills a
-node without grace. Prints its address, and 'killed' for each node.
+It has a head that computes nothing and nodes of one core each, prints its address, and lives until standard
+input ends. Each line there kills a node without grace.
 """
 
 from __future__ import annotations
@@ -13,44 +13,42 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 STORE = 80 << 20
 """Bytes of each node's object store, the least that Ray takes."""
 ENDING = 60.0
-"""Seconds that it has to end."""
+"""Seconds that its process has to end."""
 
 
+@dataclass(frozen=True)
 class LocalCluster:
-    """One that runs. address: of its head. Raises RuntimeError where the process did not start one."""
+    """A running cluster. address: its head's. process: its own."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-        if not (address := self._said()):
-            raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
-        self.address = address
+    address: str
+    process: subprocess.Popen[str]
 
     def kill_node(self) -> None:
-        """Without grace, as a machine that is switched off."""
-        assert self._process.stdin
-        self._process.stdin.write("kill\n")
-        self._process.stdin.flush()
-        self._said()
-
-    def _said(self) -> str:
-        assert self._process.stdout
-        return self._process.stdout.readline().strip()
+        """Kill a node without grace, as a machine that is switched off."""
+        assert self.process.stdin
+        assert self.process.stdout
+        print("kill", file=self.process.stdin, flush=True)
+        self.process.stdout.readline()
 
 
 @contextmanager
 def local_cluster(nodes: int) -> Iterator[LocalCluster]:
-    """In a process of its own, and gone with the context."""
-    command = [sys.executable, "-m", "harness.local_cluster", str(nodes)]
+    """Start a cluster, which ends with the context. Raises RuntimeError where it does not start."""
+    command = [sys.executable, "-m", __name__, str(nodes)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin
+        assert process.stdout
         try:
-            yield LocalCluster(process)
+            if not (address := process.stdout.readline().strip()):
+                raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
+            yield LocalCluster(address, process)
         finally:
-            assert process.stdin
             process.stdin.close()
             try:
                 process.wait(ENDING)
@@ -59,11 +57,9 @@ def local_cluster(nodes: int) -> Iterator[LocalCluster]:
 
 
 def _serve(count: int) -> None:
-    os.environ |= {
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-        "RAY_AUTH_MODE": "disabled",
-    }
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+    os.environ["RAY_AUTH_MODE"] = "disabled"
     from ray.cluster_utils import Cluster  # which reads them
 
     head = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": STORE}
