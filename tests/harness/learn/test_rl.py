@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,14 +16,13 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import EnvSpec
+from envs.copies import Copies
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn import ppo
 from harness.learn.rl import Agent
 from harness.learn.seeds import TRAINING, evaluation_seeds
-from harness.learn.simulator import Simulator, Trajectory
-from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, Library, all_specs
-from methods.base import Array, Policy
+from methods.base import Array
 from methods.rewards import Constant
 from tests.harness.learn.solving import STEPS, same, solve
 from tests.harness.rewards import Seek
@@ -144,28 +143,17 @@ def test_the_generator_decides_everything(steady: EnvSpec, library: Library, set
 
 
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
-    checked: list[int] = []
-    trained: list[int] = []
-    check, begin = Simulator.run_each, TrainingEnv._reset
+    seeds: list[int] = []
+    reset = Copies.reset
 
-    def run_each(
-        self: Simulator, policies: Sequence[Policy], seeds: Sequence[int]
-    ) -> Iterator[list[Trajectory]]:
-        checked.extend([*seeds] * len(policies))
-        return check(self, policies, seeds)
+    def spy(self: Copies, place: int, seed: int) -> Array:
+        seeds.append(seed)
+        return reset(self, place, seed)
 
-    def reset(self: TrainingEnv, place: int) -> None:
-        batch = self.batch.reset
-        self.batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
-        begin(self, place)
-        self.batch.reset = batch
-
-    monkeypatch.setattr(Simulator, "run_each", run_each)
-    monkeypatch.setattr(TrainingEnv, "_reset", reset)
-    solve(fragile, Seek())
-    assert len(checked) > 20
-    assert len(trained) > 100
-    assert min(checked + trained) >= TRAINING > evaluation_seeds(999, 1000).stop
+    monkeypatch.setattr(Copies, "reset", spy)
+    assert solve(fragile, Seek()).check_steps > 20
+    assert len(seeds) > 120
+    assert min(seeds) >= TRAINING > evaluation_seeds(999, 1000).stop
 
 
 @both_libraries
