@@ -1,7 +1,6 @@
-"""A Ray cluster on this machine's loopback, to try what a run does on many machines:
+"""A Ray cluster on this machine's loopback, to try what a run does on many machines.
 
-    python -m harness.benchmarks.local_cluster NODES
-
+It is started by `python -m harness.benchmarks.local_cluster NODES`.
 It has a head that computes nothing and nodes of one core each, prints its address, and lives until standard
 input ends. Each line there kills a node without grace.
 """
@@ -24,7 +23,7 @@ ENDING = 60.0
 
 @dataclass(frozen=True)
 class LocalCluster:
-    """A running cluster. address: its head's. process: its own."""
+    """A running cluster. `address`: its head's. `process`: its own."""
 
     address: str
     process: subprocess.Popen[str]

@@ -35,8 +35,8 @@ LOOK_EVERY = 0.2
 
 @dataclass(frozen=True)
 class Measure:
-    """A measured quantity. unit: 'times' as fast, 's', 'ms', '%', 'MB' of memory, or 'of the expert'.
-    bar: the least median of ratios and scores, the largest one of the others."""
+    """A measured quantity. `unit`: 'times' as fast, 's', 'ms', '%', 'MB' of memory, or 'of the expert'.
+    `bar`: the least median of ratios and scores, the largest one of the others."""
 
     name: str
     unit: str
@@ -45,7 +45,7 @@ class Measure:
 
     @property
     def missed(self) -> bool:
-        """Whether the median is on the wrong side of the bar."""
+        """True where the median is on the wrong side of the bar."""
         median = statistics.median(self.samples)
         return median < self.bar if self.unit in ("times", SCORE) else median > self.bar
 

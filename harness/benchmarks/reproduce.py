@@ -1,11 +1,11 @@
 """The thesis's evaluation (sections 5.1 to 5.3), and the study of its open question: why does RL on R* fail
-where pi* succeeds? It writes:
+where pi* succeeds? Files:
 
-DIR/study.json              marks the directory
-DIR/native, DIR/absorbing   a run's directory for each protocol
-DIR/scores.csv              their scores
-DIR/study.csv, .md          the same over seeds, with 95 % intervals
-DIR/<env>_figure_5_3.png    the thesis's figure
+DIR/study.json              The mark of the directory.
+DIR/native, DIR/absorbing   A run's directory for each protocol.
+DIR/scores.csv              Their scores.
+DIR/study.csv, .md          The scores' means over seeds, with 95 % intervals.
+DIR/<env>_figure_5_3.png    The thesis's figure.
 """
 
 from __future__ import annotations

@@ -80,8 +80,8 @@ class Account(Silent):
 
 
 class Faulty:
-    """Simulated work: jobs of any duration, results as large as real ones, and faults. lost, errors: how many
-    jobs were lost, and failed."""
+    """Simulated work: jobs of any duration, results as large as real ones, and faults. `lost`, `errors`: how
+    many jobs were lost, and failed."""
 
     def __init__(self) -> None:
         self.lost, self.errors = 0, 0
@@ -150,9 +150,12 @@ def made_up(shape: Shape) -> tuple[Request, list[CellResult]]:
         SMOKE,
         tuple(map(Shown, range(1, ways + 1))) if ways > 1 else (ALL_SHOWN,),
     )
-    rng = np.random.default_rng(0)
+    rng, results = np.random.default_rng(0), []
     facts: dict[str, Any] = {"origin": origin(), "finished": "2026-01-01 00:00", "key": "task:method"}
-    return request, [replace(result_of(cell, rng), **facts) for cell in request.cells]
+    for cell in request.cells:
+        recordings = {f"{cell.name}__{policy}.rrd": "0" * 64 for policy in policies_of(cell) if not cell.seed}
+        results.append(replace(result_of(cell, rng), recordings=recordings, **facts))
+    return request, results
 
 
 def report(shape: Shape) -> tuple[int, float]:
@@ -183,5 +186,4 @@ def result_of(cell: Cell, rng: np.random.Generator) -> CellResult:
     curves = {name: [(float(x), rng.normal()) for x in range(CURVE)] for name in names}
     endings = {row.policy: {"time limit": 70, "fell": 30} for row in rows}
     seconds = {"start": 0.5, "fit": 4.0, "retrain": 5.0, "score": 1.0}
-    recordings = {} if cell.seed else {f"{cell.name}__{row.policy}.rrd": "0" * 64 for row in rows}
-    return CellResult(cell, rows, curves, endings, [], recordings, details={"networks": 3.0}, seconds=seconds)
+    return CellResult(cell, rows, curves, endings, details={"networks": 3.0}, seconds=seconds)

@@ -60,7 +60,7 @@ def _together(spec: EnvSpec, policy: Policy) -> int:
 
 
 def _one_by_one(spec: EnvSpec, policy: Policy) -> int:
-    """Run the loop that one would write, for a part of the episodes."""
+    """Run the usual loop on a part of the episodes."""
     env, steps = spec.make(), 0
     for seed in range(EPISODES // 10):
         obs, ended = env.reset(seed=seed)[0], False

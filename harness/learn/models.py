@@ -89,7 +89,7 @@ def build(
 
 
 def _off_policy(s: DDPG | TD3 | SAC | DQN, library: Library, common: dict[str, Any], size: int) -> OffPolicy:
-    """Return a model with a replay buffer. size: of actions, A."""
+    """Return a model with a replay buffer. `size`: of actions, A."""
     network: dict[str, Any] = {"net_arch": list(s.net)}
     if isinstance(s, DQN):
         return sb3.DQN(

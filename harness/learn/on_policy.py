@@ -33,7 +33,7 @@ Collect = Callable[[Any, Any, Any], Steps]
 
 
 class OnPolicy:
-    """Our PPO in one environment. latest: the steps of the latest bout."""
+    """Our PPO in one environment. `latest`: the steps of the latest bout."""
 
     latest: Transitions
 
@@ -60,8 +60,9 @@ class OnPolicy:
     ) -> None:
         """Learn for a number of environment steps, beginning with the settings' noise at least.
 
-        rate: gives the learning rate for a share of the steps, here the middle of each bout. done: called
-        with the number of steps after each bout. entropy: the worth of a nat; uniform actions have 0 nats.
+        `rate` gives the learning rate for a share of the steps, here the middle of each bout. `done` is
+        called with the number of steps after each bout. `entropy` is the worth of a nat; uniform actions have
+        0 nats.
         """
         s, size = self._settings, 0.0
         params = self._state.params
@@ -163,7 +164,7 @@ def _transitions(spec: EnvSpec, seen: Steps) -> Transitions:
 
 
 def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
-    """Return an untrained model of Stable-Baselines3. common: its other arguments."""
+    """Return an untrained model of Stable-Baselines3. `common`: its other arguments."""
     network = {
         "net_arch": list(s.net),
         "activation_fn": torch.nn.ReLU,

@@ -46,9 +46,10 @@ class Kind(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """T steps of N copies. obs, next_obs: (T, N, O). act: as drawn, (T, N, A), or choices (T, N).
+    """T steps of N copies: `obs` and `next_obs` (T, N, O), `act` as drawn (T, N, A), or choices (T, N).
 
-    log_prob, true (the environment's reward), terminated, cut (by a time limit): (T, N).
+    The others are (T, N). `true` is the environment's reward. `cut` says whether a time limit ended the
+    episode.
     """
 
     obs: Any
@@ -70,11 +71,10 @@ class State(NamedTuple):
 class Functions(NamedTuple):
     """The compiled parts of an agent.
 
-    begin(key): an untrained `State`.
-    act(params, seen, key, number): actions at scaled observations (N, O), and the logarithm of their density.
-    Key and number together seed the draws.
-    learn(state, steps, rewards, scale, rate, key): the next `State`. rewards: (T, N). scale: observations'
-    typical sizes, (O,). rate: the learning rate.
+    `begin(key)`: an untrained `State`. `act(params, seen, key, number)`: actions at scaled observations (N,
+    O), and the logarithm of their density. `key` and `number` together seed the draws. `learn(state, steps,
+    rewards, scale, rate, key)`: the next `State`. `rewards`: (T, N). `scale`: typical sizes of observations,
+    (O,). `rate`: the learning rate.
     """
 
     begin: Callable[..., Any]
@@ -196,11 +196,10 @@ class JaxDraws:
 
 @functools.cache
 def collector(kind: Kind, physics: Dynamics, horizon: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return two compiled functions, to be called where JAX has 64 bits. A scene is states and episodes'
-    ages.
+    """Return two compiled functions, to be called where JAX has 64 bits. A scene is states and ages.
 
-    first(key): a scene whose episodes are cut at even intervals.
-    collect(params, scene, scale, key): the scene after a bout, and its `Steps`.
+    `first(key)`: a scene whose episodes are cut at even intervals.
+    `collect(params, scene, scale, key)`: the scene after a bout, and its `Steps`.
     """
     copies = kind.settings.copies
 

@@ -38,10 +38,10 @@ STEPS_PER_CHECK_EPISODE = 75
 class Solution:
     """The result of a solve.
 
-    curve: (environment steps of this solve, mean return under the learner's reward) at each checkpoint.
-    true_curve: the same with the true return, which decides nothing.
-    env_steps: steps that were learned from. check_steps: steps of the episodes that check checkpoints.
-    checkpoints: the policies of the curve. best: the number of the chosen one, which is `policy`.
+    `curve`: (environment steps of this solve, mean return under the learner's reward) at each checkpoint.
+    `true_curve`: the same with the true return, which decides nothing.
+    `env_steps`: steps that were learned from. `check_steps`: steps of the episodes that check checkpoints.
+    `checkpoints`: the policies of the curve. `best`: the number of the chosen one, which is `policy`.
     """
 
     policy: Policy
@@ -56,9 +56,9 @@ class Solution:
 class Agent:
     """A learner in one environment. It goes on with the same networks and experience under each new reward.
 
-    settings: by default the task's. init, demonstrations, entropy: as for `methods.base.World.agent`.
-    told: called at each checkpoint with the steps of the present solve so far.
-    env_steps, check_steps: its totals, as in `Solution`.
+    `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
+    `told`: called at each checkpoint with the steps of the present solve so far.
+    `env_steps`, `check_steps`: its totals, as in `Solution`.
     Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
     """
 
@@ -223,8 +223,8 @@ class Agent:
 
     @property
     def policy(self) -> Network:
-        """Its policy now; the mean action in soft actor-critic. Raises ValueError where nothing was learned
-        yet."""
+        """The present policy; the mean action in soft actor-critic. Raises ValueError where nothing was
+        learned yet."""
         if isinstance(self.settings, SAC):
             return SquashedGaussian(models.actor(self._built, self.spec)).mean
         return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)

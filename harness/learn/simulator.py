@@ -50,8 +50,8 @@ class Simulator:
     ) -> list[Trajectory]:
         """Return one trajectory for each seed, in their order.
 
-        first: for each episode the actions (T, A) that it begins with, whatever the policy says.
-        most: steps after those at which an episode is cut, before the horizon.
+        `first`: for each episode the actions (T, A) that it begins with, whatever the policy says.
+        `most`: steps after those at which an episode is cut, before the horizon.
         Raises ValueError where the policy gives another number of actions.
         """
         return self._run(lambda obs, episodes: policy(obs), seeds, first, most)
@@ -72,7 +72,7 @@ class Simulator:
         first: Sequence[Array] | None = None,
         most: int | None = None,
     ) -> list[Trajectory]:
-        """Run an episode for each seed. answer: gives the actions (B, A) for observations (B, O) of B
+        """Run an episode for each seed. `answer`: gives the actions (B, A) for observations (B, O) of B
         episodes, which come with their numbers."""
         spec, lanes = self.spec, min(self.lanes, len(seeds))
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))

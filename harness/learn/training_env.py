@@ -41,9 +41,9 @@ WRONG_REWARD = "the reward must give one finite number for each step"
 class TrainingEnv(VecEnv):
     """Copies of the environment, side by side, as an agent sees them.
 
-    staggered: whether first episodes are cut at even intervals, which spreads the copies over an episode.
-    reward: what the agent is paid by; None is the environment's own. obs: their observations, (N, O).
-    latest: the last step of every copy, and what the environment paid for it, (N,).
+    `staggered`: True where first episodes are cut at even intervals, which spreads the copies over an
+    episode. `reward`: what the agent is paid by; None is the environment's own. `obs`: their observations,
+    (N, O). `latest`: the last step of every copy, and what the environment paid for it, (N,).
     """
 
     latest: tuple[Transitions, Array]
@@ -68,7 +68,7 @@ class TrainingEnv(VecEnv):
         self._centre, self._size = 0.0, 1.0
 
     def raw_rewards(self, steps: Transitions, true: Array) -> Array:
-        """Return the pay of each step before normalisation, (N,). true: what the environment paid, (N,).
+        """Return the pay of each step before normalisation, (N,). `true`: what the environment paid, (N,).
 
         Raises FloatingPointError unless it is one finite number for each step.
         """
@@ -101,7 +101,7 @@ class TrainingEnv(VecEnv):
 
     @property
     def pays_nothing(self) -> bool:
-        """Whether the agent learns on 0 everywhere."""
+        """True where the agent learns on 0 everywhere."""
         reward = self.reward
         return self._offset and isinstance(reward, Constant) and reward.value == reward.absorbing
 
@@ -193,7 +193,7 @@ class TrainingEnv(VecEnv):
 class Demonstrated(NStepReplayBuffer):
     """All steps of demonstrations, as `Replay` would hold them had they been taken in its source.
 
-    steps: those, with random actions in the absorbing state. Raises ValueError where some are not shown.
+    `steps`: those, with random actions in the absorbing state. Raises ValueError where some are not shown.
     """
 
     def __init__(self, episodes: Episodes, source: TrainingEnv, n_steps: int, gamma: float) -> None:
@@ -234,7 +234,7 @@ class Replay(NStepReplayBuffer):
             self._demonstrated = Demonstrated(demonstrations, source, self.n_steps, self.gamma)
 
     def add(self, *seen: Any) -> None:
-        """Add the source's latest step. seen: the same in the library's form."""
+        """Add the source's latest step. `seen`: the same in the library's form."""
         at = self.pos
         steps, self._true[at] = self._source.latest
         self._obs[at], self._act[at], self._next_obs[at] = steps.obs, steps.act, steps.next_obs

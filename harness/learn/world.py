@@ -40,8 +40,8 @@ class TaskWorld:
     """A `methods.base.World`. It gives out copies of arrays, so that neither true rewards nor `info` leave
     it.
 
-    expert: answers methods that are marked as asking. told: called now and then with the environment steps so
-    far. solve_steps: as of a `World`. answers: actions that the expert gave.
+    `expert`: answers methods that are marked as asking. `told`: called now and then with the environment
+    steps so far. `solve_steps`: as of a `World`. `answers`: actions that the expert gave.
     """
 
     def __init__(
@@ -145,8 +145,8 @@ def solver_for(
     """Return a solver of an environment: dynamic programming where its model is known, else RL by the
     library.
 
-    kind: as for `methods.base.World.agent`. told: as for `Agent`. Raises ValueError for a beginning that the
-    solver cannot have.
+    `kind`: as for `methods.base.World.agent`. `told`: as for `Agent`. Raises ValueError for a beginning that
+    the solver cannot have.
     """
     if spec.tabular is None:
         # The PPO of Stable-Baselines3 keeps no steps.
