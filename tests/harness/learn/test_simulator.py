@@ -39,9 +39,9 @@ def one_by_one(spec: EnvSpec, seeds: list[int]) -> list[Trajectory]:
     return episodes
 
 
-def assert_equal(found: list[Trajectory], expected: list[Trajectory]) -> None:
-    assert len(found) == len(expected)
-    for one, other in zip(found, expected, strict=True):
+def assert_equal(results: list[Trajectory], expected: list[Trajectory]) -> None:
+    assert len(results) == len(expected)
+    for one, other in zip(results, expected, strict=True):
         np.testing.assert_array_equal(one.obs, other.obs)
         np.testing.assert_array_equal(one.act, other.act)
         np.testing.assert_array_equal(one.rewards, other.rewards)
@@ -122,10 +122,10 @@ def test_policies_side_by_side_see_what_they_would_see_alone(fragile: EnvSpec, l
     policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
     simulator = Simulator(fragile, lanes)
     expected = [simulator.run(policy, SEEDS) for policy in policies]
-    found = list(simulator.run_each(policies, SEEDS))
-    for one, other in zip(found, expected, strict=True):
+    results = list(simulator.run_each(policies, SEEDS))
+    for one, other in zip(results, expected, strict=True):
         assert_equal(one, other)
-    assert len({len(episode.act) for episodes in found for episode in episodes}) > 3
+    assert len({len(episode.act) for episodes in results for episode in episodes}) > 3
 
 
 def test_the_policy_is_asked_once_a_step_for_all_lanes(steady: EnvSpec) -> None:
