@@ -144,15 +144,11 @@ class Agent:
             self.keep(steps)
             return
 
-        def rate(progress: float) -> float:
-            self._progress = progress
-            return self._learning_rate
-
         def done(taken: int) -> None:
             if taken % self.settings.checkpoint_every == 0 or taken == steps:
                 self.keep(taken)
 
-        model.learn(steps, rate, done, self._entropy)
+        model.learn(steps, self.advance, done, self._entropy)
 
     def whole(self, steps: int) -> int:
         """Return the least number of steps, at least `steps`, that `learn` takes."""
@@ -216,10 +212,11 @@ class Agent:
         self._checkpoints.append((done_steps, self.policy))
         self._told(done_steps)
 
-    def advance(self, progress: float) -> None:
-        """Set the learning rate after this share of the solve."""
+    def advance(self, progress: float) -> float:
+        """Set the learning rate after this share of the solve, and return it."""
         self._progress = progress
         models.follow_learning_rate(self._built, self._learning_rate)
+        return self._learning_rate
 
     @property
     def policy(self) -> Network:
