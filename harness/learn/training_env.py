@@ -202,14 +202,15 @@ class Demonstrated(NStepReplayBuffer):
         steps, lengths = Transitions.of(episodes), episodes.lengths
         if source.absorbs:
             steps, lengths = steps.absorbed(), lengths + ABSORBING_STEPS * np.array(episodes.terminated)
+        obs = np.where(steps.absorbing[:, None], steps.next_obs, steps.obs)
         act, last = steps.act.copy(), np.zeros(len(steps), bool)
         act[steps.absorbing] = source.spec.random_actions(int(steps.absorbing.sum()), source.rng)
         last[lengths.cumsum() - 1] = True
         ended = last & steps.next_absorbing & ~steps.absorbing
         spaces = source.observation_space, source.action_space
         super().__init__(len(steps), *spaces, "cpu", n_steps=n_steps, gamma=gamma)
-        self.steps = replace(steps, act=act, demonstrated=np.ones(len(steps), bool))
-        self.observations[:, 0] = source.seen(steps.obs, steps.absorbing)
+        self.steps = replace(steps, obs=obs, act=act, demonstrated=np.ones(len(steps), bool))
+        self.observations[:, 0] = source.seen(obs, steps.absorbing)
         self.next_observations[:, 0] = source.seen(steps.next_obs, steps.next_absorbing & ~ended)
         self.actions[:, 0] = act.argmax(axis=1)[:, None] if source.spec.discrete else act
         self.dones[:, 0] = last

@@ -63,7 +63,8 @@ def test_other_constants_are_trained_on(fragile: EnvSpec, reward: Constant, prot
 
 
 def test_the_best_checkpoint_is_chosen(steady: EnvSpec, actors: list[Network]) -> None:
-    solution = solve(steady, Seek(), steps=1100)
+    spec = dataclasses.replace(steady, rl=DDPG(gradient_steps=2))
+    solution = solve(spec, Seek(), steps=1100)
     returns = [value for _, value in solution.curve]
     assert len(actors) == len(returns) == 3
     assert same(solution.policy, actors[int(np.argmax(returns))])
@@ -89,7 +90,7 @@ def test_ties_go_to_the_checkpoint_that_scores_best_with_noise_and_then_to_the_l
     disturbed: list[float],
     chosen: int,
 ) -> None:
-    spec = dataclasses.replace(steady, rl=DDPG(checkpoint_every=100))
+    spec = dataclasses.replace(steady, rl=DDPG(checkpoint_every=100, gradient_steps=1))
     scores = iter(returns + disturbed)
 
     def check(self: Agent, policies: Sequence[Policy]) -> list[tuple[float, float]]:
