@@ -245,17 +245,14 @@ def _bench(part: str | None, as_json: bool) -> int:
     measures, missed = [], False
     with as_in_cells():
         with importing():
-            from harness.bench import bench  # in that environment
-            from harness.growth import growth
+            from harness.benchmarks import growth, scale, speed, spread  # in that environment
             from harness.run.keys import origin
-            from harness.scale import scale
-            from harness.spread import spread
 
-            parts = {"speed": bench, "growth": growth, "scale": scale, "spread": spread}
+            parts = {"speed": speed, "growth": growth, "scale": scale, "spread": spread}
 
         try:
             for measure in chain.from_iterable(
-                parts[name]() for name in ([part] if part else ("speed", "growth", "scale"))
+                parts[name].measures() for name in ([part] if part else ("speed", "growth", "scale"))
             ):
                 measures.append(measure.to_json())
                 missed |= measure.missed

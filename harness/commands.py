@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
 
 def reproduce(args: argparse.Namespace) -> int:
     """The study of the thesis, once under each protocol."""
-    from harness import reproduce as study
+    from harness.benchmarks import reproduce as study
     from harness.show.terminal import wrapped
 
     _prepare()
@@ -146,7 +146,7 @@ def reproduce(args: argparse.Namespace) -> int:
                 results = _compute(run, request, args, engine, programs)
             found[protocol] = [results[cell] for cell in request.cells]
         study.write_study(args.out, found)
-        for line in ["", *study.found(found, args.out)]:
+        for line in ["", *study.closing_lines(found, args.out)]:
             say(wrapped(line))
     return int(
         outcome.tell_troubles([result for results in found.values() for result in results], args.budget)

@@ -1,4 +1,4 @@
-"""What scores come to over all tasks, of those that tell rewards apart."""
+"""Scores over all tasks that distinguish rewards."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from harness.judge.statistics import interquartile_interval, interquartile_mean
 from harness.registry import ASKING
 
 NO_BETTER = 0.05
-"""A task where a control that knows nothing scores within this of the best method's pi_R tells no reward from
-none."""
+"""The gap of scores to the best method's pi_R within which an uninformed control shows that the task cannot
+distinguish rewards."""
 GOOD = 0.95
-"""Runs that score less are counted."""
+"""The score below which runs are counted."""
 
 
 @dataclass(frozen=True)
 class Overall:
-    """A policy of a method over all envs that tell rewards apart: the interquartile mean of its scores with
-    its 95 % interval, and the share of runs that score less than `GOOD`."""
+    """A method's policy over all envs that distinguish rewards: the interquartile mean of its scores with its
+    95 % interval, and the share of runs that score less than `GOOD`."""
 
     method: str
     policy: str
@@ -36,8 +36,8 @@ class Overall:
 
 
 def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
-    """Of entries of one board an env, the envs in which a control that knows nothing scores about as much as
-    the best method's pi_R or more, and which one does best."""
+    """Return the envs that cannot distinguish rewards, with the reason: their best uninformed control scores
+    about as much as the best method's pi_R, or more. `entries`: of one board an env."""
     boards: dict[str, list[Entry]] = {}
     for entry in entries:
         if entry.policy == "pi_R" and math.isfinite(entry.score_mean):
@@ -54,10 +54,10 @@ def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
 
 
 def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
-    """Every policy over all envs but those `without`, best first; empty where fewer than two are left.
+    """Return every policy over all envs but `without`, the best first; nothing for fewer than two envs.
 
-    Only policies with a score in every env, since those left out could be the hard ones; and none of methods
-    that ask the expert.
+    Policies without a score in some env are left out, because it could be a hard one, and so are methods that
+    ask the expert.
     """
     scores: dict[tuple[str, str], dict[str, list[float]]] = {}
     for row in rows:

@@ -9,7 +9,7 @@ from harness.registry import BUILT_IN, GYMNASIUM_NAME
 
 
 def as_seeds(seeds: Sequence[int]) -> str:
-    """As `--seeds` takes them: how many, where they are those from 0; else numbers and ranges, '0,3,5-9'."""
+    """Return seeds as `--seeds` takes them: their number, where they count from 0, else ranges, '0,3,5-9'."""
     if list(seeds) == list(range(len(seeds))):
         return str(len(seeds))
     starts = [s for s in seeds if s - 1 not in seeds]
@@ -19,8 +19,8 @@ def as_seeds(seeds: Sequence[int]) -> str:
 
 
 def command_of(request: Request, beside: bool = False) -> str:
-    """The command line that asks for all of it; several where no one does. beside: whether it is shown beside
-    a baseline."""
+    """Return the command line of a request, or several, joined by '&&'. `beside`: True for a run beside a
+    baseline."""
     c = request.conditions
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
     known = {*BUILT_IN["method"], *BUILT_IN["env"]}

@@ -1,5 +1,8 @@
-"""Comparisons of methods over runs and tasks (Agarwal et al. 2021): performance profiles and the probability
-of improvement, with intervals of the stratified bootstrap; and the Pareto front of scores and costs."""
+"""Comparisons of methods over runs and tasks (Agarwal et al. 2021).
+
+Performance profiles and the probability of improvement have intervals of the stratified bootstrap. There is
+also the Pareto front of scores and costs.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,16 @@ from harness.judge.results import Row
 
 RESAMPLES = 2000
 FEWEST_SEEDS, MOST_SEEDS = 3, 50
-"""Of a task: with fewer there is nothing to resample; more are left out."""
+"""Seeds of a task: methods with fewer are left out, and so are seeds beyond the second number."""
 Runs = Mapping[str, Sequence[float]]
-"""Scores by task, of the seeds in order."""
+"""Scores in the order of seeds, by task."""
 
 
 def runs_of(
     rows: Sequence[Row], policy: str, without: Sequence[str] = ()
 ) -> dict[str, dict[str, list[float]]]:
-    """Of each method its runs, where it has `FEWEST_SEEDS` scores at least in every environment but those
-    `without`; of these the first `MOST_SEEDS`."""
+    """Return the runs of each method with at least `FEWEST_SEEDS` scores in every environment but `without`,
+    at most `MOST_SEEDS` in each."""
     found: dict[str, dict[str, list[float]]] = {}
     envs = {row.env for row in rows} - {*without}
     for row in rows:
@@ -38,8 +41,8 @@ def runs_of(
 
 
 def profile(runs: Runs, levels: Sequence[float]) -> NDArray[np.float64]:
-    """The share of runs that score more than each of L levels, the mean over tasks, and its 95 % interval's
-    ends, (L, 3)."""
+    """Return the share of runs above each of L levels, as the mean over tasks and the ends of its 95 %
+    interval, (L, 3)."""
 
     def shares(*tasks: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
         return np.stack(
@@ -51,8 +54,8 @@ def profile(runs: Runs, levels: Sequence[float]) -> NDArray[np.float64]:
 
 
 def improvement(runs: Runs, others: Runs) -> tuple[float, float, float]:
-    """The probability that a run of the first scores more than one of the others, in a task drawn at random,
-    equal scores counting half; and its 95 % interval's ends. Both have the same tasks."""
+    """Return the probability that a run scores more than one of the others in a random task, and the ends of
+    its 95 % interval. Equal scores count half. Both have the same tasks."""
     pairs = [(np.asarray(runs[task], np.float64), np.asarray(others[task], np.float64)) for task in runs]
     count = len(pairs)
 
@@ -74,7 +77,7 @@ def improvement(runs: Runs, others: Runs) -> tuple[float, float, float]:
 def _bootstrap(
     samples: Sequence[NDArray[np.float64]], statistic: Callable[..., NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """The 95 % interval's ends, each sample resampled by itself."""
+    """Return the ends of the 95 % interval; each sample is resampled by itself."""
     from scipy.stats import bootstrap
 
     found = bootstrap(
@@ -90,8 +93,8 @@ def _bootstrap(
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Numbers of the points (cost, score) that no other one beats, by cost: none scores as much for less, nor
-    more for as much."""
+    """Return the numbers of the points (cost, score) that no other one beats, by cost. A point is beaten by
+    equal scores at lower cost, and by higher scores at equal cost."""
     best, kept = -math.inf, []
     for number in sorted(range(len(points)), key=lambda i: (points[i][0], -points[i][1])):
         if points[number][1] > best:

@@ -1,4 +1,4 @@
-"""Rewards that nobody learned: what pi_R scores under them tells what a score is worth."""
+"""Rewards that nobody learned, under which scores of pi_R show what a score is worth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from methods.rewards import Constant, NetworkReward
 
 @dataclass(frozen=True)
 class Distance:
-    """Pays minus the squared distance to what a policy would do."""
+    """Minus the squared distance to a policy's action."""
 
     policy: Policy
     absorbing: float = 0.0
@@ -33,8 +33,8 @@ def control_reward(
     random_actions: RandomActions,
     rng: np.random.Generator,
 ) -> Reward | None:
-    """The reward of a control row by its name; None is the environment's own. fit: what a method learns from
-    demonstrations, by its name."""
+    """Return a control's reward by its name; None is the environment's own. `fit`: fits a method by its name
+    to demonstrations. Raises KeyError for another name."""
     if name == "control_untrained":
         return untrained(demos(), random_actions, rng)
     if name == "control_shuffled":
@@ -52,14 +52,15 @@ def control_reward(
 
 
 def shuffled(demos: Episodes, rng: np.random.Generator) -> Episodes:
-    """The same states and the same actions, paired at random."""
+    """Return the same states and the same actions, paired at random."""
     act = rng.permutation(demos.pairs()[1])
     ends = np.cumsum([len(act) for act in demos.act])
     return replace(demos, act=tuple(a.copy() for a in np.split(act, ends[:-1])))
 
 
 def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Generator) -> Reward:
-    """A network of random initial weights, within 1 of 0, on demonstration-standardised observations."""
+    """Return a network of random initial weights, within [-1, 1], on observations standardised by
+    demonstrations."""
     mean, std = standardiser(demos.pairs()[0])
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
     layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)

@@ -11,16 +11,16 @@ from harness.registry import BUILT_IN, SPECS
 NO_NUMBERS = "It warns of steps that were taken."
 
 MOST = 3
-"""Times as many steps as others take, beyond which two are no longer compared like with like."""
+"""The largest ratio of steps at which two methods are compared like with like."""
 EPISODES = 10
-"""Rollouts that any method may take, besides what RL takes."""
+"""Rollouts that any method may take beside RL's steps."""
 RL = "RL at this budget"
 
 
 def asked(method: Any, rl_steps: int) -> float:
-    """Return about how many environment steps the settings of a method stand for.
+    """Return about how many environment steps a method's settings ask for. `rl_steps`: steps of a solve.
 
-    Of two methods of one class the ratio counts. rl_steps: those of a solve in the task.
+    Only the ratio for two methods of one class is meaningful.
     """
     if hasattr(method, "rl_share"):
         return float(rl_steps * (method.iterations * method.rl_share + getattr(method, "final_share", 0)))
@@ -33,9 +33,9 @@ def asked(method: Any, rl_steps: int) -> float:
 def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
     """Return a line for each task in which a plug-in's method took more than `MOST` times others' steps.
 
-    It is compared with the built-in method whose class it has or derives from, if that is among the results;
-    checks of checkpoints are included. One that is like none, or like one that takes no steps, is compared
-    with all built-in methods there, and with RL.
+    It is compared with the built-in methods whose class it has or derives from, where they are among the
+    results; checks of checkpoints are included. A method that is like none, or like one that takes no steps,
+    is compared with all built-in methods there, and with RL.
     """
     rows: dict[tuple[str, str, str], list[Row]] = {}
     likes: dict[str, list[str]] = {}
@@ -47,7 +47,7 @@ def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
             rows.setdefault((cell.env, str(cell.shown), cell.method), []).append(row)
             if cell.method not in BUILT_IN["method"]:
                 likes[cell.method] = result.like
-    found = []
+    lines = []
     for env, shown, method in sorted(rows):
         if method not in likes:
             continue
@@ -63,11 +63,11 @@ def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
         most = max(others, key=others.__getitem__, default="")
         if most and took > MOST * others[most] > 0:
             which = f"{env}, {shown}" if shown else env
-            found.append(
+            lines.append(
                 f"{method} in {which} took {took:,.0f} environment steps{' and checks' * checks}, more than "
                 f"{MOST} times the {others[most]:,.0f} of {most}: not compared like with like"
             )
-    return found
+    return lines
 
 
 def _mean(rows: Sequence[Row], checks: bool) -> float:

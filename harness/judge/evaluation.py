@@ -17,8 +17,11 @@ from methods.base import Array, Policy, Reward
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths (N,) of N episodes, how many ended why, the first one, and their returns under
-    another reward (None: there is none), counted from what absorption pays."""
+    """True returns and lengths, (N,), of N episodes, the number of endings by their reason, and the first
+    one.
+
+    `own`: returns under another reward above absorption, (N,), if there is one.
+    """
 
     returns: Array
     discounted: Array
@@ -28,7 +31,7 @@ class Evaluation:
     own: Array | None = None
 
     def columns(self) -> dict[str, Any]:
-        """The columns of scores.csv that it fills."""
+        """Return its columns of scores.csv."""
         columns: dict[str, Any] = {"episodes": len(self.returns)}
         measures = {"return": self.returns, "discounted": self.discounted, "length": self.lengths}
         for name, values in measures.items():
@@ -39,12 +42,12 @@ class Evaluation:
 
     @property
     def own_return(self) -> float:
-        """The mean return under the other reward, NaN where there is none or it is not finite."""
+        """The mean return under the other reward; NaN without one, or where it is not finite."""
         return math.nan if self.own is None or not np.isfinite(self.own).all() else float(self.own.mean())
 
 
 def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward | None = None) -> Evaluation:
-    """Native episodes of the policy, one for each seed. reward: another one."""
+    """Return the scores of the policy in native episodes, one for each seed. `reward`: another reward."""
     episodes = Simulator(spec).run(policy, seeds)
     return Evaluation(
         returns=np.array([e.rewards.sum() for e in episodes]),
@@ -57,8 +60,8 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward
 
 
 def totals(reward: Reward, episodes: Sequence[tuple[Array, Array]]) -> Array:
-    """Return (E,): what the reward pays above absorption for each of E episodes, obs (T+1, O) and act (T, A).
-    It is told copies, and may write into them."""
+    """Return the reward's pay above absorption, (E,), for each of E episodes: obs (T+1, O) and act (T, A).
+    The reward receives copies, and may write into them."""
     obs, act = zip(*episodes, strict=True)
     before, after = (np.concatenate([one[side] for one in obs]) for side in (slice(-1), slice(1, None)))
     paid = reward(before, np.concatenate(act), after) - reward.absorbing

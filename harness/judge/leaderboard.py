@@ -1,4 +1,4 @@
-"""From the rows of a run to its leaderboard: normalized scores, and what they come to over seeds."""
+"""The leaderboard of a run's rows: normalized scores, and their means over seeds."""
 
 from __future__ import annotations
 
@@ -31,21 +31,19 @@ T = TypeVar("T")
 
 _POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
 NEGLIGIBLE = 0.005
-"""Differences of scores up to this are none."""
+"""The largest difference of scores that counts as equal."""
 UNSCORED = ("not scored", "what would score 1 is missing, or no better than a random policy")
 Scales = Mapping[tuple[str, int], tuple[float, float]]
-"""By env and seed: the random policy's return, and how much better the expert's is."""
+"""The random policy's return, and the expert's return above it, by env and seed."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the leaderboard: a policy of a method in an env and its dynamics, with what is shown to it,
-    over its seeds that are ok.
+    """One line of the leaderboard: a method's policy in a task with its demonstrations, over its ok seeds.
 
-    score: normalized, 0 the random policy and 1 the expert, or the demonstrations where there is none; in
-    other dynamics than the env's own, where the expert is none, 1 what RL reaches there on the true reward.
-    low and high bound a mean's 95 % interval.
-    Costs are means over seeds. Numbers are NaN where nothing is known.
+    Scores are normalized. The random policy scores 0. The expert scores 1, or the demonstrations in a run
+    without experts. In a variant, RL on the true reward scores 1. Fields named low and high bound a mean's 95
+    % interval. Costs are means over seeds. Unknown numbers are NaN.
     """
 
     env: str
@@ -53,7 +51,7 @@ class Entry:
     demos: int
     every: int
     demonstrator: Demonstrator
-    """As of `Row`, the last three also of what no demonstrations are shown to."""
+    """As in `Row`. The last three also stand in lines of methods without demonstrations."""
     method: str
     role: str
     policy: str
@@ -66,20 +64,20 @@ class Entry:
     score_low: float
     score_high: float
     varies: str
-    """What intervals are over: 'seeds'; 'episodes' where there is one seed, whose luck is not in them."""
+    """The source of intervals: 'seeds', or 'episodes' for a single seed, whose luck is left out."""
     best: bool
-    """Whether it is the one that other methods' policies of the same name are compared with (`_best`)."""
+    """True for the method that others' policies of the same name are compared with (`_best`)."""
     behind_mean: float
-    """Of methods: how much less it scores than the best one's policy of the same name, paired by seed."""
+    """Methods: the gap to the best method's policy of the same name, paired by seed."""
     behind_low: float
     behind_high: float
     tied: bool
-    """Whether that interval holds 0, what is negligible beside it, or less: it is not told to be worse."""
+    """True where that interval reaches down to a negligible gap: it is not significantly worse."""
     above_best_lower_control: float
-    """Of pi_R rows: mean score minus the best mean score of the lower controls, over seeds that all have."""
+    """pi_R rows: mean score minus the best mean score of lower controls, over the seeds that all have."""
     share_of_true: float
-    """Of pi_R rows: the mean score in units of what RL reaches on the true reward in one solve, over the
-    seeds that both have."""
+    """pi_R rows: mean score divided by that of one RL solve of the true reward, over the seeds that both
+    have."""
     reward_distance: float
     reward_floor: float
     reward_rank: float
@@ -97,7 +95,7 @@ class Entry:
     check_steps: float
     rl_solves: float
     note: str
-    """Where it comes from, if from a baseline; which seeds were skipped, failed or not scored, and why."""
+    """The baseline it comes from, if any, and the seeds that were skipped, failed or not scored, and why."""
 
     @property
     def unsolved(self) -> bool:
@@ -106,33 +104,33 @@ class Entry:
 
     @property
     def incomparable(self) -> bool:
-        """Whether it is a method with a score, but without a seed that the best one has too."""
+        """True for a method with a score that shares no seed with the best one."""
         scored = is_rival(self.method) and math.isfinite(self.score_mean)
         return scored and not self.best and not math.isfinite(self.behind_mean)
 
     @property
     def task(self) -> str:
-        """As of `Cell`."""
+        """As in `Cell`."""
         return Cell(self.env, self.method, 0, dynamics=self.dynamics).task
 
     @property
     def shown(self) -> Shown:
-        """As of `Cell`."""
+        """As in `Cell`."""
         return Shown(self.demos, self.every, self.demonstrator)
 
     @property
     def board(self) -> str:
-        """The task, and what is shown there: what can be compared."""
+        """The task and its demonstrations, within which lines can be compared."""
         shown = str(self.shown)
         return f"{self.task}, {shown}" if shown else self.task
 
 
 def scored_rows(results: Sequence[CellResult]) -> list[Row]:
-    """All rows with their normalized scores, by task, method (reference first, controls last), seed, policy.
+    """Return all rows with normalized scores, by task, method (reference first, controls last), seed, policy.
 
-    Where there is no expert, the row in its place is the demonstrations'. The score is NaN where what scores
-    0 or 1 in that task and seed is missing, or where the latter is no better than the former, which leaves no
-    scale.
+    In a run without experts, the demonstrations' row replaces the expert's. The score is NaN where the
+    policies that score 0 and 1 in that task and seed are not both known, or the second is not better than the
+    first.
     """
     rows = [row for result in results for row in result.rows]
     scales = _scales(rows)
@@ -148,7 +146,7 @@ def scored_rows(results: Sequence[CellResult]) -> list[Row]:
 
 
 def _scales(rows: Sequence[Row]) -> Scales:
-    """By task and seed, what scores 0, and how much more what scores 1 returns."""
+    """Return the scales of all tasks and seeds whose policies that score 0 and 1 are known."""
     known: dict[tuple[str, int, str, str], float] = {
         (row.task, row.seed, row.method, row.policy): row.return_mean
         for row in rows
@@ -174,9 +172,11 @@ def _order(row: Row) -> tuple[Any, ...]:
 
 
 def leaderboard(rows: Sequence[Row]) -> list[Entry]:
-    """The lines of every board from rows with scores: methods from the best to the worst pi_R, those without
-    a reward by their pi_star after them, then controls, then the reference. What no demonstrations are shown
-    to is on every board of its task."""
+    """Return the lines of every board from rows with scores.
+
+    Methods stand from the best to the worst pi_R, those without a reward after them by their pi_star, then
+    controls, then the reference. Methods without demonstrations are on every board of their task.
+    """
     tasks: dict[tuple[str, bool, str, str], list[Row]] = {}
     for row in rows:
         tasks.setdefault((row.env, row.dynamics != NOMINAL, row.dynamics, row.protocol), []).append(row)
@@ -190,7 +190,7 @@ def leaderboard(rows: Sequence[Row]) -> list[Entry]:
 
 
 def by_shown(items: Sequence[T], row: Callable[[T], Row]) -> dict[Shown, list[T]]:
-    """Of a task's items, those of each board, by what is shown there. row: of an item."""
+    """Return a task's items by the demonstrations of each board. `row`: gives an item's row."""
     boards: dict[Shown, list[T]] = {shown: [] for shown in shown_in([row(item) for item in items])}
     for item in items:
         its = row(item)
@@ -200,17 +200,17 @@ def by_shown(items: Sequence[T], row: Callable[[T], Row]) -> dict[Shown, list[T]
 
 
 def shown_in(rows: Sequence[Row]) -> list[Shown]:
-    """What is shown there, as much as the budget says first."""
+    """Return the demonstrations of all boards; the budget's own number comes first."""
     return sorted({row.shown for row in rows if row.method not in UNSHOWN}) or [ALL_SHOWN]
 
 
 def is_on(row: Row, shown: Shown) -> bool:
-    """Whether the row is on the board of what is shown."""
+    """Return whether the row is on the board of these demonstrations."""
     return row.method in UNSHOWN or row.shown == shown
 
 
 def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
-    """The lines of one board."""
+    """Return the lines of one board."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.method, row.policy), []).append(row)
@@ -259,15 +259,15 @@ def _scores(rows: Sequence[Row]) -> dict[int, float]:
 def _best(ordered: Sequence[list[Row]]) -> list[Row]:
     """Return the rows of the first method that no method with as many seeds beats where both have a score.
 
-    ordered: rows of each method, by falling mean score. A mean over easy seeds alone is not the best.
+    `ordered`: rows of each method, by falling mean score. A mean over easy seeds alone is not the best.
     """
     unbeaten = (rows for rows in ordered if not any(_beats(other, rows) for other in ordered))
     return next(unbeaten, ordered[0] if ordered else [])
 
 
 def _beats(rows: list[Row], others: list[Row]) -> bool:
-    """Whether it has as many seeds, and scores more on those that both have, or has more where none is
-    shared."""
+    """Return whether it has at least as many seeds and a higher score on the shared ones, or more seeds where
+    none are shared."""
     mine, theirs = _scores(rows), _scores(others)
     if mine.keys() == theirs.keys() or len(mine) < len(theirs):
         return False
@@ -364,7 +364,7 @@ def _entry(
 
 
 def _from(source: str, seeds: list[int], in_part: bool) -> str:
-    """Where these seeds come from. in_part: whether others come from elsewhere."""
+    """Return the source of these seeds. `in_part`: True where others come from elsewhere."""
     return (
         f"{source} ({'seeds' if len(seeds) > 1 else 'seed'} {', '.join(map(str, seeds))})"
         if in_part
@@ -373,8 +373,10 @@ def _from(source: str, seeds: list[int], in_part: bool) -> str:
 
 
 def _behind(rows: list[Row], best: list[Row], scales: Scales) -> tuple[float, float, float]:
-    """By how much these rows score less than the best method's, over the seeds that both have, with the 95 %
-    interval of the mean difference; with one such seed that over episodes, as if they were not paired."""
+    """Return the mean gap to the best method's rows over the seeds that both have, and its 95 % interval.
+
+    With one such seed, the interval is over episodes, as if they were not paired.
+    """
     theirs = {row.seed: row for row in best if math.isfinite(row.normalized_score)}
     pairs = [(theirs[row.seed], row) for row in rows if row.seed in theirs]
     differences = [one.normalized_score - other.normalized_score for one, other in pairs]
@@ -387,7 +389,8 @@ def _behind(rows: list[Row], best: list[Row], scales: Scales) -> tuple[float, fl
 
 
 def _error(row: Row, scales: Scales) -> float:
-    """The standard error of its mean score over evaluation episodes, or, without scales, of its return."""
+    """Return the standard error of its mean score over evaluation episodes, or, without scales, of its
+    return."""
     if row.episodes < 2:
         return math.nan
     error = row.return_std / math.sqrt(row.episodes)
@@ -395,6 +398,6 @@ def _error(row: Row, scales: Scales) -> float:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """The mean of the values that are known, NaN where none is."""
+    """Return the mean of the finite values, NaN where there are none."""
     known = [value for value in values if math.isfinite(value)]
     return math.fsum(known) / len(known) if known else math.nan

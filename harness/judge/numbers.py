@@ -1,4 +1,4 @@
-"""Numbers as people read them."""
+"""Numbers as text for people."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import re
 
 LARGE = 1e9
-"""From here on a number is written with a power of ten."""
+"""The least number that is written with a power of ten."""
 
 
 def as_text(value: float, spec: str) -> str:

@@ -1,4 +1,4 @@
-"""What each method and control is on a leaderboard for."""
+"""The role of each method and control on a leaderboard."""
 
 from __future__ import annotations
 
@@ -16,20 +16,18 @@ _ROLES = {
     **dict.fromkeys(ASKING, ASKS),
 }
 WITHOUT_OFFSET = ("native", "state")
-"""Protocols under which an end pays nothing: a constant +1 then says "stay alive", as control_survival does
-under the others, and that pays 0 everywhere, as +1 does there (docs/termination.md)."""
+"""Protocols under which an end pays nothing. There control_plus1 means "stay alive", and control_survival
+pays 0 everywhere; under the others it is the reverse (docs/termination.md)."""
 UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
-"""Roles of controls that know nothing of how to do the task."""
+"""Roles of controls without information about the task."""
 
 
 def role_of(method: str, protocol: str) -> str:
-    """What it is there for, 'method' where it is compared with the others."""
-    if protocol in WITHOUT_OFFSET:
-        swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER}
-        return swapped.get(method) or _ROLES.get(method, "method")
-    return _ROLES.get(method, "method")
+    """Return the role under a protocol; 'method' for those that are compared with each other."""
+    swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER} if protocol in WITHOUT_OFFSET else {}
+    return swapped.get(method) or _ROLES.get(method, "method")
 
 
 def is_rival(method: str) -> bool:
-    """Whether it is compared with the other methods, or is there for comparison."""
+    """Return whether the method competes with others, unlike controls and the reference."""
     return method not in _ROLES

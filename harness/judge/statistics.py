@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 
 RESAMPLES = 10_000
 AT_ONCE = 500
-"""Resamples that are held at a time."""
+"""Resamples in memory at a time."""
 CONFIDENCE = 0.95
 NORMAL = 1.959964
-"""Standard errors that the normal 95 % interval reaches to either side."""
+"""Half the normal 95 % interval, in standard errors."""
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
-    """The 95 % interval of the mean of independent values, by Student's t.
+    """Return the 95 % interval of the mean of independent values, by Student's t.
 
-    It covers the mean of normal values 95 times in 100, however few they are; that of scores which pile up at
-    a bound less often. With fewer than two values there is none: (NaN, NaN). With equal values it is that
-    value, which says that they did not vary here, not that they could not. Raises ValueError for values that
-    are not finite.
+    It covers the mean of normal values 95 times in 100, however few they are, and that of scores near a bound
+    less often. It is (NaN, NaN) for fewer than two values. For equal values it is that value, which does not
+    mean that they could not vary. Raises ValueError for values that are not finite.
     """
     if not np.isfinite(values).all():
         raise ValueError(f"values must be finite, not {list(values)}")
@@ -38,14 +37,14 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
 
 @functools.cache
 def _reach(count: int) -> float:
-    """Standard errors that Student's 95 % interval of the mean of so many values reaches to either side."""
+    """Return half of Student's 95 % interval of the mean of `count` values, in standard errors."""
     from scipy.special import stdtrit  # all of scipy.stats takes a second to import
 
     return float(stdtrit(count - 1, 0.5 + CONFIDENCE / 2))
 
 
 def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return Spearman's: that of the ranks, where equal values share their mean rank. NaN of NaN."""
+    """Return Spearman's correlation; equal values share their mean rank. It is NaN where a value is."""
     if np.isnan(one).any() or np.isnan(other).any():
         return math.nan
     return float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
@@ -58,13 +57,13 @@ def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def normal_interval(mean: float, error: float) -> tuple[float, float]:
-    """The 95 % interval of a mean with this standard error, of so many values that it is normal."""
+    """Return the 95 % interval of a normal mean with this standard error."""
     return mean - NORMAL * error, mean + NORMAL * error
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
-    """The mean of the middle half: a quarter of the values, rounded down, is cut from either end
-    (Agarwal et al. 2021). NaN without values. Raises ValueError for values that are not finite."""
+    """Return the mean of the middle half: a quarter of the values, rounded down, is cut from either end
+    (Agarwal et al. 2021). It is NaN without values. Raises ValueError for values that are not finite."""
     if not np.isfinite(values).all():
         raise ValueError(f"values must be finite, not {list(values)}")
     if not len(values):
@@ -73,10 +72,10 @@ def interquartile_mean(values: Sequence[float]) -> float:
 
 
 def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> tuple[float, float]:
-    """The 95 % interval of the interquartile mean of all tasks' values together, by the stratified
+    """Return the 95 % interval of the interquartile mean of all tasks' values together, by the stratified
     bootstrap: each task's runs are resampled among themselves (Agarwal et al. 2021).
 
-    (NaN, NaN) where a task has fewer than two runs. Raises ValueError for values that are not finite.
+    It is (NaN, NaN) where a task has fewer than two runs. Raises ValueError for values that are not finite.
     """
     if not all(np.isfinite(runs).all() for runs in tasks):
         raise ValueError("values must be finite")
@@ -84,14 +83,15 @@ def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> t
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
     ordered = [np.sort(np.asarray(runs, np.float64)) for runs in tasks]
-    # Places and not values: of 1,000 runs of 14 tasks those would take a gigabyte.
+    # Values instead of places would take a gigabyte for 1,000 runs of 14 tasks.
     places = [
         rng.integers(0, len(runs), (RESAMPLES, len(runs))).astype(np.min_scalar_type(len(runs)))
         for runs in ordered
     ]
     means = []
     for first in range(0, RESAMPLES, AT_ONCE):
-        drawn = [runs[its[first : first + AT_ONCE]] for runs, its in zip(ordered, places, strict=True)]
+        some = slice(first, first + AT_ONCE)
+        drawn = [runs[rows[some]] for runs, rows in zip(ordered, places, strict=True)]
         means.append(_middle_means(np.concatenate(drawn, axis=1)))
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(np.concatenate(means), [tail, 1 - tail])
@@ -99,16 +99,16 @@ def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> t
 
 
 def probability_of_improvement(values: Sequence[float], others: Sequence[float]) -> float:
-    """How probable it is that one of the values is larger than one of the others, equal ones counting half
-    (Agarwal et al. 2021, after Mann & Whitney 1947). NaN where there are none of either."""
+    """Return the probability that one of the values is larger than one of the others; equal ones count half
+    (Agarwal et al. 2021, after Mann & Whitney 1947). It is NaN where either is empty."""
     if not len(values) or not len(others):
         return math.nan
-    apart = np.subtract.outer(np.asarray(values, np.float64), np.asarray(others, np.float64))
-    return float(((apart > 0) + 0.5 * (apart == 0)).mean())
+    gaps = np.subtract.outer(np.asarray(values, np.float64), np.asarray(others, np.float64))
+    return float(((gaps > 0) + 0.5 * (gaps == 0)).mean())
 
 
 def _middle_means(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interquartile means along the last axis."""
+    """Return interquartile means along the last axis."""
     cut = values.shape[-1] // 4
     means: NDArray[np.float64] = np.sort(values)[..., cut : values.shape[-1] - cut].mean(axis=-1)
     return means

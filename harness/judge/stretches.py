@@ -1,4 +1,4 @@
-"""Parts of episodes, to be paid by one reward after another."""
+"""Parts of episodes, which several rewards pay."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from methods.rewards import fast
 
 @dataclass(frozen=True)
 class Stretches:
-    """N of them, one after the other, in 32 bits.
+    """N parts of episodes, one after the other, in 32 bits.
 
-    obs: (M + N, O), what was observed before each of the M steps and, of each stretch, where it ended. act:
-    (M, A). lengths: (N,), steps of each. terminated: (N,), whether the episode did at its end.
+    `obs`: observations before each of the M steps and at each part's end, (M + N, O). `act`: (M, A).
+    `lengths`: steps of each, (N,). `terminated`: whether the episode terminated at its end, (N,).
     """
 
     obs: NDArray[np.float32]
@@ -29,7 +29,7 @@ class Stretches:
 
     @classmethod
     def of(cls, episodes: Sequence[Trajectory], starts: Sequence[int]) -> Self:
-        """Each episode from its step of that number on."""
+        """Return each episode from its start step on."""
         both = list(zip(episodes, starts, strict=True))
         return cls(
             np.concatenate([e.obs[t:] for e, t in both]).astype(np.float32),
@@ -39,11 +39,11 @@ class Stretches:
         )
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """By name, for storage."""
+        """Return its arrays by name, for storage."""
         return dict(vars(self))
 
     def returns(self, reward: Reward, gamma: float) -> Array:
-        """(N,): what the reward pays for each, with nothing to be had once an episode has terminated."""
+        """Return the discounted pay of each, (N,), above absorption. After a termination it is 0."""
         before, after = np.ones((2, len(self.obs)), bool)
         before[self._ends] = after[self._ends - self.lengths] = False
         obs, act = self.obs.astype(np.float64), self.act.astype(np.float64)
@@ -54,7 +54,7 @@ class Stretches:
 
     @property
     def last(self) -> Array:
-        """(N, O): what was observed where each ended."""
+        """The observation at each end, (N, O)."""
         return self.obs[self._ends].astype(np.float64)
 
     @property

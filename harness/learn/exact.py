@@ -1,4 +1,4 @@
-"""Solutions of environments whose model is known: value iteration instead of learning."""
+"""Solutions of environments whose model is known, by value iteration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TIE = 1e-7
 
 
 class ExactSolver:
-    """Solves one finite environment, in no environment steps; an agent that knows at once."""
+    """An agent that solves one finite environment without environment steps."""
 
     env_steps = 0
 
@@ -24,18 +24,18 @@ class ExactSolver:
         self._has_learned = False
 
     def whole(self, steps: int) -> int:
-        """Return the steps as they are, for they do not matter."""
+        """Return `steps`, which do not matter."""
         return steps
 
     def learn(self, steps: int, reward: Reward | Payment | None) -> None:
-        """Takes the reward to heart; `steps` do not matter. Raises ValueError for a `Payment`."""
+        """Remember the reward; `steps` do not matter. Raises ValueError for a `Payment`."""
         if reward is not None and not isinstance(reward, Reward):
             raise ValueError("where the model is known, an agent learns under rewards alone")
         self._reward, self._has_learned = reward, True
 
     def best(self, reward: Reward | None) -> Solution:
-        """A policy that is optimal under the reward, None being the true one. Which of several, chance says,
-        for a reward that cannot tell actions apart teaches nothing.
+        """Return an optimal policy under the reward; None is the true one. Chance decides between equal
+        actions, because a reward that does not distinguish them teaches nothing.
 
         Raises ValueError on rewards that are not finite.
         """
@@ -48,32 +48,31 @@ class ExactSolver:
         return Solution(policy, curve=[], true_curve=[])
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
-        """`learn` and `best`."""
+        """Do as `learn` and `best`."""
         self.learn(steps, reward)
         return self.best(reward)
 
     @property
     def policy(self) -> Policy:
-        """Optimal under the reward of the last `learn`. Raises ValueError where nothing was learned yet: the
-        policy of no reward would be the expert's."""
+        """An optimal policy under the reward of the last `learn`. Raises ValueError where nothing was learned
+        yet, because without a reward it would be the expert's."""
         if not self._has_learned:
             raise ValueError("an agent that has not learned yet has no policy")
         return self.best(self._reward).policy
 
     @property
     def behaviour(self) -> StochasticPolicy:
-        """Raises ValueError: there is none."""
+        """Nothing. Raises ValueError."""
         raise ValueError("where the model is known, nothing is explored")
 
     def replay(self) -> Transitions:
-        """Raises ValueError: there is none."""
+        """Raise ValueError."""
         raise ValueError("where the model is known, nothing is seen")
 
 
 def expected_rewards(model: Model, reward: Reward) -> Array:
-    """(S, A): the reward of each action, averaged over where it leads."""
+    """Return the reward of each state and action, averaged over next states, (S, A)."""
     s, a, after = model.P.nonzero()
-    paid = reward(model.obs[s], np.eye(model.P.shape[1])[a], model.obs[after])
     r = np.zeros(model.P.shape)
-    r[s, a, after] = paid
+    r[s, a, after] = reward(model.obs[s], np.eye(model.P.shape[1])[a], model.obs[after])
     return np.asarray((model.P * r).sum(axis=2))

@@ -1,4 +1,4 @@
-"""Whether what a method returns is what it must return, checked before anything is computed with it."""
+"""Checks of what a method returns, before anything is computed with it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from envs import EnvSpec
 from methods.base import Episodes, Learned
 
 ROWS = 5
-"""Demonstrated pairs that it is tried on."""
+"""Demonstrated pairs that policy and reward are tried on."""
 
 
 def check_learned(learned: object, spec: EnvSpec, demos: Episodes) -> None:
-    """Raises TypeError or ValueError, naming what is missing or wrong, for anything but a `Learned` whose
-    policy and reward answer for demonstrated pairs."""
+    """Raise TypeError or ValueError, naming the fault, unless it is a `Learned` whose policy and reward
+    answer for demonstrated pairs."""
     if not isinstance(learned, Learned):
         raise TypeError(f"fit must return a Learned, not {type(learned).__name__}")
     obs, act = (values[:ROWS] for values in demos.pairs())

@@ -1,4 +1,4 @@
-"""The models of RL libraries: built from a task's settings, begun with a policy, their actors read.
+"""The models of RL libraries: building them from a task's settings, beginning with a policy, reading actors.
 
 DDPG (Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX,
 Stable-Baselines3 in JAX, or of Stable-Baselines3 itself. DQN (Mnih et al. 2013; thesis, figure 3.2), where
@@ -32,16 +32,16 @@ from methods.network import ADAM, Network
 from methods.stochastic import SquashedGaussian
 
 OffPolicy = sbx.TD3 | sbx.SAC | sb3.TD3 | sb3.SAC | sb3.DQN
-"""DDPG is a TD3 in both libraries."""
+"""Models with a replay buffer. DDPG is a TD3 in both libraries."""
 Model = OffPolicy | sb3.PPO | OnPolicy
 Layers = Sequence[tuple[Array, Array]]
-"""Weights (I, K) and biases (K,), the last two of SAC's being its heads: mean and logarithm of the standard
-deviation."""
+"""Weights (I, K) and biases (K,) of each layer. SAC's last two are heads: the mean, and the logarithm of the
+standard deviation."""
 FIRST_ACTIONS = 0.01
-"""Size of an untrained actor's last weights, of what SBX draws."""
+"""Size of an untrained actor's last weights, as a share of SBX's."""
 _FUNCTIONS: dict[tuple[Learner, int], list[tuple[Any, Any]]] = {}
-"""Networks' and optimizers' functions, of the first agent with these settings and size of actions. What JAX
-compiles for a function it keeps; each agent's own would be compiled, and kept, again."""
+"""Functions of networks and optimizers, by settings and size of actions: those of the first such agent. JAX
+compiles each function once, and would compile and keep every agent's own."""
 
 
 def build(
@@ -53,52 +53,47 @@ def build(
     seed: int,
     learning_rate: Callable[[], float],
 ) -> Model:
-    """An untrained model, which begins to learn after `warm_up` steps, at the rate that is told each time."""
-    spec = env.spec
-    common: dict[str, Any] = {
-        "policy": "MlpPolicy",
-        # Of the library's own progress a warm start would begin in the middle.
-        "learning_rate": lambda _: learning_rate(),
-        "batch_size": s.batch,
-        "gamma": spec.gamma,
-        "seed": seed,
-        "device": "cpu",
-    }
-    model: OffPolicy | sb3.PPO
+    """Return an untrained model, which begins to learn after `warm_up` steps and asks for its learning rate
+    at each update. Raises ValueError for PPO with demonstrations."""
     if isinstance(s, PPO):
         if demonstrations is not None:
             raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
         if library == "sbx":
             return OnPolicy(env, s, seed)
-        model = on_policy.by_sb3(s, env, common)
+    common: dict[str, Any] = {
+        "policy": "MlpPolicy",
+        # The library's own progress would be wrong after a warm start.
+        "learning_rate": lambda _: learning_rate(),
+        "batch_size": s.batch,
+        "gamma": env.spec.gamma,
+        "seed": seed,
+        "device": "cpu",
+    }
+    if isinstance(s, PPO):
+        model: OffPolicy | sb3.PPO = on_policy.by_sb3(s, env, common)
     else:
-        model = _off_policy(s, library, env, demonstrations, common | {"learning_starts": warm_up})
-    model.set_logger(Logger(None, []))  # its own would leave a folder behind
+        replay = {"source": env, "demonstrations": demonstrations, "n_steps": s.n_steps}
+        common |= {
+            "env": env,
+            "learning_starts": warm_up,
+            "buffer_size": s.buffer,
+            "tau": s.tau,
+            "replay_buffer_class": Replay,
+            "replay_buffer_kwargs": replay | {"gamma": env.spec.gamma},
+            "train_freq": 1,
+            "gradient_steps": s.gradient_steps,
+        }
+        model = _off_policy(s, library, common, env.spec.act_size)
+    model.set_logger(Logger(None, []))  # the default one leaves a folder behind
     return model
 
 
-def _off_policy(
-    s: DDPG | TD3 | SAC | DQN,
-    library: Library,
-    env: TrainingEnv,
-    demonstrations: Episodes | None,
-    common: dict[str, Any],
-) -> OffPolicy:
-    size, gamma = env.spec.act_size, env.spec.gamma
+def _off_policy(s: DDPG | TD3 | SAC | DQN, library: Library, common: dict[str, Any], size: int) -> OffPolicy:
+    """Return a model with a replay buffer. `size`: of actions, A."""
     network: dict[str, Any] = {"net_arch": list(s.net)}
-    kept = {"n_steps": s.n_steps, "gamma": gamma, "source": env, "demonstrations": demonstrations}
-    common |= {
-        "env": env,
-        "buffer_size": s.buffer,
-        "tau": s.tau,
-        "replay_buffer_class": Replay,
-        "replay_buffer_kwargs": kept,
-        "train_freq": 1,
-        "gradient_steps": s.gradient_steps,
-    }
     if isinstance(s, DQN):
         return sb3.DQN(
-            # It moves its target network with every bout of learning, not with every gradient step.
+            # It moves its target network once a bout of learning, not once a gradient step.
             **(common | {"tau": 1 - (1 - s.tau) ** s.gradient_steps}),
             target_update_interval=s.copies,
             exploration_initial_eps=s.noise,
@@ -106,23 +101,20 @@ def _off_policy(
             policy_kwargs=network | {"optimizer_kwargs": ADAM},
         )
     network["n_critics"] = s.critics
-    common |= _particulars(s, size)
-    return _torch(s, common, network) if library == "sb3" else _jax(s, common, network, size)
-
-
-def _particulars(s: DDPG | TD3 | SAC, size: int) -> dict[str, Any]:
-    if isinstance(s, SAC):
-        # It begins with the size of rewards.
-        return {"ent_coef": f"auto_{REWARD_SIZE}" if s.entropy is None else float(s.entropy)}
     noise = np.zeros(size), np.full(size, s.noise)
-    if isinstance(s, DDPG):
-        return {"action_noise": OrnsteinUhlenbeckActionNoise(*noise)}
-    return {
-        "action_noise": NormalActionNoise(*noise),
-        "policy_delay": s.policy_delay,
-        "target_policy_noise": s.target_noise,
-        "target_noise_clip": s.target_noise_clip,
-    }
+    if isinstance(s, SAC):
+        # A learned weight of entropy begins with the size of rewards.
+        common["ent_coef"] = f"auto_{REWARD_SIZE}" if s.entropy is None else float(s.entropy)
+    elif isinstance(s, DDPG):
+        common["action_noise"] = OrnsteinUhlenbeckActionNoise(*noise)
+    else:
+        common |= {
+            "action_noise": NormalActionNoise(*noise),
+            "policy_delay": s.policy_delay,
+            "target_policy_noise": s.target_noise,
+            "target_noise_clip": s.target_noise_clip,
+        }
+    return _torch(s, common, network) if library == "sb3" else _jax(s, common, network, size)
 
 
 def _torch(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any]) -> sb3.TD3 | sb3.SAC:
@@ -134,14 +126,17 @@ def _torch(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any])
 
 
 def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], size: int) -> Any:
-    if not isinstance(s, SAC):  # which does so itself
+    if not isinstance(s, SAC):  # whose learning rate is injected by SBX
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
     kinds = {DDPG: sbx.DDPG, TD3: sbx.TD3, SAC: sbx.SAC}
     model = kinds[type(s)](**common, qf_learning_rate=None, policy_kwargs=network)
     states = [(model.policy, "actor_state"), (model.policy, "qf_state")]
     if isinstance(s, SAC):
         states.append((model, "ent_coef_state"))
-    _share(s, size, states)
+    own = [(getattr(owner, name).apply_fn, getattr(owner, name).tx) for owner, name in states]
+    shared = _FUNCTIONS.setdefault((s, size), own)
+    for (owner, name), (apply, optimizer) in zip(states, shared, strict=True):
+        setattr(owner, name, getattr(owner, name).replace(apply_fn=apply, tx=optimizer))
     # First actions near zero, as in the paper: with SBX's initial weights an untrained agent may balance.
     layers = {**model.policy.actor_state.params["params"]}
     last = f"Dense_{len(s.net)}"
@@ -150,22 +145,15 @@ def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], s
     return model
 
 
-def _share(s: Learner, size: int, states: list[tuple[Any, str]]) -> None:
-    """Gives the states, each an attribute, the functions of the first agent with these settings."""
-    own = [(getattr(of, name).apply_fn, getattr(of, name).tx) for of, name in states]
-    for (of, name), (apply, optimizer) in zip(states, _FUNCTIONS.setdefault((s, size), own), strict=True):
-        setattr(of, name, getattr(of, name).replace(apply_fn=apply, tx=optimizer))
-
-
 def _put(model: Any, layers: Mapping[str, Mapping[str, Any]]) -> None:
-    """Gives an actor in JAX these parameters, and its target, where it has one."""
+    """Set the parameters of an actor in JAX, and of its target, where it has one."""
     params = {"params": layers}
     fields = ("params",) if isinstance(model, sbx.SAC) else ("params", "target_params")
     model.policy.actor_state = model.policy.actor_state.replace(**dict.fromkeys(fields, params))
 
 
 def follow_reward(model: Model, noise: float) -> None:
-    """Has it go on under what its environment pays now; what it has seen is paid by that, too."""
+    """Go on under what its environment pays now, also for the steps that it remembers."""
     if isinstance(model, sb3.PPO):
         on_policy.forget_rewards(model)
         on_policy.explore(model, noise)
@@ -174,7 +162,7 @@ def follow_reward(model: Model, noise: float) -> None:
 
 
 def replay(model: Model) -> Replay:
-    """Raises ValueError where it has none."""
+    """Return a model's replay buffer. Raises ValueError where it has none."""
     if isinstance(model, OnPolicy | sb3.PPO):
         raise ValueError("PPO keeps no steps")
     assert isinstance(model.replay_buffer, Replay)
@@ -182,15 +170,17 @@ def replay(model: Model) -> Replay:
 
 
 def follow_learning_rate(model: Model, rate: float) -> None:
-    """Has a model learn at the rate from now on; those that ask for it by themselves do."""
+    """Set the learning rate of a model that does not ask for it."""
     if isinstance(model, sbx.TD3):
         for state in (model.policy.actor_state, model.policy.qf_state):
             state.opt_state.hyperparams["learning_rate"] = np.float32(rate)
 
 
 def actor(model: Model, spec: EnvSpec) -> Network:
-    """What the actor says before any tanh, on the environment's own observations (the absorbing indicator is
-    0): (B, A); of SAC (B, 2A), as `SquashedGaussian` has it; of DQN, which has none, values."""
+    """Return the actor before any tanh, on the environment's own observations (the absorbing indicator is 0).
+
+    Its outputs are (B, A), and SAC's (B, 2A), as `SquashedGaussian` has them. DQN's are values of choices.
+    """
     size = spec.obs_size
     zeros, scale = np.zeros(size), np.array(spec.obs_scale)
     if isinstance(model, OnPolicy):
@@ -210,9 +200,11 @@ def actor(model: Model, spec: EnvSpec) -> Network:
 
 
 def actor_layers(init: Policy | StochasticPolicy, spec: EnvSpec, settings: Learner) -> Layers:
-    """Those with which the actor is the policy, in the absorbing state as where observations are 0; where the
-    policy has none, SAC's standard deviation is 1, about what it is untrained. Raises ValueError where the
-    actor cannot be that policy."""
+    """Return the layers with which the actor is the policy. In the absorbing state it acts as where
+    observations are 0. For a policy without a standard deviation SAC's is 1, about its untrained one.
+
+    Raises ValueError where the actor cannot be that policy.
+    """
     net = init.network if isinstance(init, SquashedGaussian) and isinstance(settings, SAC) else init
     if not isinstance(net, Network) or isinstance(settings, DQN | PPO):
         raise ValueError(f"{type(settings).__name__} cannot begin with a {type(init).__name__}")
@@ -223,12 +215,12 @@ def actor_layers(init: Policy | StochasticPolicy, spec: EnvSpec, settings: Learn
     if shapes != [(before, after, after) for before, after in pairwise(own)]:
         raise ValueError(f"the policy has layers of {sizes}, the actor of {own}")
     if net.tanh == stochastic:
-        raise ValueError("a policy must end in a tanh, and what a stochastic one is made of must not")
+        raise ValueError("a policy must end in a tanh, and a stochastic policy's network must not")
     # (x - mean) / std @ W + b = x / scale @ (scale / std * W) + (b - mean / std @ W); it sees x / scale.
     weights, biases = [*net.weights], [*net.biases]
     biases[0] = biases[0] - net.mean / net.std @ weights[0]
     weights[0] = weights[0] * (np.array(spec.obs_scale) / net.std)[:, None]
-    weights[0] = np.concatenate([weights[0], np.zeros((1, len(biases[0])))])  # of the absorbing indicator
+    weights[0] = np.concatenate([weights[0], np.zeros((1, len(biases[0])))])  # for the absorbing indicator
     if isinstance(settings, SAC):
         for arrays in (weights, biases):
             head = arrays.pop()
@@ -237,12 +229,16 @@ def actor_layers(init: Policy | StochasticPolicy, spec: EnvSpec, settings: Learn
 
 
 def begin(model: Model, layers: Layers) -> None:
-    """Gives the actor these layers, and its target, where it has one."""
+    """Set the actor's layers, and its target's, where it has one."""
     if isinstance(model, sbx.TD3 | sbx.SAC):
-        named = [{"kernel": w.astype(np.float32), "bias": b.astype(np.float32)} for w, b in layers]
-        _put(model, {f"Dense_{i}": layer for i, layer in enumerate(named)})
-        return
-    assert isinstance(model, sb3.TD3 | sb3.SAC)
+        arrays = [{"kernel": w.astype(np.float32), "bias": b.astype(np.float32)} for w, b in layers]
+        _put(model, {f"Dense_{i}": layer for i, layer in enumerate(arrays)})
+    else:
+        assert isinstance(model, sb3.TD3 | sb3.SAC)
+        _begin_torch(model, layers)
+
+
+def _begin_torch(model: sb3.TD3 | sb3.SAC, layers: Layers) -> None:
     linear = [m for m in model.actor.modules() if isinstance(m, torch.nn.Linear)]
     with torch.no_grad():
         for layer, (weight, bias) in zip(linear, layers, strict=True):

@@ -1,9 +1,9 @@
-"""Proximal policy optimisation (Schulman et al. 2017), compiled. An agent acts, and learns from the steps of
-one bout. Where a task's dynamics are written down, collecting those steps is compiled, too.
+"""Proximal policy optimisation (Schulman et al. 2017), compiled. An agent collects a bout of steps, and
+learns from it. Where a task's dynamics are written down, collecting is compiled, too.
 
 The mean action is a tanh of the actor's output, and actions beyond [-1, 1] count as the bound. Advantages are
-generalised ones (Schulman et al. 2016). Beyond an end of the task nothing is to be had; where a time limit
-cuts an episode, the critic says what is (Pardo et al. 2018).
+generalised ones (Schulman et al. 2016). The value after a termination is 0. After a cut by a time limit it is
+the critic's (Pardo et al. 2018).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from envs.dynamics import Dynamics
 from envs.learners import PPO
 
 EPSILON = 1e-5
-"""Adam's."""
+"""Adam's epsilon."""
 CLIP = 0.2
-"""How far from 1 ratios of probabilities count."""
+"""The largest distance from 1 at which ratios of probabilities count."""
 LARGEST_GRADIENT = 0.5
 """The norm that gradients are clipped to."""
 VALUE_WEIGHT = 0.5
 """The critic's share of the loss."""
 LARGEST_LOG_STD = 0.0
-"""Of actions' standard deviation, the logarithm."""
+"""The largest logarithm of actions' standard deviation."""
 LAST_LAYER = 0.01
 """The size of an untrained actor's last weights."""
 
 
 class Kind(NamedTuple):
-    """All that compiled functions depend on, besides a task's dynamics."""
+    """Everything that compiled functions depend on, besides a task's dynamics."""
 
     settings: PPO
     obs_size: int
@@ -46,8 +46,11 @@ class Kind(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """T steps of N copies. obs, next_obs: (T, N, O). act: as drawn, (T, N, A), or choices (T, N). log_prob,
-    true (the environment's reward), terminated, cut (by a time limit): (T, N)."""
+    """T steps of N copies: `obs` and `next_obs` (T, N, O), `act` as drawn (T, N, A), or choices (T, N).
+
+    The others are (T, N). `true` is the environment's reward. `cut` says whether a time limit ended the
+    episode.
+    """
 
     obs: Any
     act: Any
@@ -59,7 +62,7 @@ class Steps(NamedTuple):
 
 
 class State(NamedTuple):
-    """Parameters of an agent, and what its optimizer remembers."""
+    """An agent's parameters, and its optimizer's moments."""
 
     params: Any
     moments: Any
@@ -68,11 +71,10 @@ class State(NamedTuple):
 class Functions(NamedTuple):
     """The compiled parts of an agent.
 
-    begin(key): an untrained `State`.
-    act(params, seen, key, number): actions at scaled observations (N, O), and the logarithm of their
-    density. The number makes another key of the key.
-    learn(state, steps, rewards, scale, rate, key): the next `State`. rewards: (T, N). scale: (O,), of
-    observations. rate: of learning.
+    `begin(key)`: an untrained `State`. `act(params, seen, key, number)`: actions at scaled observations (N,
+    O), and the logarithm of their density. `key` and `number` together seed the draws. `learn(state, steps,
+    rewards, scale, rate, key)`: the next `State`. `rewards`: (T, N). `scale`: typical sizes of observations,
+    (O,). `rate`: the learning rate.
     """
 
     begin: Callable[..., Any]
@@ -80,7 +82,7 @@ class Functions(NamedTuple):
     learn: Callable[..., Any]
 
 
-def _through(layers: Any, x: Any) -> Any:
+def _output(layers: Any, x: Any) -> Any:
     for weight, bias in layers[:-1]:
         x = jax.nn.relu(x @ weight + bias)
     weight, bias = layers[-1]
@@ -88,12 +90,12 @@ def _through(layers: Any, x: Any) -> Any:
 
 
 def _value(params: Any, seen: Any) -> Any:
-    return _through(params["critic"], seen)[..., 0]
+    return _output(params["critic"], seen)[..., 0]
 
 
 def _log_prob(kind: Kind, params: Any, seen: Any, act: Any) -> Any:
-    """Return the logarithm of actions' density, (N,)."""
-    out = _through(params["actor"], seen)
+    """Return the logarithm of actions' density, or of choices' probability, (N,)."""
+    out = _output(params["actor"], seen)
     if kind.discrete:
         return jnp.take_along_axis(jax.nn.log_softmax(out), act[..., None], -1)[..., 0]
     log_std, constant = params["log_std"], 0.5 * math.log(2 * math.pi)
@@ -102,7 +104,7 @@ def _log_prob(kind: Kind, params: Any, seen: Any, act: Any) -> Any:
 
 
 def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
-    out = _through(params["actor"], seen)
+    out = _output(params["actor"], seen)
     if kind.discrete:
         act = jax.random.categorical(key, out)
     else:
@@ -179,7 +181,7 @@ def functions(kind: Kind) -> Functions:
 
 
 class JaxDraws:
-    """Draws of first states, as NumPy's generators make them (`envs.dynamics.Draws`)."""
+    """A source of first states with the methods of NumPy's generators (`envs.dynamics.Draws`)."""
 
     def __init__(self, key: Any) -> None:
         self._key = key
@@ -194,10 +196,10 @@ class JaxDraws:
 
 @functools.cache
 def collector(kind: Kind, physics: Dynamics, horizon: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return two compiled functions, to be called where JAX has 64 bits.
+    """Return two compiled functions, to be called where JAX has 64 bits. A scene is states and ages.
 
-    first(key): a scene, which is states and the ages of episodes. First ones are cut at even intervals.
-    collect(params, scene, scale, key): the scene after a bout, and its `Steps`.
+    `first(key)`: a scene whose episodes are cut at even intervals.
+    `collect(params, scene, scale, key)`: the scene after a bout, and its `Steps`.
     """
     copies = kind.settings.copies
 

@@ -1,4 +1,4 @@
-"""Rollouts: many episodes in lockstep, so that the policy answers them in one batch."""
+"""Rollouts of many episodes in lockstep, so that the policy answers them in one batch."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Trajectory:
     """Why it ended: the environment's words, or 'time limit'."""
 
     def transitions(self) -> Transitions:
-        """Its steps."""
+        """Return its steps."""
         into = np.zeros(len(self.act), bool)
         into[-1] = self.terminated
         return Transitions(self.obs[:-1], self.act, self.obs[1:], np.zeros_like(into), into)
 
 
 class Simulator:
-    """Steps up to `lanes` copies of an environment side by side."""
+    """Copies of an environment side by side, `lanes` at most."""
 
     def __init__(self, spec: EnvSpec, lanes: int = 100) -> None:
         self.spec = spec
@@ -48,12 +48,16 @@ class Simulator:
         first: Sequence[Array] | None = None,
         most: int | None = None,
     ) -> list[Trajectory]:
-        """One trajectory for each seed, in their order. first: for each episode actions (T, A) that it begins
-        with, whatever the policy says. most: steps after those at which it is cut, before the horizon."""
+        """Return one trajectory for each seed, in their order.
+
+        `first`: for each episode the actions (T, A) that it begins with, whatever the policy says.
+        `most`: steps after those at which an episode is cut, before the horizon.
+        Raises ValueError where the policy gives another number of actions.
+        """
         return self._run(lambda obs, episodes: policy(obs), seeds, first, most)
 
     def run_each(self, policies: Sequence[Policy], seeds: Sequence[int]) -> Iterator[list[Trajectory]]:
-        """What `run` gives for each policy, as many of them side by side as there are lanes for."""
+        """Yield what `run` returns for each policy. As many run side by side as there are lanes for."""
         together = max(1, self.lanes // len(seeds))
         for start in range(0, len(policies), together):
             some = policies[start : start + together]
@@ -68,11 +72,11 @@ class Simulator:
         first: Sequence[Array] | None = None,
         most: int | None = None,
     ) -> list[Trajectory]:
-        """answer: what is done where observations (B, O) of these B episodes are seen."""
+        """Run an episode for each seed. `answer`: gives the actions (B, A) for observations (B, O) of B
+        episodes, which come with their numbers."""
         spec, lanes = self.spec, min(self.lanes, len(seeds))
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
-        act = np.empty((lanes, spec.horizon, spec.act_size))
-        rewards = np.empty((lanes, spec.horizon))
+        act, rewards = np.empty((lanes, spec.horizon, spec.act_size)), np.empty((lanes, spec.horizon))
         length = np.zeros(lanes, np.int64)
         waiting = iter(range(len(seeds)))
         begun = np.array([len(actions) for actions in first] if first is not None else [0] * len(seeds))
@@ -84,6 +88,16 @@ class Simulator:
             if (index := next(waiting, None)) is not None:
                 playing[place] = index
                 obs[place, 0], length[place] = self._batch.reset(place, int(seeds[index])), 0
+
+        def leave(place: int, terminated: bool) -> None:
+            end, ending = length[place], self._batch.why_ended(place) if terminated else "time limit"
+            done[playing.pop(place)] = Trajectory(
+                obs[place, : end + 1].copy(),
+                act[place, :end].copy(),
+                rewards[place, :end].copy(),
+                terminated,
+                ending,
+            )
 
         for place in range(lanes):
             enter(place)
@@ -102,28 +116,20 @@ class Simulator:
             obs[places, now + 1], rewards[places, now], terminated, truncated = stepped
             length[places] += 1
             for i in np.flatnonzero(terminated | truncated | (now + 1 == last[episodes])):
-                place, end = int(places[i]), int(now[i]) + 1
-                ending = self._batch.why_ended(place) if terminated[i] else "time limit"
-                done[playing.pop(place)] = Trajectory(
-                    obs[place, : end + 1].copy(),
-                    act[place, :end].copy(),
-                    rewards[place, :end].copy(),
-                    bool(terminated[i]),
-                    ending,
-                )
-                enter(place)
+                leave(int(places[i]), bool(terminated[i]))
+                enter(int(places[i]))
         return [done[index] for index in range(len(seeds))]
 
 
 def _each(policies: Sequence[Policy], count: int, obs: Array, episodes: list[int]) -> Array:
-    """What each policy does in its own episodes, `count` of each."""
+    """Return what each policy does in its own episodes, `count` of each."""
     owners = np.array(episodes) // count
-    parts = [policy(obs[mine]) for i, policy in enumerate(policies) if (mine := owners == i).any()]
+    parts = [policy(obs[own]) for i, policy in enumerate(policies) if (own := owners == i).any()]
     return np.concatenate(parts)
 
 
 def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:
-    """The scene after the reset and after each of the episode's actions (T, A)."""
+    """Return the scene after the reset and after each of the episode's actions (T, A)."""
     env = spec.make()
     env.reset(seed=seed)
     frames = [_copied(spec.draw(env))]
@@ -134,5 +140,5 @@ def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:
 
 
 def _copied(drawn: dict[str, Shape]) -> dict[str, Shape]:
-    """Return the drawing in arrays of its own, for some tasks draw the next one into the same."""
+    """Return the drawing in arrays of its own, because some tasks draw the next one into the same."""
     return {name: Shape(np.array(shape.points), shape.colour) for name, shape in drawn.items()}

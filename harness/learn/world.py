@@ -1,9 +1,10 @@
-"""The world that methods live in: an environment without its reward, and an account of its use."""
+"""The world that methods live in: an environment without its reward, which counts how it is used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -17,9 +18,17 @@ from harness.registry import Library
 from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
 
 
+class Beginning(TypedDict, total=False):
+    """Options of a new agent, as for `methods.base.World.agent`."""
+
+    init: Policy | StochasticPolicy | None
+    demonstrations: Episodes | None
+    entropy: float
+
+
 @dataclass(frozen=True)
 class Features:
-    """A task's features for linear rewards, (B, K) of observations (B, O) and actions (B, A)."""
+    """A task's features for linear rewards: observations (B, O) and actions (B, A) to (B, K)."""
 
     _spec: EnvSpec
 
@@ -28,11 +37,11 @@ class Features:
 
 
 class TaskWorld:
-    """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave.
+    """A `methods.base.World`. It gives out copies of arrays, so that neither true rewards nor `info` leave
+    it.
 
-    expert: whom a method that is marked so may ask. told: called now and then with how many environment
-    steps were taken. solve_steps: as of a `World`.
-    answers: actions that the expert told.
+    `expert`: answers methods that are marked as asking. `told`: called now and then with the environment
+    steps so far. `solve_steps`: as of a `World`. `answers`: actions that the expert gave.
     """
 
     def __init__(
@@ -44,23 +53,13 @@ class TaskWorld:
         told: Callable[[int], None] = lambda done: None,
         solve_steps: int = 1000,
     ) -> None:
-        self.solve_steps = solve_steps
-        self.obs_size = spec.obs_size
-        self.act_size = spec.act_size
-        self.horizon = spec.horizon
-        self.gamma = spec.gamma
-        self.discrete = spec.discrete
+        self.obs_size, self.act_size, self.discrete = spec.obs_size, spec.act_size, spec.discrete
+        self.horizon, self.gamma, self.solve_steps = spec.horizon, spec.gamma, solve_steps
         self.phi = Features(spec)
-        self.env_steps = 0
-        self.check_steps = 0
-        self.rl_solves = 0
-        self.answers = 0
         self.model = spec.tabular.model if spec.tabular else None
-        self._spec = spec
-        self._protocol = protocol
-        self._library = library
-        self._expert = expert
-        self._told = told
+        self.env_steps = self.check_steps = self.rl_solves = self.answers = 0
+        self._spec, self._protocol, self._library = spec, protocol, library
+        self._expert, self._told = expert, told
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return self._spec.random_actions(count, rng)
@@ -77,21 +76,13 @@ class TaskWorld:
         return np.array(self._spec.executed(self._expert(obs.copy())))
 
     def agent(
-        self,
-        rng: np.random.Generator,
-        *,
-        kind: Kind = "own",
-        init: Policy | StochasticPolicy | None = None,
-        demonstrations: Episodes | None = None,
-        entropy: float = 0.0,
+        self, rng: np.random.Generator, *, kind: Kind = "own", **beginning: Unpack[Beginning]
     ) -> WorldAgent:
         solver = solver_for(
             *(self._spec, self._protocol, rng, self._library),
             kind=kind,
-            init=init,
-            demonstrations=demonstrations,
-            entropy=entropy,
             told=lambda done: self._told(self.env_steps + done),
+            **beginning,
         )
         return WorldAgent(self, solver)
 
@@ -102,13 +93,13 @@ class TaskWorld:
 
 
 class WorldAgent:
-    """A `methods.base.Agent`, which its world keeps an account of."""
+    """A `methods.base.Agent` whose use its world counts."""
 
     def __init__(self, world: TaskWorld, solver: Agent | ExactSolver) -> None:
         self._world, self._solver = world, solver
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
-        _check_told(reward)
+        _check_reward(reward)
         if steps < 1:
             raise ValueError(f"a solve takes one step at least, not {steps}")
         before = self._solver.env_steps
@@ -117,7 +108,7 @@ class WorldAgent:
         self._world.rl_solves += 1
 
     def best(self, reward: Reward) -> Policy:
-        _check_told(reward)
+        _check_reward(reward)
         solution = self._solver.best(reward)
         self._world.check_steps += solution.check_steps
         return solution.policy
@@ -135,8 +126,8 @@ class WorldAgent:
         return Transitions(*(column.copy() for column in vars(seen).values()))
 
 
-def _check_told(reward: object) -> None:
-    """Raise TypeError for None, which stands for the true reward where solvers are used without a world."""
+def _check_reward(reward: object) -> None:
+    """Raise TypeError for None, because a solver takes it for the true reward."""
     if not callable(reward):
         raise TypeError(f"an agent learns under a reward or a payment, not {reward!r:.60}")
 
@@ -148,33 +139,26 @@ def solver_for(
     library: Library,
     *,
     kind: Kind = "own",
-    init: Policy | StochasticPolicy | None = None,
-    demonstrations: Episodes | None = None,
-    entropy: float = 0.0,
     told: Callable[[int], None] = lambda done: None,
+    **beginning: Unpack[Beginning],
 ) -> Agent | ExactSolver:
-    """What solves an environment: dynamic programming where its model is known, else RL by that library. The
-    rest as of `methods.base.World.agent`, and `Agent`."""
+    """Return a solver of an environment: dynamic programming where its model is known, else RL by the
+    library.
+
+    `kind`: as for `methods.base.World.agent`. `told`: as for `Agent`. Raises ValueError for a beginning that
+    the solver cannot have.
+    """
     if spec.tabular is None:
-        # The PPO of Stable-Baselines3 does not tell what it has seen.
+        # The PPO of Stable-Baselines3 keeps no steps.
         suits = kind == "own" or (kind == "stochastic" and isinstance(spec.rl, PPO) and library == "sbx")
         settings = spec.rl if suits else soft(spec.rl, spec.discrete)
-        return Agent(
-            *(spec, protocol, rng, library, settings),
-            init=init,
-            demonstrations=demonstrations,
-            entropy=entropy,
-            told=told,
-        )
-    if init is not None or demonstrations is not None:
+        return Agent(spec, protocol, rng, library, settings, told=told, **beginning)
+    if beginning.get("init") is not None or beginning.get("demonstrations") is not None:
         raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
     return ExactSolver(spec.tabular, spec.gamma, rng)
 
 
 def without_rewards(trajectories: Sequence[Trajectory]) -> Episodes:
-    """What a method may see of trajectories."""
-    return Episodes(
-        tuple(t.obs.copy() for t in trajectories),
-        tuple(t.act.copy() for t in trajectories),
-        tuple(t.terminated for t in trajectories),
-    )
+    """Return copies of what a method may see of trajectories."""
+    obs, act = ([getattr(t, name).copy() for t in trajectories] for name in ("obs", "act"))
+    return Episodes(tuple(obs), tuple(act), tuple(t.terminated for t in trajectories))

@@ -28,7 +28,7 @@ FOLDERS = {
 }
 """Of a run's directory, and how the names of files end that a run writes there."""
 STUDY = "study.json"
-"""Marks the directory of a study, which holds runs (`harness.reproduce`)."""
+"""Marks the directory of a study, which holds runs (`harness.benchmarks.reproduce`)."""
 MOST_NAMED = 5
 """Runs that a line names."""
 EARLIER_RECORD = "first"

@@ -154,7 +154,7 @@ class FakeAgent:
         else:
             steps = -(-steps // self.world.unit) * self.world.unit
             if self.demonstrations is not None and not self.demonstrations.whole:
-                raise ValueError("an agent learns from demonstrations of which every step is shown")
+                raise ValueError("an agent learns from demonstrations only where every step is shown")
             self._check_paid(reward)
             self.world.env_steps += steps
         self.world.rl_solves += 1

@@ -83,7 +83,7 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
             patch.chdir(place)
             patch.setattr(commands, "_compute", compute)
             patch.setattr(outcome, "report", lambda *_, **__: True)
-            patch.setattr("harness.reproduce.write_study", write_study)
+            patch.setattr("harness.benchmarks.reproduce.write_study", write_study)
             patch.setattr(commands, "handle_signals", lambda: None)
             code = cli.main(argv)
         assert code in (0, 1, 2)

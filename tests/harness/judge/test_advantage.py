@@ -97,11 +97,11 @@ def test_a_reward_that_never_varies_has_no_distance(steady: EnvSpec, level: floa
 
 def test_replays_differ_in_one_action_and_what_follows(fragile: EnvSpec) -> None:
     first = [np.zeros((0, 1)), np.array([[0.1]]), np.full((9, 1), 0.2), np.array([[0.1], [2.0]])]
-    kept = Simulator(fragile).run(best, range(4))
+    same = Simulator(fragile).run(best, range(4))
     for lanes in (1, 4):
         for most in (None, 2):
             left = Simulator(fragile, lanes).run(best, range(4), first, most)
-            for episode, before, begun in zip(left, kept, first, strict=True):
+            for episode, before, begun in zip(left, same, first, strict=True):
                 expected = before.act.copy()
                 expected[: len(begun)] = begun
                 np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
@@ -226,6 +226,6 @@ def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages(
     replays = replay(spec, regulate, range(100, 500), np.random.default_rng(0))
     from_its_own_states = slice(0, None, 2)
     own, true = replays.advantage_of(learned.reward), replays.advantage
-    found = compare(own[from_its_own_states], true[from_its_own_states])
-    assert found.rank > 0.999
-    assert found.distance < 0.1
+    comparison = compare(own[from_its_own_states], true[from_its_own_states])
+    assert comparison.rank > 0.999
+    assert comparison.distance < 0.1

@@ -58,10 +58,6 @@ def test_constant_controls() -> None:
         assert reward.absorbing == absorbing
 
 
-def test_the_true_control_is_the_environments_own_reward() -> None:
-    assert control("control_true") is None
-
-
 def test_every_control_of_the_leaderboard_has_a_reward() -> None:
     for name in CONTROLS:
         assert (control(name, demonstrations()) is None) is (name == "control_true")
@@ -76,14 +72,6 @@ def test_the_untrained_control_pays_nothing_on_average_above_absorption(seed: in
     assert above.std() > 1e-3
     # The absorbing value was estimated from 2000 pairs.
     assert abs(above.mean()) < 4 * above.std() / np.sqrt(2000)
-
-
-def test_the_untrained_control_of_demonstrations_that_terminate() -> None:
-    demos = demonstrations(terminated=True)
-    reward = control("control_untrained", demos)
-    obs, act = demos.pairs()
-    assert reward.absorbing == pytest.approx(reward(obs, act, obs).mean())
-    assert reward.absorbing == default_absorbing(reward, demos, uniform, rng())
 
 
 def test_the_untrained_control_of_choices_averages_over_choices() -> None:
@@ -145,9 +133,12 @@ def test_the_shuffled_control_imitates_actions_taken_elsewhere() -> None:
     assert (one != other).any()
 
 
-def test_the_untrained_control_differs_by_seed() -> None:
-    demos = demonstrations()
+@pytest.mark.parametrize("terminated", [False, True])
+def test_the_untrained_control_is_drawn_by_seed(terminated: bool) -> None:
+    demos = demonstrations(terminated)
     one, same, other = (control("control_untrained", demos, seed) for seed in (0, 0, 1))
     obs, act = demos.pairs()
     np.testing.assert_array_equal(one(obs, act, obs), same(obs, act, obs))
     assert (one(obs, act, obs) != other(obs, act, obs)).any()
+    if terminated:  # absorption pays what the demonstrated pairs do
+        assert one.absorbing == pytest.approx(one(obs, act, obs).mean())

@@ -60,15 +60,15 @@ def test_endings_are_counted(fragile: EnvSpec) -> None:
 def test_a_reward_that_writes_into_what_it_is_given_changes_nothing(steady: EnvSpec) -> None:
     class Writing(Constant):
         def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
-            told = next_obs[:, 0] - obs[:, 0]
+            paid = next_obs[:, 0] - obs[:, 0]
             for array in (obs, act, next_obs):
                 array[:] = 0.0
-            return told
+            return paid
 
     (episode,) = Simulator(steady).run(lambda obs: obs[:, :1] * 0.5, [0])
     before = episode.obs.copy()
-    (told,) = totals(Writing(0.0, 0.0), [(episode.obs, episode.act)])
-    assert told == pytest.approx(before[-1, 0] - before[0, 0])
+    (total,) = totals(Writing(0.0, 0.0), [(episode.obs, episode.act)])
+    assert total == pytest.approx(before[-1, 0] - before[0, 0])
     assert np.array_equal(episode.obs, before)
     assert episode.act.any()
 
@@ -80,5 +80,5 @@ def test_episodes_are_paid_one_by_one_whatever_their_lengths() -> None:
 
     rng = np.random.default_rng(0)
     episodes = [(rng.normal(size=(n + 1, 2)), rng.normal(size=(n, 1))) for n in (3, 1, 7)]
-    told = totals(Step(0.0, absorbing=0.5), episodes)
-    np.testing.assert_allclose(told, [o[-1, 0] - o[0, 0] - 0.5 * len(a) for o, a in episodes])
+    paid = totals(Step(0.0, absorbing=0.5), episodes)
+    np.testing.assert_allclose(paid, [o[-1, 0] - o[0, 0] - 0.5 * len(a) for o, a in episodes])

@@ -130,13 +130,6 @@ def test_a_solution_takes_no_steps_and_holds_no_reward() -> None:
     assert set(vars(solution.policy)) == {"obs", "values"}
 
 
-def test_policies_answer_observations_one_by_one_and_in_batches() -> None:
-    policy = solve(None)
-    order = np.random.default_rng(0).permutation(len(WORLD.obs))
-    np.testing.assert_array_equal(policy(WORLD.obs[order]), policy(WORLD.obs)[order])
-    np.testing.assert_array_equal(policy(WORLD.obs[5:6])[0], policy(WORLD.obs)[5])
-
-
 def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     one, other = (

@@ -38,7 +38,9 @@ ON_POLICY = PPO(copies=10, steps=10, batch=50, learning_rate=3e-3, checkpoint_ev
 
 @both_libraries
 @pytest.mark.parametrize(
-    ("settings", "steps"), [(TD3(), 1500), (SAC(), 1500), (ON_POLICY, 8000)], ids=["TD3", "SAC", "PPO"]
+    ("settings", "steps"),
+    [(DDPG(), 1500), (TD3(), 1500), (SAC(), 1500), (ON_POLICY, 8000)],
+    ids=["DDPG", "TD3", "SAC", "PPO"],
 )
 def test_it_learns_the_task_and_another_after_it(
     steady: EnvSpec, settings: Learner, steps: int, library: Library

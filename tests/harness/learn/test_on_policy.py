@@ -132,9 +132,9 @@ def paid_with(entropy: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Array, A
     ours = ppo.functions
 
     def watched(kind: ppo.Kind) -> ppo.Functions:
-        def learn(state: Any, steps: ppo.Steps, rewards: Array, *given: Any) -> Any:
+        def learn(state: Any, steps: ppo.Steps, rewards: Array, *rest: Any) -> Any:
             learned_on.append((rewards, np.asarray(steps.log_prob)))
-            return ours(kind).learn(state, steps, rewards, *given)
+            return ours(kind).learn(state, steps, rewards, *rest)
 
         return ours(kind)._replace(learn=learn)
 

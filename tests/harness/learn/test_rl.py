@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,15 +16,13 @@ import stable_baselines3
 from gymnasium import spaces
 
 from envs import EnvSpec
+from envs.copies import Copies
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.learn import ppo
 from harness.learn.rl import Agent
 from harness.learn.seeds import TRAINING, evaluation_seeds
-from harness.learn.simulator import Simulator, Trajectory
-from harness.learn.training_env import TrainingEnv
 from harness.registry import LIBRARIES, Library, all_specs
-from methods.base import Array, Policy
-from methods.rewards import Constant
+from methods.base import Array
 from tests.harness.learn.solving import STEPS, same, solve
 from tests.harness.rewards import Seek
 
@@ -37,17 +35,12 @@ LEARNERS = [DDPG(), TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
 learners = pytest.mark.parametrize("settings", LEARNERS, ids=lambda settings: type(settings).__name__)
 
 
-@both_libraries
-def test_it_learns_the_task(steady: EnvSpec, library: Library) -> None:
-    learned = solve(steady, Seek(), seed=1, library=library)
-    assert np.abs(learned.policy(OBS) - OBS).mean() < 0.15
-    returns = [value for _, value in learned.curve]
-    assert max(returns) > 8.5 > 7 > returns[0]
-    xs = [x for x, _ in learned.curve]
+def test_a_solve_says_what_it_took(steady: EnvSpec) -> None:
+    solution = solve(steady, Seek())
+    xs = [x for x, _ in solution.curve]
     assert xs == [STEPS / 2, 2 * DDPG().checkpoint_every, STEPS]
     # Twenty episodes of ten steps at each checkpoint.
-    assert learned.check_steps == len(xs) * 20 * 10
-    assert learned.env_steps == STEPS
+    assert (solution.env_steps, solution.check_steps) == (STEPS, len(xs) * 20 * 10)
 
 
 def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
@@ -70,11 +63,6 @@ def test_every_solve_that_runs_ask_for_suits_the_learner(spec: EnvSpec) -> None:
     for one in (spec,) if spec.discrete else (spec, spec.by_ddpg()):
         assert min(one.rl_steps.values()) >= 2 * one.rl.unit
         assert all(steps % one.rl.unit == 0 for steps in (*one.rl_steps.values(), one.rl.checkpoint_every))
-
-
-def test_it_learns_from_the_reward_that_it_is_given(steady: EnvSpec) -> None:
-    opposite = solve(steady, Seek(side=-1.0))
-    assert np.abs(opposite.policy(OBS) + OBS).mean() < 0.15
 
 
 def test_no_reward_means_the_environments_own(steady: EnvSpec) -> None:
@@ -144,28 +132,17 @@ def test_the_generator_decides_everything(steady: EnvSpec, library: Library, set
 
 
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
-    checked: list[int] = []
-    trained: list[int] = []
-    check, begin = Simulator.run_each, TrainingEnv._reset
+    seeds: list[int] = []
+    reset = Copies.reset
 
-    def run_each(
-        self: Simulator, policies: Sequence[Policy], seeds: Sequence[int]
-    ) -> Iterator[list[Trajectory]]:
-        checked.extend([*seeds] * len(policies))
-        return check(self, policies, seeds)
+    def spy(self: Copies, place: int, seed: int) -> Array:
+        seeds.append(seed)
+        return reset(self, place, seed)
 
-    def reset(self: TrainingEnv, place: int) -> None:
-        batch = self.batch.reset
-        self.batch.reset = lambda place, seed: trained.append(seed) or batch(place, seed)
-        begin(self, place)
-        self.batch.reset = batch
-
-    monkeypatch.setattr(Simulator, "run_each", run_each)
-    monkeypatch.setattr(TrainingEnv, "_reset", reset)
-    solve(fragile, Seek())
-    assert len(checked) > 20
-    assert len(trained) > 100
-    assert min(checked + trained) >= TRAINING > evaluation_seeds(999, 1000).stop
+    monkeypatch.setattr(Copies, "reset", spy)
+    assert solve(fragile, Seek()).check_steps > 20
+    assert len(seeds) > 120
+    assert min(seeds) >= TRAINING > evaluation_seeds(999, 1000).stop
 
 
 @both_libraries
@@ -181,9 +158,9 @@ def test_the_learning_rate_falls_within_each_solve(
         ours = ppo.functions
 
         def watched(kind: ppo.Kind) -> ppo.Functions:
-            def learn(*given: Any) -> Any:
-                rates.append(float(given[4]))
-                return ours(kind).learn(*given)
+            def learn(*arguments: Any) -> Any:
+                rates.append(float(arguments[4]))
+                return ours(kind).learn(*arguments)
 
             return ours(kind)._replace(learn=learn)
 
@@ -192,8 +169,8 @@ def test_the_learning_rate_falls_within_each_solve(
         solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, type(settings).__name__)
         train = solver.train
 
-        def spy(self: Any, *given: Any, **named: Any) -> None:
-            train(self, *given, **named)
+        def spy(self: Any, *arguments: Any, **named: Any) -> None:
+            train(self, *arguments, **named)
             if library == "sbx":
                 states = self.policy.actor_state.opt_state, self.policy.qf_state.opt_state
                 both = {float(state.hyperparams["learning_rate"]) for state in states}
@@ -224,13 +201,6 @@ def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec, proto
     assert [(x, 8 * y) for x, y in one.curve] == other.curve
 
 
-def test_ten_times_the_reward_changes_next_to_nothing(fragile: EnvSpec) -> None:
-    one = solve(fragile, Seek(absorbing=-0.5), steps=500)
-    other = solve(fragile, Seek(scale=10.0, absorbing=-5.0), steps=500)
-    np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
-    np.testing.assert_allclose([y / 10 for _, y in other.curve], [y for _, y in one.curve], atol=0.1)
-
-
 def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
     @dataclass(frozen=True)
     class Shifted(Seek):
@@ -259,39 +229,29 @@ def test_what_one_agent_compiled_serves_the_next(
     assert [compiled() > 0, compiled()] == [True, 0]
 
 
-@both_libraries
-def test_a_second_solve_follows_the_new_reward(steady: EnvSpec, library: Library) -> None:
-    learner = Agent(steady, "absorbing", np.random.default_rng(0), library)
-    first = learner.solve(Seek(), 600)
-    second = learner.solve(Seek(side=-1.0), 1000)
-    assert np.abs(first.policy(OBS) - OBS).mean() < 0.25
-    assert np.abs(second.policy(OBS) + OBS).mean() < 0.25
-    assert [x for x, _ in second.curve] == [0, 500, 1000]
+WRONG = [
+    lambda obs, act, next_obs: np.full(len(obs), np.nan),
+    lambda obs, act, next_obs: np.where(obs[:, 0] > 0.5, np.inf, 0.0),
+    lambda obs, act, next_obs: np.zeros((len(obs), 1)),
+]
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("protocol", "wrong", "absorbing"),
     [
-        lambda obs, act, next_obs: np.full(len(obs), np.nan),
-        lambda obs, act, next_obs: np.where(obs[:, 0] > 0.5, np.inf, 0.0),
-        lambda obs, act, next_obs: np.zeros((len(obs), 1)),
+        *((protocol, wrong, 0.0) for protocol in ("absorbing", "native") for wrong in WRONG),
+        ("absorbing", lambda obs, act, next_obs: np.ones(len(obs)), np.nan),
     ],
-    ids=["NaN", "infinite", "wrong shape"],
 )
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
 def test_a_reward_that_is_no_number_is_refused(
-    steady: EnvSpec, protocol: str, wrong: Callable[..., Array]
+    steady: EnvSpec, protocol: str, wrong: Callable[..., Array], absorbing: float
 ) -> None:
     class Wrong:
-        absorbing = 0.0
+        def __init__(self) -> None:
+            self.absorbing = absorbing
 
         def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
             return wrong(obs, act, next_obs)
 
     with pytest.raises(FloatingPointError, match="finite"):
         solve(steady, Wrong(), protocol, 40)
-
-
-def test_a_reward_whose_absorption_is_no_number_is_refused(steady: EnvSpec) -> None:
-    with pytest.raises(FloatingPointError, match="finite"):
-        solve(steady, Constant(1.0, absorbing=np.nan), steps=40)

@@ -39,9 +39,9 @@ def one_by_one(spec: EnvSpec, seeds: list[int]) -> list[Trajectory]:
     return episodes
 
 
-def assert_equal(found: list[Trajectory], expected: list[Trajectory]) -> None:
-    assert len(found) == len(expected)
-    for one, other in zip(found, expected, strict=True):
+def assert_equal(results: list[Trajectory], expected: list[Trajectory]) -> None:
+    assert len(results) == len(expected)
+    for one, other in zip(results, expected, strict=True):
         np.testing.assert_array_equal(one.obs, other.obs)
         np.testing.assert_array_equal(one.act, other.act)
         np.testing.assert_array_equal(one.rewards, other.rewards)
@@ -95,7 +95,7 @@ def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: E
         return np.tanh((obs[:, :, None] * weights).sum(axis=1)) * 0.3 ** np.arange(1, spec.act_size + 1)
 
     alone = dataclasses.replace(spec, batch=None)
-    seeds = [*range(5000, 5012), 5003]
+    seeds = [*range(5000, 5006), 5003]
     episodes = Simulator(spec, lanes=5).run(policy, seeds)
     assert_equal(episodes, Simulator(alone, lanes=5).run(policy, seeds))
     assert len({len(e.act) for e in episodes}) > 1 or not any(e.terminated for e in episodes)
@@ -122,10 +122,10 @@ def test_policies_side_by_side_see_what_they_would_see_alone(fragile: EnvSpec, l
     policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
     simulator = Simulator(fragile, lanes)
     expected = [simulator.run(policy, SEEDS) for policy in policies]
-    found = list(simulator.run_each(policies, SEEDS))
-    for one, other in zip(found, expected, strict=True):
+    results = list(simulator.run_each(policies, SEEDS))
+    for one, other in zip(results, expected, strict=True):
         assert_equal(one, other)
-    assert len({len(episode.act) for episodes in found for episode in episodes}) > 3
+    assert len({len(episode.act) for episodes in results for episode in episodes}) > 3
 
 
 def test_the_policy_is_asked_once_a_step_for_all_lanes(steady: EnvSpec) -> None:

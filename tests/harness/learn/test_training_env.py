@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from methods.base import ABSORBING_STEPS, Array, Transitions
 from tests.harness.rewards import Seek
 
 COPIES = 4
+FEW_GRADIENTS = DDPG(net=(16,), gradient_steps=1)
 STATE, OFFSET = ("absorbing", "state"), ("absorbing", "offset")
 """Protocols with an absorbing state, and those with the offset."""
 
@@ -106,7 +107,7 @@ def experience(learner: Agent) -> dict[str, Array]:
 @pytest.mark.parametrize("copies", [1, 10])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str, copies: int) -> None:
-    spec = dataclasses.replace(fragile, rl=DDPG(copies=copies))
+    spec = replace(fragile, rl=replace(FEW_GRADIENTS, copies=copies))
     learner = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     learner.solve(Seek(), 300)
     seen = experience(learner)
@@ -125,7 +126,8 @@ def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str, copies:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
-    learner = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+    spec = replace(fragile, rl=FEW_GRADIENTS)
+    learner = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
     for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
         learner.solve(reward, steps)
@@ -144,7 +146,7 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_it_learns_on_when_its_memory_is_full(fragile: EnvSpec, protocol: str) -> None:
-    spec = dataclasses.replace(fragile, rl=DDPG(buffer=200))
+    spec = replace(fragile, rl=replace(FEW_GRADIENTS, buffer=200))
     agent = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     for reward in (Seek(), Seek(side=-1.0, absorbing=-0.5)):
         agent.learn(300, reward)
@@ -168,7 +170,8 @@ def test_a_payment_sees_the_steps_into_absorption_and_in_it(fragile: EnvSpec, pr
     def payment(steps: Transitions) -> Array:
         return np.where(steps.absorbing, -1.0, np.where(steps.next_absorbing, 5.0, 1.0))
 
-    agent = Agent(fragile, protocol, np.random.default_rng(0), "sb3")
+    spec = replace(fragile, rl=FEW_GRADIENTS)
+    agent = Agent(spec, protocol, np.random.default_rng(0), "sb3")
     agent.learn(300, payment)
     seen = agent.replay()
     missed = ~seen.absorbing & (np.abs(seen.obs[:, 0] - seen.act[:, 0]) > 0.5)
@@ -195,7 +198,7 @@ def test_a_payment_that_reuses_its_buffer_and_writes_into_steps_changes_nothing(
     first, true = env.latest
     assert (first.act == 0.5).all()
     assert first.next_obs.any()
-    second = dataclasses.replace(first, act=-first.act)
+    second = replace(first, act=-first.act)
     one, other = env.normalise((first, true), (second, true))
     assert np.array_equal(one, -other)
     assert (one > 0).all()

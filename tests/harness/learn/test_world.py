@@ -20,11 +20,11 @@ from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS, Library
-from methods.base import Array, Transitions
+from methods.base import Array, Kind, Transitions
 from methods.network import Network
 from methods.rewards import Constant
 from methods.stochastic import SquashedGaussian
-from tests.harness.rewards import Nothing, Seek
+from tests.harness.rewards import Nothing
 
 ZERO = Nothing()
 
@@ -37,15 +37,14 @@ def off_target(obs: Array) -> Array:
     return -np.sign(obs)
 
 
-def uniform(count: int, generator: np.random.Generator) -> Array:
-    return generator.uniform(-1, 1, (count, 2))
-
-
 def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def test_it_counts_steps_and_solves(steady: EnvSpec) -> None:
+def test_it_counts_steps_and_solves(steady: EnvSpec, fragile: EnvSpec) -> None:
+    short = TaskWorld(fragile, "native", "sb3")
+    assert short.rollout(off_target, 4, rng()).terminated == (True,) * 4
+    assert short.env_steps == 4
     world = TaskWorld(steady, "absorbing", "sb3")
     world.rollout(on_target, 3, rng())
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30, 0, 0)
@@ -67,13 +66,6 @@ def test_the_expert_answers_those_who_may_ask_and_is_counted(steady: EnvSpec) ->
     assert (world.answers, world.env_steps) == (3, 0)
     with pytest.raises(ValueError, match="only methods that are marked"):
         TaskWorld(steady, "absorbing", "sb3").ask(obs)
-
-
-def test_short_episodes_count_what_they_took(fragile: EnvSpec) -> None:
-    world = TaskWorld(fragile, "native", "sb3")
-    episodes = world.rollout(off_target, 4, rng())
-    assert world.env_steps == 4
-    assert episodes.terminated == (True,) * 4
 
 
 def test_a_solve_starts_anew(steady: EnvSpec) -> None:
@@ -129,10 +121,10 @@ def test_an_agent_begins_with_what_its_method_gives_it(steady: EnvSpec) -> None:
 def test_where_the_model_is_known_an_agent_begins_with_nothing() -> None:
     world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 1)
-    given: dict[str, Any]
-    for given in ({"init": policy}, {"demonstrations": world.rollout(policy, 1, rng())}):
+    beginning: dict[str, Any]
+    for beginning in ({"init": policy}, {"demonstrations": world.rollout(policy, 1, rng())}):
         with pytest.raises(ValueError, match="model is known"):
-            world.agent(rng(), **given)
+            world.agent(rng(), **beginning)
     with pytest.raises(ValueError, match="nothing is explored"):
         world.agent(rng()).behaviour  # noqa: B018
 
@@ -161,8 +153,8 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
 
 def test_random_actions_are_the_environments(steady: EnvSpec) -> None:
     for spec in (steady, SPECS["gridworld"]):
-        found = TaskWorld(spec, "absorbing", "sb3").random_actions(9, rng())
-        np.testing.assert_array_equal(found, spec.random_actions(9, rng()))
+        drawn = TaskWorld(spec, "absorbing", "sb3").random_actions(9, rng())
+        np.testing.assert_array_equal(drawn, spec.random_actions(9, rng()))
 
 
 def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
@@ -175,7 +167,7 @@ def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
 
 def reachable(start: list[Any]) -> list[Any]:
     """All that public names, items and what arrays are views of lead to, the objects of bound methods too."""
-    found, waiting = {id(thing): thing for thing in start}, list(start)
+    things, waiting = {id(thing): thing for thing in start}, list(start)
     while waiting:
         thing = waiting.pop()
         inside: list[Any] = []
@@ -188,10 +180,10 @@ def reachable(start: list[Any]) -> list[Any]:
                 with contextlib.suppress(AttributeError, ValueError):
                     inside.append(getattr(thing, name))
         for one in inside:
-            if id(one) not in found:
-                found[id(one)] = one
+            if id(one) not in things:
+                things[id(one)] = one
                 waiting.append(one)
-    return list(found.values())
+    return list(things.values())
 
 
 @pytest.mark.parametrize("env", ["steady", "gridworld"])
@@ -201,20 +193,21 @@ def test_no_public_path_leads_a_method_to_the_true_reward(env: str, steady: EnvS
     policy = world.solve(ZERO, rng(), 20)
     agent = world.agent(rng())
     agent.learn(20, ZERO)
-    found = reachable([world, policy, agent, agent.best(ZERO), world.rollout(policy, 2, rng())])
-    assert len(found) > 20
+    things = reachable([world, policy, agent, agent.best(ZERO), world.rollout(policy, 2, rng())])
+    assert len(things) > 20
     forbidden = (EnvSpec, Tabular, gym.Env, Trajectory, Simulator, Agent, ExactSolver)
-    assert [type(thing) for thing in found if isinstance(thing, forbidden)] == []
+    assert [type(thing) for thing in things if isinstance(thing, forbidden)] == []
     if spec.tabular:
         rewards = spec.tabular.reward
-        assert not any(np.shares_memory(x, rewards) for x in found if isinstance(x, np.ndarray))
+        assert not any(np.shares_memory(x, rewards) for x in things if isinstance(x, np.ndarray))
 
 
 def test_in_a_known_model_a_solve_takes_no_steps() -> None:
     world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
     policy = world.solve(ZERO, rng(), 1000)
-    agent = world.agent(rng())
+    agent = world.agent(rng(), kind="soft")
     agent.learn(1000, ZERO)
+    assert agent.best(ZERO)
     assert agent.policy(SPECS["gridworld"].tabular.obs).shape == (144, 5)  # type: ignore[union-attr]
     with pytest.raises(ValueError, match="nothing is seen"):
         agent.replay()
@@ -235,50 +228,36 @@ def test_what_a_method_sees_of_a_trajectory_is_a_copy() -> None:
     assert episodes.terminated == (True,)
 
 
-@pytest.mark.parametrize(
-    ("own", "soft"),
-    [
-        (DDPG(net=(8,), tau=0.1, copies=5), SAC(net=(8,), tau=0.1, copies=5)),
-        (PPO(net=(8,), check_episodes=3), SAC(net=(8,), n_steps=1, checkpoint_every=5000, check_episodes=3)),
-        (SAC(net=(8,), entropy=0.1), SAC(net=(8,), entropy=0.1)),
-    ],
-)
-def test_a_soft_agent_is_one_whatever_the_tasks_own_is(steady: EnvSpec, own: Learner, soft: SAC) -> None:
-    given, asked = (
-        TaskWorld(dataclasses.replace(steady, rl=learner), "absorbing", "sb3") for learner in (own, soft)
-    )
-    agents = given.agent(rng(), kind="soft"), asked.agent(rng())
-    for agent in agents:
-        agent.learn(40, Seek())
-    obs = np.linspace(-0.8, 0.8, 9)[:, None]
-    one, other = (agent.behaviour.sample(obs, rng(1)) for agent in agents)
-    np.testing.assert_array_equal(one, other)
-    assert len(agents[0].replay()) == 40
-
-
-def test_where_actions_are_choices_a_soft_agent_learns_their_values() -> None:
-    spec = dataclasses.replace(SPECS["cartpole_discrete"], rl=DQN(n_steps=2))
-    world = TaskWorld(spec, "absorbing", "sb3")
-    assert world.agent(rng(), kind="soft")._solver.settings == spec.rl
-    spec = dataclasses.replace(spec, rl=PPO(net=(8,)))
-    assert TaskWorld(spec, "absorbing", "sb3").agent(rng(), kind="soft")._solver.settings == DQN(net=(8,))
+SOFT = SAC(net=(8,), n_steps=1, checkpoint_every=5000)
 
 
 @pytest.mark.parametrize(
-    ("own", "library", "its"),
+    ("own", "kind", "library", "expected"),
     [
-        (DDPG(net=(8,)), "sbx", SAC(net=(8,))),
-        (SAC(net=(8,), entropy=0.1), "sbx", SAC(net=(8,), entropy=0.1)),
-        (PPO(net=(8,)), "sbx", PPO(net=(8,))),
-        # Whose PPO does not tell what it has seen.
-        (PPO(net=(8,)), "sb3", SAC(net=(8,), n_steps=1, checkpoint_every=5000)),
+        (DDPG(net=(8,), tau=0.1, copies=5), "soft", "sb3", SAC(net=(8,), tau=0.1, copies=5)),
+        (PPO(net=(8,), check_episodes=3), "soft", "sb3", dataclasses.replace(SOFT, check_episodes=3)),
+        (SAC(net=(8,), entropy=0.1), "soft", "sb3", SAC(net=(8,), entropy=0.1)),
+        (DDPG(net=(8,)), "stochastic", "sbx", SAC(net=(8,))),
+        (SAC(net=(8,), entropy=0.1), "stochastic", "sbx", SAC(net=(8,), entropy=0.1)),
+        (PPO(net=(8,)), "stochastic", "sbx", PPO(net=(8,))),
+        # The PPO of Stable-Baselines3 keeps no steps.
+        (PPO(net=(8,)), "stochastic", "sb3", SOFT),
+        (PPO(net=(8,)), "own", "sb3", PPO(net=(8,))),
     ],
 )
-def test_a_stochastic_agent_is_the_tasks_own_where_that_is(
-    steady: EnvSpec, own: Learner, library: Library, its: Learner
+def test_an_agents_learner_is_of_the_kind_that_is_asked_for(
+    steady: EnvSpec, own: Learner, kind: Kind, library: Library, expected: Learner
 ) -> None:
     world = TaskWorld(dataclasses.replace(steady, rl=own), "absorbing", library)
-    assert world.agent(rng(), kind="stochastic")._solver.settings == its
+    assert world.agent(rng(), kind=kind)._solver.settings == expected
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"), [(DQN(n_steps=2), DQN(n_steps=2)), (PPO(net=(8,)), DQN(net=(8,)))]
+)
+def test_where_actions_are_choices_a_soft_agent_learns_their_values(own: Learner, expected: Learner) -> None:
+    world = TaskWorld(dataclasses.replace(SPECS["cartpole_discrete"], rl=own), "absorbing", "sb3")
+    assert world.agent(rng(), kind="soft")._solver.settings == expected
 
 
 def test_a_solve_is_rounded_up_to_what_its_learner_takes(steady: EnvSpec) -> None:
@@ -290,9 +269,3 @@ def test_a_solve_is_rounded_up_to_what_its_learner_takes(steady: EnvSpec) -> Non
     assert world.env_steps == 40
     with pytest.raises(ValueError, match="one step at least, not 0"):
         agent.learn(0, ZERO)
-
-
-def test_in_a_known_model_an_agent_is_exact_of_any_kind() -> None:
-    known = TaskWorld(SPECS["gridworld"], "absorbing", "sb3").agent(rng(), kind="soft")
-    known.learn(1, ZERO)
-    assert known.best(ZERO)

@@ -17,8 +17,8 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
+from harness.benchmarks.local_cluster import LocalCluster, local_cluster
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.local_cluster import LocalCluster, local_cluster
 from harness.registry import Unfinished
 from harness.run import cluster as ray_engine
 from harness.run.codec import decode

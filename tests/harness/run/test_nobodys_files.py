@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.benchmarks.reproduce import open_study
 from harness.cli import main
 from harness.registry import BadInput
-from harness.reproduce import open_study
 from harness.run.files import appending, read, write_atomic
 from harness.run.opening import open_for_report, open_for_run
 from harness.run.sums import SUMS

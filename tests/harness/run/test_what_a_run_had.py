@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from harness.benchmarks.reproduce import open_study
 from harness.cli import main
 from harness.judge.results import Cell, CellResult
 from harness.registry import BadInput
-from harness.reproduce import open_study
 from harness.run.codec import encode
 from harness.run.files import append, write_atomic
 from harness.run.opening import open_for_report, open_for_run, open_to_verify

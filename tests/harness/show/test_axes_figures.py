@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 from matplotlib.figure import Figure
 
-from harness import scale
+from harness.benchmarks import scale
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
 from harness.show import axes

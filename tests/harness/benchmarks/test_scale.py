@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from harness import scale
-from harness.judge.results import Cell, CellResult, Request, Shown
+from harness.benchmarks import scale
+from harness.judge.results import Request, Shown
 from harness.run.engines import Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.keys import PAGE_PARTS, ROOT, cell_keys
@@ -48,21 +48,18 @@ def growth(work: Callable[[int], object], few: int, *, enough: float = 2.8) -> f
 
 
 def test_of_3000_cells_on_1000_workers_with_faults_none_is_lost() -> None:
-    found = scale.drive(3000)  # which raises where one is, or comes twice
-    assert found.cells == 3000
-    assert 0 < found.cpu < 5
-    assert found.megabytes < 500
+    cells, cpu, megabytes = scale.drive(3000)  # which raises where one is, or comes twice
+    assert cells == 3000
+    assert 0 < cpu < 5
+    assert megabytes < 500
 
 
-def test_a_cell_that_is_lost_or_comes_twice_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scale.Account, "save", lambda self, result, files: None)
-    with pytest.raises(RuntimeError, match="of 100 cells 0 came"):
+@pytest.mark.parametrize("times", [0, 2])
+def test_a_cell_that_is_lost_or_comes_twice_is_noticed(times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    save = scale.Account.save
+    monkeypatch.setattr(scale.Account, "save", lambda *given: [save(*given) for _ in range(times)])
+    with pytest.raises(RuntimeError, match=f"of 100 cells {100 * times} came"):
         scale.drive(100)
-    account, result = scale.Account(), CellResult(Cell("a", "b", 0), [])
-    account.saved.add(result.cell)
-    monkeypatch.undo()
-    with pytest.raises(RuntimeError, match="a__b__seed0 came twice"):
-        account.save(result, {})
 
 
 def test_jobs_of_a_simulation_fail_and_are_lost_now_and_then() -> None:
@@ -79,7 +76,7 @@ def test_what_the_driver_does_grows_no_faster_than_cells() -> None:
 
 
 def test_what_is_stored_is_loaded_and_grows_no_faster_than_cells() -> None:
-    assert scale.drive_and_store(200).loading > 0
+    assert scale.drive_and_store(200)[0] == 200
     assert growth(scale.drive_and_store, 200) < 2.8
 
 
@@ -91,7 +88,6 @@ def test_keys_grow_no_faster_than_cells_and_hardly_with_their_seeds() -> None:
 
     assert growth(lambda count: keys(1, count), 100) < 2.8
     assert growth(lambda count: keys(count, 20), 10, enough=1.8) < 1.8
-    assert scale.keys_of(1000) > 0
 
 
 @pytest.mark.parametrize(
@@ -108,10 +104,10 @@ def test_tables_grow_no_faster_than_rows(
     shape: Callable[[int], scale.Shape], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(report, "MOST_DRAWN", 0)
-    made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
+    results = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
 
     def work(count: int) -> None:
-        report.report_files(*made[count], PARTS, ())
+        report.report_files(*results[count], PARTS, ())
 
     assert growth(work, 1500) < 2.8
 
@@ -119,9 +115,9 @@ def test_tables_grow_no_faster_than_rows(
 def test_a_run_of_many_rows_is_drawn_in_few_figures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn, asked = [], []
     monkeypatch.setattr(figures, "draw_scores", lambda board: drawn.append(board.name))
-    monkeypatch.setattr(report, "draw_axes", lambda *its: [])
+    monkeypatch.setattr(report, "draw_axes", lambda *arguments: [])
     for name in ("scores", "costs", "distances", "demonstrations"):
-        monkeypatch.setattr(charts, name, lambda *its: None)
+        monkeypatch.setattr(charts, name, lambda *arguments: None)
     monkeypatch.setattr(curves, "learning", lambda board, most: asked.append(most))
     monkeypatch.setattr(report, "MANY_ROWS", 2000)
     monkeypatch.setattr(report, "MOST_LINES", 1000)
@@ -169,7 +165,6 @@ def test_of_many_seeds_the_first_are_drawn_and_all_count() -> None:
 
 
 def test_a_report_is_written_whole() -> None:
-    rows, seconds, cpu, megabytes = scale.report((2, 2, 1, 2))
+    rows, seconds = scale.report((2, 2, 1, 2))
     assert rows == 2 * 2 * (2 + 7 + 2 * 2)
-    assert seconds > 0 < cpu
-    assert 100 < megabytes < 5000
+    assert seconds > 0
