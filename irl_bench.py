@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from envs import EnvSpec, from_gymnasium
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
-    from envs.spec import Quantity, Shape
+    from envs.shapes import Quantity, Shape
     from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
     from harness.frames import Frames, add_plugins, load, run
     from harness.testing import ContractError, check_env, check_method
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
     "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
-    "envs.spec": ("Quantity", "Shape"),
+    "envs.shapes": ("Quantity", "Shape"),
     "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
     "harness.frames": ("Frames", "add_plugins", "load", "run"),
     "harness.testing": ("ContractError", "check_env", "check_method"),

@@ -11,7 +11,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.spec import INSTANCES, Array, Batch, EnvSpec, Misgiven, check_numbers, flags, named, real
+from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real
+from envs.shapes import Array
+from envs.spec import Batch, EnvSpec
 
 TRIED = 100
 """Steps for which a task is tried."""

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.spec import Array
+from envs.shapes import Array
 
 
 class Draws(Protocol):

@@ -17,7 +17,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs.learners import DQN
-from envs.spec import Array, EnvSpec, Quantity, Shape, Tabular
+from envs.models import Tabular
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -181,13 +183,11 @@ SPEC = EnvSpec(
     obs_scale=(1.0,) * WORLD.obs.shape[1],
     horizon=HORIZON,
     gamma=0.95,
-    time_step=1.0,
     bar=lambda seeds: 0.0,
     max_terminated={"smoke": 0.0, "quick": 0.0, "full": 0.0},
     rl_steps={"smoke": 1, "quick": 1, "full": 1},
     solves={"smoke": 1, "quick": 1, "full": 1},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=lambda env: "",
@@ -199,6 +199,4 @@ SPEC = EnvSpec(
 slips to a random one of these with probability 0.3. A cell pays 1, -1 or 0 by which objects are near. Experts
 are exact: the best policy, by value iteration. No episode ends before 50 steps."""
 
-gym.register(
-    SPEC.env_id, entry_point="envs.gridworld:GridWorld", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.gridworld:GridWorld")

@@ -14,8 +14,10 @@ from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 from numpy.typing import NDArray
 
+from envs.checks import real
 from envs.copies import gathered
-from envs.spec import Array, real, scaled
+from envs.scaled import scaled
+from envs.shapes import Array
 
 WALKERS = (HopperEnv, Walker2dEnv)
 """Tasks stepped without their own code, which takes up to a third of a step's time."""

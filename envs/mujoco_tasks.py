@@ -15,7 +15,8 @@ from gymnasium.envs.mujoco import MujocoEnv
 
 from envs.learners import DDPG, FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
-from envs.spec import EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Quantity, Shape
+from envs.spec import EnvSpec, Shipped
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -163,7 +164,6 @@ def task(
         bar=lambda seeds: bar,
         rl_steps=rl_steps,
         eval_episodes={"smoke": 5, "quick": 20, "full": 50},
-        demo_episodes={"smoke": 5, "quick": 100, "full": 100},
         draw=partial(draw, axes=axes, moves=moves),
         why_ended=why,
         batch=partial(MujocoBatch, env_id, why),

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from envs.learners import DDPG, FEW_JOINTS, PPO
 from envs.mujoco_batch import MujocoBatch
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -154,7 +155,6 @@ SPEC = EnvSpec(
     act_names=(Quantity("force along x", "N"), Quantity("force along y", "N")),
     obs_scale=(0.3, 0.3, 0.3, 0.3),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=FRAME_SKIP * FRAME,
     bar=lambda seeds: -6.0,
     rl_steps={"smoke": 4096, "quick": 51_200, "full": 102_400},
@@ -175,9 +175,4 @@ SPEC = EnvSpec(
 """The ball starts below the wall and the target lies above it. With the wall moved, the way around is on the
 other side: what was learned must be worth something there as well."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.point_maze:PointMaze",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.point_maze:PointMaze")

@@ -1,4 +1,4 @@
-"""Random Fourier features (Rahimi & Recht 2007): linear rewards of them are smooth functions of any shape."""
+"""Random Fourier features (Rahimi & Recht 2007). Linear rewards of them are smooth functions of any shape."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from methods.network import standardiser
 
 @dataclass(frozen=True)
 class FourierFeatures:
-    """A task's features phi (B, K) of (B, O) observations and (B, A) actions, and F cosines of both, whose
-    squares sum to 1 on average: inner products of these are nearly a Gaussian kernel's values.
+    """A task's features phi (B, K) of observations (B, O) and actions (B, A), and F cosines of both.
 
-    mean, std: (O,), of observations. frequencies: (O + A, F). phases: (F,).
+    The cosines' squares sum to 1 on average, and their inner products are nearly a Gaussian kernel's values.
+    `mean`, `std`: of observations, (O,). `frequencies`: (O + A, F). `phases`: (F,).
     """
 
     phi: Callable[[Array, Array], Array]
@@ -35,7 +35,8 @@ class FourierFeatures:
         width: float,
         rng: np.random.Generator,
     ) -> FourierFeatures:
-        """count: F. width: of the kernel, in standard deviations of obs (N, O), and in actions."""
+        """Return random features with F = `count`. `width`: the kernel's, in standard deviations of
+        observations (N, O) and in units of actions."""
         mean, std = standardiser(obs)
         frequencies = rng.normal(size=(len(mean) + act_size, count)) / width
         return cls(phi, mean, std, frequencies, rng.uniform(0, 2 * np.pi, count))

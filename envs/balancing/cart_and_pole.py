@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from envs.spec import Array, Quantity, Shape
+from envs.shapes import Array, Quantity, Shape
 
 NO_NUMBERS = {"draw_cart_and_pole": "It draws pictures."}
 

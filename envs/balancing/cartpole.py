@@ -18,7 +18,8 @@ import numpy as np
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, namespace, why_ended
 from envs.learners import DDPG, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -115,15 +116,12 @@ SPEC = EnvSpec(
     act_names=(Quantity("motor", "10 N"),),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
     rl=SMALL_PPO,
     ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
@@ -143,9 +141,4 @@ degrees. Before, a step pays nearly 1, so what counts is how long the pole stand
     r = (10 - (1 - cos(angle)) - 0.00001 force^2) / 10
 """
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.dynamics:DynamicsEnv",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
@@ -15,7 +14,8 @@ from envs.balancing import cartpole
 from envs.balancing.cartpole import Physics
 from envs.dynamics import DynamicsBatch, namespace, why_ended
 from envs.learners import DQN, SMALL_PPO
-from envs.spec import EnvSpec, Quantity, Shipped
+from envs.shapes import Quantity
+from envs.spec import EnvSpec, Shipped, register
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,10 @@ SPEC = EnvSpec(
     act_names=(Quantity("push left"), Quantity("push right")),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=cartpole.HORIZON,
-    gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
     draw=cartpole.draw,
     why_ended=why_ended,
@@ -82,9 +79,4 @@ SPEC = EnvSpec(
 """The same cart and pole, pushed by 10 N to the left or to the right. A step pays 1. An episode ends where
 the cart leaves the track or the pole leans by more than 12 degrees."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.balancing.cartpole_discrete:DiscreteCartPole",
-    max_episode_steps=cartpole.HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.balancing.cartpole_discrete:DiscreteCartPole")

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG, FEW_JOINTS
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -154,14 +155,11 @@ SPEC = EnvSpec(
     public_bounds=(-3.0, 3.0),
     obs_scale=(0.3, 0.05, 0.5, 0.5),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=TIME_STEP,
     bar=lambda seeds: 1000.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 30_720, "full": 40_960},
     ddpg_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
@@ -178,9 +176,4 @@ SPEC = EnvSpec(
 """A cart on a rail of 1 m to either side carries a pole of 0.6 m. A step pays 1 while |angle| is at most
 0.2 rad; an episode ends beyond. The cart cannot leave its rail."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.balancing.pendulum:Pendulum",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.balancing.pendulum:Pendulum")

@@ -48,7 +48,8 @@ from envs.driving.scene import (
 )
 from envs.dynamics import Draws, namespace
 from envs.learners import DDPG, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
 
@@ -376,7 +377,6 @@ SPEC = EnvSpec(
     solves={"smoke": 1, "quick": 1, "full": 5},
     ddpg_steps={"smoke": 600, "quick": 40_000, "full": 60_000},
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
@@ -392,9 +392,4 @@ SPEC = EnvSpec(
 pays 0. Either ends the episode. The reference driver is highway-env's IDM with MOBIL's lane changes at a
 target speed of 30 m/s: its return on the same episodes is what an expert must reach."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.driving.highway:Highway",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.driving.highway:Highway")

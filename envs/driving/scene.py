@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from envs.dynamics import namespace
-from envs.spec import Array
+from envs.shapes import Array
 
 DT, FRAMES = 0.2, 2  # s, and how many of them a step takes
 LANES, LANE_WIDTH = 3, 4.0  # m

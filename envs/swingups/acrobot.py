@@ -18,7 +18,8 @@ import numpy as np
 
 from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never, runge_kutta
 from envs.learners import PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -182,6 +183,4 @@ SPEC = EnvSpec(
 """Two links hang from a fixed hinge; the motor sits between them. Each step pays minus the distance from the
 tip to its upright place. No episode ends before 10 s."""
 
-gym.register(
-    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

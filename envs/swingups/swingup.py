@@ -12,7 +12,8 @@ import numpy as np
 
 from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never
 from envs.learners import DDPG, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.shapes import Array, Quantity, Shape
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -134,6 +135,4 @@ never ends before 10 s. A step pays, of the angle from upright [rad], the rate [
     r = -(angle^2 + 0.1 rate^2 + 0.001 torque^2)
 """
 
-gym.register(
-    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

@@ -22,7 +22,7 @@ from harness.show.maps import maps
 from harness.show.recordings import Advantage, Episode, record
 from harness.show.scenes import scene
 from methods.base import Array, Policy, Reward
-from methods.tabular import greedy, value_iteration
+from methods.tabular.model import greedy, value_iteration
 
 NO_NUMBERS = "It records episodes that were scored before."
 

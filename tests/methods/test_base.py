@@ -3,7 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from methods.base import Episodes, Transitions, default_absorbing, roughened, seen_by_both
+from methods.base import Episodes, Transitions
+from methods.rewards import default_absorbing
+from methods.stochastic import roughened
+from methods.visits import seen_by_both
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:

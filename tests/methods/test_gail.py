@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs.spec import Tabular
+from envs.models import Tabular
 from methods.base import Array, Episodes, Transitions
 from methods.gail import GAIL
 from methods.rewards import MeanReward, NetworkReward
-from methods.tabular import greedy, policy_value, value_iteration
+from methods.tabular.model import greedy, policy_value, value_iteration
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 STATES, ACTIONS, GAMMA = 16, 4, 0.9

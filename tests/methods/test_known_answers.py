@@ -15,7 +15,7 @@ from methods.base import Array, Episodes, Learned, Policy
 from methods.bc import BehaviourCloning
 from methods.shaped import Shaped, ShapedReward
 from methods.shaped_ml import ShapedML, inverse_lqr
-from methods.tabular import advantage, greedy, policy_value, value_iteration
+from methods.tabular.model import advantage, greedy, policy_value, value_iteration
 
 
 class Regulator:

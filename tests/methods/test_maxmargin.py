@@ -11,16 +11,12 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from envs.gridworld import grid, objectworld
-from envs.spec import Tabular
+from envs.models import Tabular
 from methods.base import Array, Episodes
-from methods.maxmargin import (
-    LinearReward,
-    MaxMargin,
-    exact_feature_expectations,
-    feature_expectations,
-    max_margin,
-    projection,
-)
+from methods.margins import feature_expectations, max_margin, projection
+from methods.maxmargin import MaxMargin
+from methods.rewards import LinearReward
+from methods.tabular.maxmargin import exact_feature_expectations
 
 POINTS = st.tuples(*[st.integers(-5, 5)] * 3).map(lambda p: np.array(p, float))
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from envs.gridworld import grid, objectworld
-from methods.tabular import (
+from methods.tabular.model import (
     action_values,
     advantage,
     discounted_visitations,
