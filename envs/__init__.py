@@ -1,5 +1,5 @@
-"""Tasks, one file each, in a folder where several are of a family. Importing a file registers its task
-with Gymnasium."""
+"""Tasks, one file each, in a folder where several are of a family. Importing a file registers its task with
+Gymnasium."""
 
 from envs.gymnasium_tasks import from_gymnasium
 from envs.shapes import Quantity, Shape

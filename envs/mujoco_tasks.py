@@ -1,4 +1,4 @@
-"""MuJoCo's tasks of Gymnasium (`-v5`), one row of `task` each; they are those of Gymnasium, bit for bit."""
+"""MuJoCo's tasks of Gymnasium (`-v5`), one call of `task` each. They equal Gymnasium's, bit for bit."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from gymnasium.envs.mujoco import MujocoEnv
 from envs.learners import DDPG, FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
 from envs.shapes import Quantity, Shape
-from envs.spec import EnvSpec, Shipped
+from envs.spec import EnvSpec, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
 WEAK = 0.3
-"""Of its strength, what a weak motor has left."""
+"""Strength of a weak motor, as a share of the usual."""
 SIDE, TOP = [0, 2], [0, 1]
-"""Axes that a drawing shows."""
+"""Axes of a drawing."""
 COLOURS = ((66, 133, 244), (234, 134, 51), (52, 168, 83), (171, 71, 188))
 GREY = (140, 140, 140)
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is changed of Gymnasium's model; factors."""
+    """Factors of quantities in Gymnasium's model."""
 
     mass: float = 1.0
-    """Of every body; its inertia follows."""
+    """Mass and inertia of every body."""
     gravity: float = 1.0
     gear: float = 1.0
-    """Of every motor; -1 flips them."""
+    """Strength of every motor. -1 flips them."""
     weak: tuple[str, ...] = ()
     """Joints whose motors have `WEAK` of their strength."""
 
     def change(self, env: MujocoEnv) -> None:
-        """Changes the environment's model."""
+        """Change the environment's model."""
         model = env.model
         model.body_mass *= self.mass
         model.body_inertia *= self.mass
@@ -56,9 +56,9 @@ NOMINAL = Physics()
 
 
 def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
-    """Gymnasium's environment with these physics."""
+    """Return Gymnasium's environment with these physics."""
     before = mujoco.get_mju_user_warning()
-    # It warns of one of Gymnasium's models, and would write a file of that where the program was started.
+    # It warns about one of Gymnasium's models, and would write a log file into the current folder.
     mujoco.set_mju_user_warning(lambda message: None)
     try:
         env = gym.make(env_id, disable_env_checker=True).unwrapped
@@ -71,8 +71,8 @@ def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
 
 
 def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shape]:
-    """Each geometry along these two axes, a capsule as the line of its axis, a ball as a circle. moves:
-    whether the scene follows the first body, over a scale of metres."""
+    """Return each geometry along these two axes: a capsule as the line of its axis, a ball as a circle.
+    `moves`: the scene follows the first body, over a scale of metres."""
     inner = env.unwrapped
     assert isinstance(inner, MujocoEnv)
     model, data = inner.model, inner.data
@@ -99,12 +99,13 @@ def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shap
 
 
 def slides(joint: Any) -> bool:
-    """Whether it slides, and does not turn."""
+    """Return True if a joint slides, False if it turns."""
     return bool(joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def joints_of(model: mujoco.MjModel, skipped: int) -> tuple[Quantity, ...]:
-    """What is observed where that is the joints' positions, but for the first few, and then their rates."""
+    """Return the names of the joints' positions, without the first `skipped` ones, and then of their
+    rates."""
     joints = [model.joint(i) for i in range(model.njnt)]
     units = ["m" if slides(joint) else "rad" for joint in joints]
     places = [Quantity(joint.name, unit) for joint, unit in zip(joints, units, strict=True)]
@@ -130,23 +131,16 @@ def task(
     gamma: float = 0.99,
     **fields: Any,
 ) -> EnvSpec:
-    """The spec of one task. ends: why its episodes terminate. obs_names: what is observed, where that is not
-    the joints' positions without the first, and their rates. fields: more of `EnvSpec`."""
+    """Return the spec of one task. `ends`: why its episodes terminate. `obs_names`: by default the joints'
+    positions without the first, and their rates. `fields`: more fields of `EnvSpec`."""
     env = make(gymnasium_id)
     model = env.model
     env_id = f"irl_bench/{gymnasium_id}"
-    known = gym.spec(gymnasium_id)
-    assert known.max_episode_steps is not None
-    gym.register(
-        env_id,
-        entry_point="envs.mujoco_tasks:make",
-        max_episode_steps=known.max_episode_steps,
-        disable_env_checker=True,
-        kwargs={"env_id": gymnasium_id},
-    )
+    horizon = gym.spec(gymnasium_id).max_episode_steps
+    assert horizon is not None
     motors = [model.joint(int(joint)) for joint in model.actuator_trnid[:, 0]]
     why = partial(_because, ends)
-    return EnvSpec(
+    spec = EnvSpec(
         name=name,
         summary=summary,
         env_id=env_id,
@@ -158,7 +152,7 @@ def task(
             for joint, gear in zip(motors, model.actuator_gear[:, 0], strict=True)
         ),
         obs_scale=obs_scale,
-        horizon=known.max_episode_steps,
+        horizon=horizon,
         gamma=gamma,
         time_step=env.dt,
         bar=lambda seeds: bar,
@@ -172,6 +166,8 @@ def task(
         variants={variant: {"physics": physics} for variant, physics in variants.items()},
         **fields,
     )
+    register(spec, "envs.mujoco_tasks:make", env_id=gymnasium_id)
+    return spec
 
 
 def _because(ends: str, env: gym.Env[Any, Any]) -> str:
@@ -179,7 +175,7 @@ def _because(ends: str, env: gym.Env[Any, Any]) -> str:
 
 
 MANY = PPO(copies=20, steps=200, checkpoint_every=20_000, check_episodes=5)
-"""What trained the experts of bodies that balance."""
+"""Learner of the experts of bodies that balance."""
 ANGLES = ("first", "second")
 DOUBLE_PENDULUM = task(
     "double_pendulum",
@@ -224,16 +220,11 @@ REACHER = task(
 """An arm of two links in a plane, seen from above. A step pays minus the distance from its tip to the target,
 less 0.1 of the action's square. The target is another one in each episode. None ends before 50 steps."""
 RUNNING = replace(
-    FEW_JOINTS,
-    net=(128, 128),
-    steps=128,
-    learning_rate=4e-4,
-    gae_lambda=0.97,
-    checkpoint_every=40_960,
+    FEW_JOINTS, net=(128, 128), steps=128, learning_rate=4e-4, gae_lambda=0.97, checkpoint_every=40_960
 )
-"""RL where a body runs."""
+"""Learner for bodies that run."""
 RUNNING_DDPG = DDPG(net=RUNNING.net)
-"""The same by DDPG, and by the soft actor-critic of csil, whose clone has these networks."""
+"""DDPG for bodies that run, and soft actor-critic for csil, whose clone has these networks."""
 FEW = {"smoke": 1, "quick": 2, "full": 2}
 """Solves of a reward where each takes minutes."""
 HALFCHEETAH = task(
@@ -312,5 +303,5 @@ WALKER2D = task(
     solves=FEW,
 )
 """A body on two legs, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
-action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than
-1 rad."""
+action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than 1
+rad."""

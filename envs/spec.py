@@ -242,8 +242,8 @@ def _numbered(kind: str, size: int) -> tuple[Quantity, ...]:
     return tuple(Quantity(f"{kind} {i}") for i in range(size))
 
 
-def register(spec: EnvSpec, entry_point: str) -> None:
-    """Register a task's environment, 'module:class', with Gymnasium."""
+def register(spec: EnvSpec, entry_point: str, **kwargs: Any) -> None:
+    """Register a task's environment, 'module:class', and its arguments with Gymnasium."""
     gym.register(
-        spec.env_id, entry_point=entry_point, max_episode_steps=spec.horizon, disable_env_checker=True
+        spec.env_id, entry_point, max_episode_steps=spec.horizon, disable_env_checker=True, kwargs=kwargs
     )

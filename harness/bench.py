@@ -19,7 +19,8 @@ import numpy as np
 from highway_env.envs.highway_env import HighwayEnvFast
 
 from envs import EnvSpec
-from envs.driving.highway import BLOCK, CONFIG, HORIZON, drive, first_states
+from envs.driving.environment import BLOCK, drive, first_states
+from envs.driving.highway import CONFIG, HORIZON
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import Agent

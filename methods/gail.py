@@ -6,8 +6,8 @@ reward. At best that is the log ratio of the two densities.
 
     R*(s, a) = log D(s, a) - log(1 - D(s, a)),   at best log(rho_E(s, a) / rho_pi(s, a))
 
-R* is the last logit, or the mean of all. In a zero-sum game a player's average converges, while its last
-choice need not (Freund & Schapire 1999; Syed & Schapire 2007; Swamy et al. 2021).
+R* is the last one or the mean. In a zero-sum game a player's average converges, while its last choice need
+not (Freund & Schapire 1999; Syed & Schapire 2007; Swamy et al. 2021).
 
 Deviates from the papers: the penalty is on the discriminator's squared slope. Kostrikov et al. have the
 target of 1 of Gulrajani et al. 2017. It counts among living steps only

@@ -8,9 +8,9 @@ rollouts touch a task.
 
     max over r of E log sigma(sum_(s in i) r(s) - sum_(s in j) r(s))
 
-R* may pay well for states outside all rollouts. Where `rl_rounds` is above 0, a little reinforcement learning
-reaches them, and each of its states is compared with one of f's. States like f's are then paid like f's, and
-other states less.
+R* may pay well for other states. Where `rl_rounds` is above 0, a little reinforcement learning reaches them,
+and each of its states is compared with one of f's. States like f's are then paid like f's, and other states
+less.
 
 Deviates from the paper: compared states are drawn from all of a level's episodes, where the paper compares
 stretches of two of them. Rewards are bounded. The networks see an absorbing indicator, and episodes that

@@ -20,8 +20,7 @@ from envs.spec import EnvSpec, Shipped, register
 
 @dataclass(frozen=True)
 class Choices(Physics):
-    """The same, of two choices, 1 for the one that is made: a push to the left, or to the right. Each step
-    pays 1."""
+    """Physics of a cart and pole with two choices: a push to the left, or to the right. Each step pays 1."""
 
     act_size = 2
 
@@ -36,7 +35,7 @@ NOMINAL = Choices()
 
 
 class DiscreteCartPole(CartPoleEnv):
-    """Gymnasium's, with any physics."""
+    """Gymnasium's environment with any physics."""
 
     def __init__(self, physics: Physics = NOMINAL) -> None:
         super().__init__()
@@ -76,7 +75,7 @@ SPEC = EnvSpec(
         for name, changed in cartpole.SPEC.variants.items()
     },
 )
-"""The same cart and pole, pushed by 10 N to the left or to the right. A step pays 1. An episode ends where
-the cart leaves the track or the pole leans by more than 12 degrees."""
+"""The cart and pole of `cartpole`, pushed by 10 N to the left or to the right. A step pays 1. An episode ends
+where the cart leaves the track or the pole leans by more than 12 degrees."""
 
 register(SPEC, "envs.balancing.cartpole_discrete:DiscreteCartPole")

@@ -1,8 +1,8 @@
 """RLLab's Cart-Pole Swing Up (Duan et al. 2016): swing a pole up by moving its cart, and hold it there.
 
-Sizes, masses, starts, reward and ending are RLLab's. The equations below replace its Box2D simulation, so
-there is no friction (RLLab's is 2e-6 to 5e-4), and no step's error is corrected by moving bodies. Angles are
-observed as cosine and sine instead of as they are.
+Sizes, masses, starts, reward and ending are RLLab's. The equations below replace its Box2D simulation. They
+omit friction (RLLab's is 2e-6 to 5e-4), and correct no errors of a step by moving bodies. Angles are observed
+as cosine and sine.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ HORIZON = 500
 
 @dataclass(frozen=True)
 class Physics:
-    """Of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`); a state is the cart's position [m]
-    and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s]. Each step pays
-    the angle's cosine after it, and leaving the track -100."""
+    """Physics of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`). A state is the cart's
+    position [m] and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s].
+    Each step pays the angle's cosine after it, and leaving the track pays -100."""
 
     gravity: float = 10.0
     """[m/s^2]"""
@@ -41,13 +41,13 @@ class Physics:
     pole_length: float = 1.0
     """[m]"""
     max_force: float = 10.0
-    """At an action of 1 [N]."""
+    """Force at an action of 1 [N]."""
     max_x: float = 3.0
-    """How far from the middle the track ends [m]."""
+    """Distance of the track's ends from its middle [m]."""
     time_step: float = 0.05
     """[s]"""
     parts: int = 5
-    """Of a time step, for the integration."""
+    """Parts of a time step in the integration."""
     act_size = 1
 
     @property
@@ -63,10 +63,11 @@ class Physics:
         return runge_kutta(partial(self.rates, force=force), state, self.time_step, self.parts)
 
     def rates(self, state: Any, force: Any) -> Any:
-        """The state's derivative, by Lagrange: with the pole's mass m, its centre at c = length / 2, its
-        inertia I about there and the cart's mass M,
-        (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
-        m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
+        """Return the state's derivative, by Lagrange, with the cart's mass M, and the pole's mass m, centre
+        at c = length / 2 and inertia I about it.
+
+            (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
+            m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
         """
         xp = namespace(state)
         _, velocity, angle, rate = state
@@ -81,7 +82,7 @@ class Physics:
         return xp.stack([velocity, acceleration, rate, turning])
 
     def energy(self, state: Array) -> Array:
-        """Kinetic and potential [J], above the hinge's height."""
+        """Return kinetic and potential energy [J], relative to the hinge."""
         _, velocity, angle, rate = state
         moment = self.pole_mass * self.pole_length / 2
         inertia = self.pole_mass * self.pole_length * self.pole_length / 3
@@ -110,7 +111,8 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how upright the pole is, how centred the cart, how still both, and a constant."""
+    """Return the pole's uprightness, the cart's centredness, the stillness of both, and a constant, (B,
+    5)."""
     upright = np.clip(obs[:, 2], -1, 1)
     limits = (NOMINAL.max_x, 5.0, 10.0)
     inside = 1 - np.clip(obs[:, [0, 1, 4]] / np.array(limits), -1, 1) ** 2
@@ -118,7 +120,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The track, the cart as a box and the pole as a line."""
+    """Return the track, the cart as a box and the pole as a line."""
     inner = env.unwrapped
     assert isinstance(inner, DynamicsEnv)
     assert isinstance(inner.physics, Physics)

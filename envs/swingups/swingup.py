@@ -22,9 +22,9 @@ HORIZON = 200
 
 @dataclass(frozen=True)
 class Physics:
-    """Of a rod on a motor (`envs.dynamics.Dynamics`); a state is its angle from upright [rad] and its rate
-    [rad/s]. What it pays is Gymnasium's, per step: -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and
-    the torque before it."""
+    """Physics of a rod on a motor (`envs.dynamics.Dynamics`). A state is its angle from upright [rad] and its
+    rate [rad/s]. A step pays -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and the torque before it,
+    as in Gymnasium."""
 
     gravity: float = 10.0
     """[m/s^2]"""
@@ -33,9 +33,9 @@ class Physics:
     length: float = 1.0
     """[m]"""
     max_torque: float = 2.0
-    """At an action of 1 [N m]."""
+    """Torque at an action of 1 [N m]."""
     max_rate: float = 8.0
-    """Where the rate is cut [rad/s]."""
+    """Largest rate [rad/s]."""
     time_step: float = 0.05
     """[s]"""
     act_size = 1
@@ -66,7 +66,7 @@ class Physics:
         return namespace(state).asarray(-(off * off + 0.1 * (rate * rate) + 0.001 * (torque * torque)))
 
     def _torque(self, act: Any) -> Any:
-        """In 32 bits, as Gymnasium has it."""
+        """Return the torque in 32 bits, as in Gymnasium."""
         return self.max_torque * act[0].astype(np.float32)
 
     def fails(self, state: Any) -> Any:
@@ -80,13 +80,13 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 4): how upright it is, how still, both, and a constant."""
+    """Return uprightness, stillness, their product, and a constant, (B, 4)."""
     upright, still = np.clip(obs[:, 0], -1, 1), 1 - np.clip(obs[:, 2] / NOMINAL.max_rate, -1, 1) ** 2
     return np.stack([upright, still, upright * still, np.ones(len(obs))], axis=1)
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The rod as a line, and the point that it turns about."""
+    """Return the rod as a line, and the point that it turns about."""
     inner = env.unwrapped
     assert isinstance(inner, DynamicsEnv)
     assert isinstance(inner.physics, Physics)
@@ -129,8 +129,9 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(max_torque=-NOMINAL.max_torque)},
     },
 )
-"""The motor is too weak to lift the pendulum at once: it must swing to and fro first. It starts anywhere, and
-never ends before 10 s. A step pays, of the angle from upright [rad], the rate [rad/s] and the torque [N m]
+"""The motor is too weak to lift the pendulum at once, so it must swing to and fro first. It starts anywhere.
+No episode ends before 10 s. A step pays for the angle from upright [rad], the rate [rad/s] and the torque [N
+m]
 
     r = -(angle^2 + 0.1 rate^2 + 0.001 torque^2)
 """

@@ -133,16 +133,8 @@ def test_random_actions_are_uniform(spec: EnvSpec) -> None:
 @pytest.mark.parametrize(("spec", "name"), VARIANTS, ids=lambda value: getattr(value, "name", value))
 def test_a_variant_is_the_task_with_other_dynamics(spec: EnvSpec, name: str) -> None:
     variant = spec.variant(name)
-    for field in (
-        "obs_size",
-        "act_size",
-        "observations",
-        "actions",
-        "obs_scale",
-        "horizon",
-        "rl",
-        "rl_steps",
-    ):
+    shared = ("obs_size", "act_size", "observations", "actions", "obs_scale", "horizon", "rl", "rl_steps")
+    for field in shared:
         assert getattr(variant, field) == getattr(spec, field)
     assert (variant.batch is None) == (spec.batch is None)
     assert variant.shipped is None

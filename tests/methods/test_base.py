@@ -70,7 +70,7 @@ def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) 
 def test_steps_are_not_demonstrated_unless_they_say_so() -> None:
     no = np.zeros(4, bool)
     steps = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3)), no, no
-    assert Transitions(*steps).demonstrated.tolist() == [False] * 4
+    assert Transitions.own(*steps).demonstrated.tolist() == [False] * 4
     assert Transitions(*steps, ~no).demonstrated.tolist() == [True] * 4
 
 

@@ -23,7 +23,7 @@ def constant(*action: float) -> Callable[[Array], Array]:
 def steps(act: Array) -> Transitions:
     """Of these actions (N, 2), anywhere."""
     obs = np.random.default_rng(5).uniform(-1, 1, (len(act), 3))
-    return Transitions(obs, act, obs, *np.zeros((2, len(act)), bool))
+    return Transitions.own(obs, act, obs, *np.zeros((2, len(act)), bool))
 
 
 @pytest.fixture

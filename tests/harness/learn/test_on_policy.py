@@ -110,7 +110,7 @@ def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
     env = TrainingEnv(fragile, protocol, np.random.default_rng(0), 1)
     env.reward = lambda steps: np.where(steps.absorbing, -2.0, 1.0)
     ends = np.array([False, True])
-    steps = Transitions(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
+    steps = Transitions.own(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
     beyond = forever * fragile.gamma * -2.0 / (1 - fragile.gamma)
     np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
 
