@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from envs import EnvSpec, from_gymnasium
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
-    from envs.shapes import Quantity, Shape
+    from envs.spec import Quantity, Shape
     from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
     from harness.frames import Frames, add_plugins, load, run
     from harness.testing import ContractError, check_env, check_method
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
     "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
-    "envs.shapes": ("Quantity", "Shape"),
+    "envs.spec": ("Quantity", "Shape"),
     "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
     "harness.frames": ("Frames", "add_plugins", "load", "run"),
     "harness.testing": ("ContractError", "check_env", "check_method"),
@@ -40,43 +40,7 @@ _FROM = {
 WHERE = {name: module for module, names in _FROM.items() for name in names}
 """Home module of each public name."""
 
-__all__ = [
-    "DDPG",
-    "DQN",
-    "PPO",
-    "SAC",
-    "TD3",
-    "ContractError",
-    "EnvSpec",
-    "Episodes",
-    "Exported",
-    "ExportedPolicy",
-    "Frames",
-    "Learned",
-    "LearnedReward",
-    "LinearReward",
-    "MeanReward",
-    "Method",
-    "Network",
-    "NetworkReward",
-    "Policy",
-    "Quantity",
-    "Reward",
-    "Shape",
-    "StateReward",
-    "Transitions",
-    "Unsuitable",
-    "World",
-    "add_plugins",
-    "check_env",
-    "check_method",
-    "export",
-    "from_gymnasium",
-    "load",
-    "load_learned",
-    "make",
-    "run",
-]
+__all__ = list(WHERE)
 
 
 def _begin() -> None:

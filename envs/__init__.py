@@ -2,7 +2,6 @@
 Gymnasium."""
 
 from envs.gymnasium_tasks import from_gymnasium
-from envs.shapes import Quantity, Shape
-from envs.spec import BUDGETS, EnvSpec
+from envs.spec import BUDGETS, EnvSpec, Quantity, Shape
 
 __all__ = ["BUDGETS", "EnvSpec", "Quantity", "Shape", "from_gymnasium"]

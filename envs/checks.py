@@ -1,7 +1,5 @@
 """Checks of the values that tasks return: real, finite numbers of the right shapes, and flags."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.shapes import Array
+from envs.spec import Array
 
 LARGEST = 1e100
 """Largest size of a reward that counts as finite: sums of these are finite too."""

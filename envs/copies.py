@@ -1,7 +1,5 @@
 """Copies of a task that step together, with checks of all that they return."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from collections.abc import Iterable, Sequence
@@ -12,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real
-from envs.shapes import Array
-from envs.spec import Batch, EnvSpec
+from envs.spec import Array, Batch, EnvSpec
 
 TRIED = 100
 """Steps of a trial of a task."""

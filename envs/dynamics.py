@@ -1,8 +1,6 @@
 """Environments whose dynamics are written once, for NumPy and JAX. NumPy runs one of them, or many in
 lockstep. JAX runs them inside compiled reinforcement learning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -11,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.shapes import Array
+from envs.spec import Array
 
 
 class Draws(Protocol):

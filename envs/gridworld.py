@@ -5,8 +5,6 @@ Cell (x, y), x to the right and y up, is state y * size + x. Any action in a sta
 a return over T steps counts the states at times 0 to T-1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +15,7 @@ from numpy.typing import NDArray
 
 from envs.learners import DQN
 from envs.models import Tabular
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -154,8 +151,7 @@ COLOURS = {1.0: (120, 190, 120), -1.0: (220, 130, 120), 0.0: (200, 200, 200)}
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return a square for each cell, a metre wide, green for reward 1 and red for -1, and a diamond for the
     agent."""
-    inner = env.unwrapped
-    assert isinstance(inner, GridWorld)
+    inner: Any = env.unwrapped
     square = 0.46 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     diamond = 0.35 * np.array([[-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]])
     where = positions(SIZE)

@@ -1,7 +1,5 @@
 """Specs of Gymnasium's environments, derived from the environments themselves."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from functools import partial

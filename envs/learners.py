@@ -1,7 +1,5 @@
 """Learners of reinforcement learning and their hyper-parameters, as plain data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 

@@ -1,19 +1,13 @@
 """Models of finite environments: the dynamics that methods may know, and the whole task."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.shapes import Array
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
-
+Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Largest distance from 1 of a sum of probabilities."""
 
@@ -54,7 +48,7 @@ class Model:
         return np.asarray(self._tree.query(obs)[1], np.int64)
 
     @cached_property
-    def _tree(self) -> KDTree:
+    def _tree(self) -> Any:
         from scipy.spatial import KDTree  # takes half a second, which the command line does not need
 
         return KDTree(self.obs)

@@ -1,7 +1,5 @@
 """Copies of a MuJoCo task of Gymnasium that step together and share one compiled model."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 from envs.checks import real
 from envs.copies import gathered
 from envs.scaled import scaled
-from envs.shapes import Array
+from envs.spec import Array
 
 WALKERS = (HopperEnv, Walker2dEnv)
 """Tasks that are stepped without their own code, which takes up to a third of a step's time."""

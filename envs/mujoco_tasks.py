@@ -1,7 +1,5 @@
 """MuJoCo's tasks of Gymnasium (`-v5`), one call of `task` each. They equal Gymnasium's, bit for bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,8 +13,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 
 from envs.learners import DDPG, FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
-from envs.shapes import Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -73,8 +70,7 @@ def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
 def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shape]:
     """Return each geometry along these two axes: a capsule as the line of its axis, a ball as a circle.
     `moves`: the scene follows the first body, over a scale of metres."""
-    inner = env.unwrapped
-    assert isinstance(inner, MujocoEnv)
+    inner: Any = env.unwrapped
     model, data = inner.model, inner.data
     origin = float(data.qpos[0]) if moves else 0.0
     shapes = {}
@@ -89,8 +85,8 @@ def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shap
             points = centre[axes] + radius * np.column_stack([np.cos(turns), np.sin(turns)])
         else:
             continue
-        fixed = geom.bodyid[0] == 0
-        shapes[geom.name] = Shape(points - [origin, 0], GREY if fixed else COLOURS[geom.bodyid[0] % 4])
+        colour = COLOURS[geom.bodyid[0] % 4] if geom.bodyid[0] else GREY
+        shapes[geom.name] = Shape(points - [origin, 0], colour)
     if moves:
         ticks = np.floor(origin) + np.arange(-3, 5) - origin
         comb = [[[x, 0.0], [x, -0.05], [x, 0.0]] for x in ticks]
@@ -139,7 +135,10 @@ def task(
     horizon = gym.spec(gymnasium_id).max_episode_steps
     assert horizon is not None
     motors = [model.joint(int(joint)) for joint in model.actuator_trnid[:, 0]]
-    why = partial(_because, ends)
+
+    def why_ended(env: gym.Env[Any, Any]) -> str:
+        return ends
+
     spec = EnvSpec(
         name=name,
         summary=summary,
@@ -159,8 +158,8 @@ def task(
         rl_steps=rl_steps,
         eval_episodes={"smoke": 5, "quick": 20, "full": 50},
         draw=partial(draw, axes=axes, moves=moves),
-        why_ended=why,
-        batch=partial(MujocoBatch, env_id, why),
+        why_ended=why_ended,
+        batch=partial(MujocoBatch, env_id, why_ended),
         shipped=shipped,
         rl=rl,
         variants={variant: {"physics": physics} for variant, physics in variants.items()},
@@ -168,10 +167,6 @@ def task(
     )
     register(spec, "envs.mujoco_tasks:make", env_id=gymnasium_id)
     return spec
-
-
-def _because(ends: str, env: gym.Env[Any, Any]) -> str:
-    return ends
 
 
 MANY = PPO(copies=20, steps=200, checkpoint_every=20_000, check_episodes=5)

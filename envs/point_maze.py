@@ -4,8 +4,6 @@ Sizes, wall, ball, motors, start, reward and horizon are those of the authors' c
 position. Here its velocity is observed too, so that the state is known.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -22,8 +20,7 @@ from numpy.typing import NDArray
 
 from envs.learners import DDPG, FEW_JOINTS, PPO
 from envs.mujoco_batch import MujocoBatch
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -123,8 +120,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return a view from above: walls as lines, the ball and the target as circles."""
-    inner = env.unwrapped
-    assert isinstance(inner, PointMaze)
+    inner: Any = env.unwrapped
     turns = np.linspace(0, 2 * math.pi, 17)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
     outer = np.array([(LOW, LOW), (HIGH, LOW), (HIGH, HIGH), (LOW, HIGH), (LOW, LOW)])
@@ -134,11 +130,6 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
         "target": Shape(TARGET + 0.02 * circle, (52, 168, 83)),
         "ball": Shape(inner.place() + RADIUS * circle, (66, 133, 244)),
     }
-
-
-def why_ended(env: gym.Env[Any, Any]) -> str:
-    """Return 'never': no episode terminates."""
-    return "never"
 
 
 THESIS = DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2500, n_steps=5, critics=2)
@@ -161,8 +152,7 @@ SPEC = EnvSpec(
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
-    why_ended=why_ended,
-    batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
+    batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", EnvSpec.why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
     rl=FEW_JOINTS,
     ddpg=THESIS,

@@ -1,7 +1,5 @@
 """Environments with actions in [-1, 1] or choices from 0 on, and the time limits of wrappers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

@@ -16,9 +16,29 @@ from numpy.typing import NDArray
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from envs.models import Tabular
 from envs.scaled import scaled, time_limit
-from envs.shapes import Array, Quantity, Shape
 
+Array = NDArray[np.float64]
 BUDGETS = ("smoke", "quick", "full")
+
+
+class Quantity(NamedTuple):
+    """The name and unit of an entry of an observation or an action."""
+
+    name: str
+    unit: str = ""
+    """Unit, e.g. 'm', or '20 m' where an entry of 1 is 20 m; '' for a mere number."""
+
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One line strip of a drawing. `points`: (P, 2) in metres, x to the right and y up. A closed outline
+    repeats its first point. `colour`: red, green, blue, each 0 to 255."""
+
+    points: Array
+    colour: tuple[int, int, int]
 
 
 def _budgets(smoke: int, quick: int, full: int) -> dict[str, int]:

@@ -16,11 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Transitions, World
+from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Rng, Transitions, World
 from methods.network import ADAM, Contrast, contrast, standardiser
 from methods.rewards import MeanReward
 from methods.visits import sample, seen_by_both
@@ -68,9 +67,7 @@ class Game:
     """Episodes of random actions that standardise observations. Where the model is known, also episodes of
     the agent in each turn."""
 
-    def standard(
-        self, demos: Episodes, world: World, rng: np.random.Generator
-    ) -> tuple[Array, Array, torch.Generator]:
+    def standard(self, demos: Episodes, world: World, rng: Rng) -> tuple[Array, Array, torch.Generator]:
         """Return the mean and spread of observations, (O,) each, and the source of first weights."""
         random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
         mean, std = standardiser(seen_by_both(demos, random, rng))
@@ -80,20 +77,21 @@ class Game:
         self,
         world: World,
         agent: Agent,
-        first: Turn,
-        answer: Callable[[Transitions], Turn],
-        rng: np.random.Generator,
+        propose: Callable[[], Turn],
+        improve: Callable[[Transitions], None],
+        rng: Rng,
     ) -> Outcome:
-        """Alternate the players. The agent learns under `first`, then under each `answer` to its steps."""
-        turns = [first]
+        """Alternate the players: the agent learns under each proposal, and its steps improve the next one."""
+        turns = [propose()]
         for _ in range(self.iterations):
             agent.learn(math.ceil(self.rl_share * world.solve_steps), turns[-1].payment)
-            turns.append(answer(self.latest_steps(world, agent, rng)))
+            improve(self.latest_steps(world, agent, rng))
+            turns.append(propose())
         mean = MeanReward(tuple(turn.reward for turn in turns[1:]))
         agent.learn(math.ceil(self.final_share * world.solve_steps), mean)
         return Outcome(agent.best(mean), turns[-1].reward, mean)
 
-    def latest_steps(self, world: World, agent: Agent, rng: np.random.Generator) -> Transitions:
+    def latest_steps(self, world: World, agent: Agent, rng: Rng) -> Transitions:
         """Return the agent's latest steps, at most `latest`."""
         return agent.replay().last(self.latest)
 
@@ -113,7 +111,7 @@ class Discriminator:
     optimizer: torch.optim.Optimizer
     generator: torch.Generator
 
-    def learn(self, expert: Array, own: Array, rng: np.random.Generator) -> float:
+    def learn(self, expert: Array, own: Array, rng: Rng) -> float:
         """Learn to distinguish expert rows (N, K) from own rows (M, K). Return the last logistic loss, which
         is 1.39 if uninformed."""
         for _ in range(self.game.reward_steps):

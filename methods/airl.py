@@ -18,23 +18,13 @@ slope, along the absorbing indicators too, and so on the level of h. R* is the m
 ones swing, and pi* comes from reinforcement learning on that (`methods.adversarial`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from methods.adversarial import Game, Turn
-from methods.base import (
-    Array,
-    Episodes,
-    Learned,
-    StochasticPolicy,
-    Transitions,
-    Unsuitable,
-    World,
-)
+from methods.base import Array, Episodes, Learned, Rng, StochasticPolicy, Transitions, Unsuitable, World
 from methods.network import mlp
 from methods.rewards import NetworkReward
 from methods.tabular import tabular
@@ -57,7 +47,7 @@ class AIRL(Game):
     known_rate: float = 0.1
     """Learning rate where the model is known, by Adam."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Play the game. Raises Unsuitable unless every step is shown or the model is known."""
         if world.model is not None:
             return tabular(TabularAIRL, self).fit(demos, world, rng)
@@ -72,7 +62,7 @@ class AIRL(Game):
         uniform = -np.log(world.act_size) if world.discrete else -size * np.log(2)
         losses: list[float] = []
 
-        def turn() -> Turn:
+        def propose() -> Turn:
             reward = NetworkReward.of(g, mean, std, actions=self.actions)
             potential = NetworkReward.of(h, mean, std, actions=False)
             return Turn(Shaped(reward, potential, world.gamma), reward)
@@ -81,11 +71,10 @@ class AIRL(Game):
             logs = log_density(agent.behaviour, steps, uniform, self.most_sure * size)
             return described(steps, logs, mean, std, self.actions)
 
-        def answer(steps: Transitions) -> Turn:
+        def improve(steps: Transitions) -> None:
             losses.append(discriminator.learn(rows(expert), rows(steps), rng))
-            return turn()
 
-        result = self.play(world, agent, turn(), answer, rng)
+        result = self.play(world, agent, propose, improve, rng)
         return Learned(result.policy, result.mean, {"discriminator's loss": losses})
 
 

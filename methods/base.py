@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from envs.models import Model
 
 Array = NDArray[np.float64]
+Rng = np.random.Generator
 ABSORBING_STEPS = 5
 """Steps that an agent stays in the absorbing state before its episode is truncated."""
-RandomActions = Callable[[int, np.random.Generator], Array]
+RandomActions = Callable[[int, Rng], Array]
 """A function of a count that returns as many uniform actions, (count, A)."""
 
 
@@ -34,7 +35,7 @@ class StochasticPolicy(Protocol):
     """A policy that draws actions in [-1, 1]^A from a density or, where actions are choices, from
     probabilities."""
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return an action for each observation (B, O), (B, A)."""
 
     def log_prob(self, obs: Array, act: Array) -> Array:
@@ -179,7 +180,7 @@ class Episodes:
             after.append(obs[followed + 1])
         return np.concatenate(before), np.concatenate(actions), np.concatenate(after)
 
-    def every(self, count: int, rng: np.random.Generator) -> Episodes:
+    def every(self, count: int, rng: Rng) -> Episodes:
         """Return every `count`-th step of each episode, from a random one of its first `count`. A shorter
         episode keeps one step."""
         lengths = tuple(self.lengths.tolist())
@@ -236,13 +237,13 @@ class World(Protocol):
     model: Model | None
     """The dynamics, None where they are not known."""
 
-    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
+    def random_actions(self, count: int, rng: Rng) -> Array:
         """Return uniform actions, (count, A)."""
 
     def phi(self, obs: Array, act: Array) -> Array:
         """Return the task's features for linear rewards, (B, K), in [-1, 1]."""
 
-    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
+    def rollout(self, policy: Policy, episodes: int, rng: Rng) -> Episodes:
         """Return new episodes of the policy."""
 
     def ask(self, obs: Array) -> Array:
@@ -251,7 +252,7 @@ class World(Protocol):
 
     def agent(
         self,
-        rng: np.random.Generator,
+        rng: Rng,
         *,
         kind: Kind = "own",
         init: Policy | StochasticPolicy | None = None,
@@ -267,7 +268,7 @@ class World(Protocol):
         `demonstrations` where the model is known.
         """
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
+    def solve(self, reward: Reward, rng: Rng, steps: int) -> Policy:
         """Return the best checkpoint of a new agent that learns for `steps` environment steps."""
 
 
@@ -287,5 +288,5 @@ class Learned:
 class Method(Protocol):
     """A frozen dataclass whose fields are hyper-parameters."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Learn from demonstrations in a world without its reward."""

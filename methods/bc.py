@@ -6,14 +6,11 @@ is squared, in units of each action's standard deviation sigma over the demonstr
 It learns no reward, so it has no pi_R.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 
 
@@ -24,12 +21,12 @@ class BehaviourCloning(Regression):
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the policy."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Clone the demonstrations, without the environment."""
         policy, losses = self.clone(*demos.pairs(), rng)
         return Learned(policy, None, {"loss": losses})
 
-    def clone(self, obs: Array, act: Array, rng: np.random.Generator) -> tuple[Network, list[float]]:
+    def clone(self, obs: Array, act: Array, rng: Rng) -> tuple[Network, list[float]]:
         """Fit a policy to actions (N, A) at observations (N, O), and return it with its falling loss. Errors
         are in units of the actions' standard deviation, because an expert that balances well hardly moves."""
         mean, std = standardiser(obs)

@@ -1,7 +1,5 @@
 """Means of many networks, compiled by JAX: rewards that reinforcement learning asks for millions of steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any

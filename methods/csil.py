@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from methods.base import Array, Episodes, Learned, Unsuitable, World
+from methods.base import Array, Episodes, Learned, Rng, Unsuitable, World
 from methods.bc import BehaviourCloning
 from methods.network import ROWS, standardiser
 from methods.tabular import tabular
@@ -55,7 +55,7 @@ class CSIL(BehaviourCloning):
     rollouts: int = 10
     """Episodes of random actions that standardise observations."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit q, and learn under its reward. Raises Unsuitable where actions are choices, unless the model is
         known."""
         if world.model is not None:
@@ -97,13 +97,7 @@ class GaussianProcess:
 
     @classmethod
     def fitted(
-        cls,
-        obs: Array,
-        act: Array,
-        standard: tuple[Array, Array],
-        count: int,
-        least: float,
-        rng: np.random.Generator,
+        cls, obs: Array, act: Array, standard: tuple[Array, Array], count: int, least: float, rng: Rng
     ) -> GaussianProcess:
         """Return the process under which actions (N, A) at observations (N, O) are most likely.
 
@@ -138,15 +132,13 @@ def kernel(x: Array, places: Array, width: float) -> Array:
     """Return exp(-|x - place|^2 / 2 w^2) for x (B, O) and places (M, O), (B, M). w is `width` times the root
     of O."""
     distances: Array = cdist(x, places, "sqeuclidean")
-    values: Array = np.exp(-distances / (2 * width**2 * places.shape[1]))
-    return values
+    return np.asarray(np.exp(-distances / (2 * width**2 * places.shape[1])))
 
 
 def inverse_root(places: Array, width: float) -> Array:
     """Return R (M, M), such that R R^T is the inverse of the kernel between places (M, O)."""
     within = kernel(places, places, width) + JITTER * np.eye(len(places))
-    root: Array = np.linalg.inv(np.linalg.cholesky(within)).T
-    return root
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(within)).T)
 
 
 def evidence(squares: Array, along: Array, act: Array, noise: float) -> float:
@@ -179,5 +171,4 @@ class CoherentReward:
         ratio: Array = (
             np.square(act / UNIFORM) - np.square(act - mean) / variance - np.log(variance / UNIFORM**2)
         )
-        rewards: Array = np.maximum(0.5 * ratio.mean(axis=1), self.floor)
-        return rewards
+        return np.asarray(np.maximum(0.5 * ratio.mean(axis=1), self.floor))

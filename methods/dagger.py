@@ -10,13 +10,11 @@ demonstrates. The paper's beta, by which the expert acts with a falling chance, 
 whose episodes are the demonstrations, and 0 after it: its "parameter-free version".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Episodes, Learned, World
+from methods.base import Episodes, Learned, Rng, World
 from methods.bc import BehaviourCloning
 
 
@@ -29,7 +27,7 @@ class DAgger(BehaviourCloning):
     rollouts: int = 5
     """Episodes of each clone. The expert is asked at every step."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Clone, act and ask in turn. pi* is the last clone, of all answers."""
         obs, act = demos.pairs()
         policy, losses = self.clone(obs, act, rng)

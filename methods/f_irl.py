@@ -15,15 +15,13 @@ policy is Q-learning's, which has no entropy. R* is the mean of all networks, be
 the model is known the gradient is exact (`methods.tabular.f_irl`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from methods.adversarial import Game, Turn, contrast_among_living
-from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Transitions, World
+from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Rng, Transitions, World
 from methods.network import ADAM, mlp
 from methods.rewards import NetworkReward
 from methods.tabular import tabular
@@ -43,7 +41,7 @@ class FIRL(Game):
     known_rate: float = 3e-2
     """Learning rate where the model is known, by Adam."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Descend the divergence."""
         if world.model is not None:
             return tabular(TabularFIRL, self).fit(demos, world, rng)
@@ -55,11 +53,11 @@ class FIRL(Game):
         agent = world.agent(rng, kind="stochastic")
         losses: list[float] = []
 
-        def turn() -> Turn:
+        def propose() -> Turn:
             reward = NetworkReward.of(network, mean, std, actions=False)
             return Turn(reward, reward)
 
-        def answer(steps: Transitions) -> Turn:
+        def improve(steps: Transitions) -> None:
             losses.append(discriminator.learn(expert, visited(steps, mean, std, False), rng))
             behaviour = agent.behaviour
             own = world.rollout(lambda obs: behaviour.sample(obs, rng), self.rollouts, rng)
@@ -74,9 +72,8 @@ class FIRL(Game):
                 optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
-            return turn()
 
-        result = self.play(world, agent, turn(), answer, rng)
+        result = self.play(world, agent, propose, improve, rng)
         return Learned(result.policy, result.mean, {"discriminator's loss": losses})
 
 

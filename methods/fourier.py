@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array
+from methods.base import Array, Rng
 from methods.network import standardiser
 
 
@@ -33,7 +33,7 @@ class FourierFeatures:
         act_size: int,
         count: int,
         width: float,
-        rng: np.random.Generator,
+        rng: Rng,
     ) -> FourierFeatures:
         """Return random features with F = `count`. `width`: the kernel's, in standard deviations of
         observations (N, O) and in units of actions."""

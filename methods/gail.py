@@ -14,14 +14,10 @@ target of 1 of Gulrajani et al. 2017. It counts among living steps only
 (`methods.adversarial.contrast_among_living`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-import numpy as np
-
 from methods.adversarial import Game, Turn
-from methods.base import ABSORBING_STEPS, Episodes, Learned, Transitions, World
+from methods.base import ABSORBING_STEPS, Episodes, Learned, Rng, Transitions, World
 from methods.network import mlp
 from methods.rewards import NetworkReward
 from methods.tabular import tabular
@@ -38,7 +34,7 @@ class GAIL(Game):
     mean: bool = False
     """True if R* is the mean of all logits, False if it is the last one."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Play the game."""
         mean, std, generator = self.standard(demos, world, rng)
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
@@ -47,15 +43,14 @@ class GAIL(Game):
         expert = visitations(demos, ABSORBING_STEPS, mean, std, self.actions)
         losses: list[float] = []
 
-        def turn() -> Turn:
+        def propose() -> Turn:
             reward = NetworkReward.of(logit, mean, std, actions=self.actions)
             return Turn(reward, reward)
 
-        def answer(steps: Transitions) -> Turn:
+        def improve(steps: Transitions) -> None:
             losses.append(discriminator.learn(expert, visited(steps, mean, std, self.actions), rng))
-            return turn()
 
         game: Game = self if world.model is None else tabular(TabularGame, self)
-        result = game.play(world, world.agent(rng, kind="stochastic"), turn(), answer, rng)
+        result = game.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
         reward = result.mean if self.mean else result.last
         return Learned(result.policy, reward, {"discriminator's loss": losses})

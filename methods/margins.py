@@ -1,8 +1,6 @@
 """The loop of apprenticeship learning by maximum margin (`methods.maxmargin`), for any features and any way
 to estimate feature expectations, and its two ways to find weights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.rewards import LinearReward
 
 TINY = 1e-9
@@ -38,12 +36,7 @@ class Margins:
     """True for weights of the projection method, False for those of the margin problem."""
 
     def alternate(
-        self,
-        expert: Array,
-        expectations: Callable[[Policy], Array],
-        phi: Phi,
-        world: World,
-        rng: np.random.Generator,
+        self, expert: Array, expectations: Callable[[Policy], Array], phi: Phi, world: World, rng: Rng
     ) -> Learned:
         """Alternate new weights and reinforcement learning on their reward.
 

@@ -21,15 +21,12 @@ terminates, nothing shows that an end is bad. So where demonstrations terminate 
 actions, an end pays at most the mean reward of random steps.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
-from methods.base import Agent, Array, Episodes, Learned, Policy, World
+from methods.base import Agent, Array, Episodes, Learned, Policy, Rng, World
 from methods.network import ADAM, contrast, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.stochastic import EpsilonGreedy
@@ -69,7 +66,7 @@ class MaxEnt:
     slope_prior: float = 1.0
     """Inverse variance of the Gaussian prior on the reward's slope, observations being standardised."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
         if world.model is not None:
             return tabular(TabularMaxEnt, self).fit(demos, world, rng)
@@ -107,7 +104,7 @@ class MaxEnt:
         return Learned(agent.best(mean_reward), mean_reward, curves)
 
 
-def drawn_by(agent: Agent, rng: np.random.Generator) -> Policy:
+def drawn_by(agent: Agent, rng: Rng) -> Policy:
     """Return the agent's present stochastic policy, or its deterministic one if it learns no other."""
     try:
         behaviour = agent.behaviour

@@ -15,14 +15,12 @@ reward values is quadratic in them. Features get an absorbing indicator, and vis
 up to the horizon. So the reward of absorption is learned like any state's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.rewards import LinearReward
 from methods.tabular import tabular
 from methods.tabular.maxent_linear import TabularMaxEntLinear
@@ -44,7 +42,7 @@ class MaxEntLinear:
     weight_prior: float = 1e-3
     """Inverse variance of the Gaussian prior on weights."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate the weights' closed form and reinforcement learning on their reward."""
         if world.model is not None:
             return tabular(TabularMaxEntLinear, self).fit(demos, world, rng)

@@ -16,13 +16,11 @@ the w, each counting by its margin, and the agent learns under that last. pi* is
 problem separates least from the expert by itself, the one with the smallest |mu_E - mu(j)|.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.fourier import FourierFeatures
 from methods.margins import Margins, Phi, feature_expectations
 from methods.tabular import tabular
@@ -41,7 +39,7 @@ class MaxMargin(Margins):
     width: float = 0.5
     """Width of their kernel in standard deviations of its inputs, times the root of the number of inputs."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate weights and reinforcement learning, with feature expectations from rollouts."""
         if world.model is not None:
             return tabular(TabularMaxMargin, self).fit(demos, world, rng)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from methods.base import Array
+from methods.base import Array, Rng
 from methods.soap import Soap
 
 torch.set_num_threads(1)
@@ -199,7 +199,7 @@ def descend(
     data: Sequence[Array],
     steps: int,
     batch: int,
-    rng: np.random.Generator,
+    rng: Rng,
     points: int = 100,
 ) -> list[float]:
     """Minimise `loss(*minibatch)`, and return the mean loss of each of `points` equal stretches.
@@ -236,7 +236,7 @@ class Regression:
         loss: Callable[..., torch.Tensor],
         networks: Sequence[torch.nn.Module],
         data: Sequence[Array],
-        rng: np.random.Generator,
+        rng: Rng,
         shares: Sequence[float] | None = None,
     ) -> list[float]:
         """Fit the networks' parameters to `data`, as in `descend`, and return the falling loss. `shares`:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from methods.base import Array, Episodes, RandomActions, Reward
+from methods.base import Array, Episodes, RandomActions, Reward, Rng
 from methods.compiled import MeanNetwork
 from methods.network import ROWS, Network
 
@@ -157,9 +157,7 @@ class CompiledReward:
         return MeanNetwork(networks, sizes)
 
 
-def default_absorbing(
-    reward: Reward, demos: Episodes, random_actions: RandomActions, rng: np.random.Generator
-) -> float:
+def default_absorbing(reward: Reward, demos: Episodes, random_actions: RandomActions, rng: Rng) -> float:
     """Return `absorbing` for a reward learned from expert pairs only, such that an uninformed agent gains
     from neither staying alive nor dying.
 

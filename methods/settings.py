@@ -1,7 +1,5 @@
 """The one table of hyper-parameters that differ from a method's defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -15,15 +15,13 @@ Nothing determines L beyond the demonstrations, and a large one makes life there
 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 from methods.rewards import default_absorbing
 
@@ -45,7 +43,7 @@ class Shaped(Regression):
     weight_decay: float = 0.0
     """Weight of the sum of all squared weights of f and L in the loss."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Maximise eq. 4.3 over the demonstrated pairs, without the environment."""
         obs, act = demos.pairs()
         mean, std = standardiser(obs)
@@ -107,5 +105,4 @@ class ShapedReward:
         d = act - self.f(obs)
         size = d.shape[1]
         projected = np.einsum("bi,bij->bj", d, self.chol(obs).reshape(-1, size, size))
-        value: Array = -(np.square(projected).sum(1) + np.square(d).sum(1))
-        return value
+        return np.asarray(-(np.square(projected).sum(1) + np.square(d).sum(1)))

@@ -21,15 +21,13 @@ is fitted as in `methods.shaped`, because the likelihood would trade the accurac
 of another.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from scipy import linalg, optimize
 
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, mlp, standardiser
 from methods.rewards import default_absorbing
 from methods.shaped import Shaped, ShapedReward, shaped_reward
@@ -53,7 +51,7 @@ class ShapedML(Shaped):
     prior: float = 1e-3
     """Inverse variance of the Gaussian prior on the weights of costs, whose mean is 1."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit f as `Shaped` does, then L by maximum likelihood."""
         learned = super().fit(demos, world, rng)
         assert isinstance(learned.reward, ShapedReward)
@@ -80,7 +78,7 @@ class ShapedML(Shaped):
         curves = {**learned.curves, "negative log-likelihood": curve}
         return Learned(f, replace(reward, absorbing=absorbing), curves, reward.size_of_l(demos.pairs()[0]))
 
-    def _precision(self, demos: Episodes, world: World, f: Network, rng: np.random.Generator) -> Array:
+    def _precision(self, demos: Episodes, world: World, f: Network, rng: Rng) -> Array:
         """Return C^-1 (A, A). `softness` sets its smallest eigenvalue."""
 
         def noisy(obs: Array) -> Array:
@@ -104,8 +102,7 @@ class ShapedML(Shaped):
 
 def linear_fit(x: Array, y: Array) -> Array:
     """Return the slopes of y (N, K) on x (N, I) by least squares, (K, I)."""
-    slopes: Array = np.linalg.lstsq(x - x.mean(axis=0), y - y.mean(axis=0))[0].T
-    return slopes
+    return np.asarray(np.linalg.lstsq(x - x.mean(axis=0), y - y.mean(axis=0))[0].T)
 
 
 def inverse_lqr(A: Array, B: Array, K: Array, x: Array, gamma: float, prior: float) -> Array:

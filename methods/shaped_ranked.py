@@ -19,8 +19,6 @@ demonstrations terminate less often than random actions, absorption pays at most
 state. Without this RL on cart-pole failed once (`docs/tuning.md`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,7 +26,7 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from methods.base import Array, Episodes, Learned, Reward, World
+from methods.base import Array, Episodes, Learned, Reward, Rng, World
 from methods.network import ADAM, descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
@@ -65,7 +63,7 @@ class ShapedRanked(Shaped):
     """Solves from scratch by reinforcement learning, each under the latest reward. Their states rank below
     f's in the next one."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
         learned = super().fit(demos, world, rng)
         policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
@@ -80,12 +78,7 @@ class ShapedRanked(Shaped):
         return Learned(learned.policy, reward, {**learned.curves, **curves})
 
     def _rank(
-        self,
-        ladder: Sequence[Episodes],
-        reached: Sequence[Episodes],
-        demos: Episodes,
-        world: World,
-        rng: np.random.Generator,
+        self, ladder: Sequence[Episodes], reached: Sequence[Episodes], demos: Episodes, world: World, rng: Rng
     ) -> tuple[Reward, dict[str, Sequence[float]]]:
         """Return a reward that ranks each level of the ladder above the next, and the first level's states
         above those that RL reached; and its losses."""

@@ -7,13 +7,11 @@ Payments are never negative. Under protocol `native` an end pays 0, so the agent
 (docs/termination.md). pi* is the last policy, because no reward can rank its checkpoints.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Transitions, Unsuitable, World
+from methods.base import Array, Episodes, Learned, Rng, Transitions, Unsuitable, World
 from methods.tabular import tabular
 from methods.tabular.sqil import TabularSQIL
 
@@ -27,7 +25,7 @@ class SQIL:
     iterations: int = 100
     """Soft policies where the model is known, each solved for with the visits of those before it."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Learn from both. Raises Unsuitable unless every step is shown or the model is known."""
         if world.model is not None:
             return tabular(TabularSQIL, self).fit(demos, world, rng)

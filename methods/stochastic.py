@@ -1,13 +1,11 @@
 """Stochastic policies as plain arrays. Agents explore with them, and soft actor-critic may begin with one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from methods.base import Array, Policy, RandomActions
+from methods.base import Array, Policy, RandomActions, Rng
 from methods.network import Network
 
 LOG_STD = (-20.0, 2.0)
@@ -23,7 +21,7 @@ class SquashedGaussian:
 
     network: Network
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return an action for each observation (B, O), (B, A)."""
         mean, log_std = self._parameters(obs)
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape))
@@ -56,7 +54,7 @@ class EpsilonGreedy:
     mean: Policy
     share: float
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         greedy = self._greedy(obs)
         uniform = np.eye(greedy.shape[1])[rng.integers(greedy.shape[1], size=len(obs))]
@@ -70,8 +68,7 @@ class EpsilonGreedy:
 
     def _greedy(self, obs: Array) -> Array:
         values = self.mean(obs)
-        choices: Array = np.eye(values.shape[1])[values.argmax(axis=1)]
-        return choices
+        return np.asarray(np.eye(values.shape[1])[values.argmax(axis=1)])
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ class Gaussian:
     mean: Policy
     log_std: Array
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return an action for each observation (B, O), (B, A)."""
         mean = self.mean(obs)
         return np.clip(mean + np.exp(self.log_std) * rng.standard_normal(mean.shape), -1, 1)
@@ -99,11 +96,10 @@ class Softmax:
 
     mean: Policy
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         values = self.mean(obs)
-        choices: Array = np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)]
-        return choices
+        return np.asarray(np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)])
 
     def log_prob(self, obs: Array, act: Array) -> Array:
         """Return the log probability of choices (B, A) at observations (B, O), (B,)."""
@@ -111,9 +107,7 @@ class Softmax:
         return np.asarray((values * act).sum(axis=1) - logsumexp(values, axis=1))
 
 
-def roughened(
-    policy: Policy, share: float, random_actions: RandomActions, rng: np.random.Generator
-) -> Policy:
+def roughened(policy: Policy, share: float, random_actions: RandomActions, rng: Rng) -> Policy:
     """Return the policy with this share of its actions replaced by random ones."""
 
     def act(obs: Array) -> Array:

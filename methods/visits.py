@@ -4,13 +4,11 @@ A row is (standardised observation, action, absorbing indicator), or without the
 state it is all zeros and 1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from methods.base import Array, Episodes, Transitions
+from methods.base import Array, Episodes, Rng, Transitions
 
 
 def visitations(episodes: Episodes, stay: ArrayLike, mean: Array, std: Array, actions: bool = True) -> Array:
@@ -43,7 +41,7 @@ def visited(steps: Transitions, mean: Array, std: Array, actions: bool = True) -
     return np.column_stack([living, steps.absorbing])
 
 
-def seen_by_both(demos: Episodes, rollouts: Episodes, rng: np.random.Generator) -> Array:
+def seen_by_both(demos: Episodes, rollouts: Episodes, rng: Rng) -> Array:
     """Return the observations of N steps of rollouts and of as many demonstrated steps, (2N, O).
 
     Their spread standardises inputs. That of the demonstrations alone would make outliers of all other states
@@ -53,6 +51,6 @@ def seen_by_both(demos: Episodes, rollouts: Episodes, rng: np.random.Generator) 
     return np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
 
 
-def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:
+def sample(visits: Array, batch: int, rng: Rng) -> torch.Tensor:
     """Return a uniform minibatch of rows."""
     return torch.as_tensor(visits[rng.integers(len(visits), size=batch)], dtype=torch.float32)

@@ -16,7 +16,7 @@ TITLES = {
     "methods.network": "Networks",
     "methods.rewards": "Rewards",
     "envs": "Tasks",
-    "envs.shapes": "Parts of a task",
+    "envs.spec": "Parts of a task",
     "envs.learners": "Learners",
     "harness.testing": "The contract",
 }

@@ -1,13 +1,11 @@
 """Shared parts of tasks of a cart that balances a pole: observations, features and the drawing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from envs.shapes import Array, Quantity, Shape
+from envs.spec import Array, Quantity, Shape
 
 NO_NUMBERS = {"draw_cart_and_pole": "It draws pictures."}
 

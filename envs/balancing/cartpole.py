@@ -2,8 +2,6 @@
 to the action, and the reward of RLLab (Duan et al. 2016), as in the thesis. For actions of -1 and +1 the
 dynamics equal those of Gymnasium's `CartPole-v1`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,7 @@ import numpy as np
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, namespace, why_ended
 from envs.learners import DDPG, SMALL_PPO
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -28,20 +25,17 @@ HORIZON = 500
 class Physics:
     """Physics of a cart with a pole (`envs.dynamics.Dynamics`). A state is the cart's position [m] and
     velocity [m/s], the pole's angle [rad] and its rate [rad/s]. A step pays (10 - (1 - cos angle) - 1e-5
-    force^2) / 10 while alive, and 0 on failing: where |position| > 2.4 m or |angle| > 12 degrees."""
+    force^2) / 10 while alive, and 0 on failing: where |position| > 2.4 m or |angle| > 12 degrees. Units:
+    `gravity` m/s^2, `cart_mass` kg, `pole_mass` kg, `time_step` s."""
 
     gravity: float = 9.8
-    """[m/s^2]"""
     cart_mass: float = 1.0
-    """[kg]"""
     pole_mass: float = 0.1
-    """[kg]"""
     half_length: float = 0.5
     """Half of the pole's length [m]."""
     max_force: float = 10.0
     """Force at an action of 1 [N]."""
     time_step: float = 0.02
-    """[s]"""
     max_x: float = 2.4
     """Distance of the track's ends from its middle [m]."""
     max_angle: float = 12 * 2 * math.pi / 360

@@ -1,7 +1,5 @@
 """Gymnasium's own `CartPole-v1` (Barto, Sutton & Anderson 1983): push the cart left or right."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -14,8 +12,7 @@ from envs.balancing import cartpole
 from envs.balancing.cartpole import Physics
 from envs.dynamics import DynamicsBatch, namespace, why_ended
 from envs.learners import DQN, SMALL_PPO
-from envs.shapes import Quantity
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import EnvSpec, Quantity, Shipped, register
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """The inverted pendulum of Gymnasium's MuJoCo suite (`InvertedPendulum-v5`), actions scaled to [-1, 1]."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,8 +14,7 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG, FEW_JOINTS
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -103,8 +100,7 @@ class PendulumBatch:
         states[:, FORCE] = act[:, 0].astype(np.float32) * self._env.full_action
         before = np.abs(states[:, OBS])
         free = (before[:, :2] + TIME_STEP * before[:, 2:] < self._free).all(axis=1)
-        # Geoms do not touch, and joints' limits are the only constraints. The search for others takes half of a
-        # step's time.
+        # Geoms do not touch, and joints' limits are the only constraints. A search for more doubles the time.
         disable = mujoco.mjtDisableBit
         for group, flag in ((free, disable.mjDSBL_CONSTRAINT), (~free, disable.mjDSBL_CONTACT)):
             model.opt.disableflags = flag
@@ -128,8 +124,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the rail, the cart as a box and the pole as a line."""
-    inner = env.unwrapped
-    assert isinstance(inner, Pendulum)
+    inner: Any = env.unwrapped
     x, angle = inner.data.qpos
     return draw_cart_and_pole(float(x), float(angle), RAIL, inner.physics.pole_length)
 

@@ -1,7 +1,5 @@
 """The highway as an environment and as a batch, stepped by compiled traffic (`envs.driving.traffic`)."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 from envs.driving import scene as road
 from envs.driving.scene import Scene, first_scene, in_line
 from envs.dynamics import Draws, namespace
-from envs.shapes import Array
+from envs.spec import Array
 
 Ints = NDArray[np.int64]
 

@@ -6,8 +6,6 @@ itself and the gaps in its lane and the next ones. Speed is rewarded. A crash or
 than any other step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,16 +21,15 @@ from envs.driving.environment import (
     NOMINAL,
     OBS_SIZE,
     VEHICLES,
-    Highway,
     HighwayBatch,
     Traffic,
     drive,
     first_states,
 )
 from envs.driving.scene import Scene
+from envs.dynamics import why_ended
 from envs.learners import DDPG, SMALL_PPO
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures.", "CONFIG": "Tests compare with it."}
 
@@ -122,8 +119,7 @@ def phi(obs: Array, act: Array) -> Array:
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the road from above, with the ego at x = 0 driving to the right. It has edges, dashes between
     lanes, and vehicles as rectangles, each with an arrow as long as its way until the next action."""
-    inner = env.unwrapped
-    assert isinstance(inner, Highway)
+    inner: Any = env.unwrapped
     scene = inner.scene
     shapes = {}
     here = float(scene.x[0])
@@ -151,13 +147,6 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
         head = [tip - ahead + across, tip, tip - ahead - across]
         shapes[f"{name}_speed"] = Shape(np.array([nose, tip, *head]), colour)
     return shapes
-
-
-def why_ended(env: gym.Env[Any, Any]) -> str:
-    """Return 'crashed' or 'left the road'."""
-    inner = env.unwrapped
-    assert isinstance(inner, Highway)
-    return inner.physics.failure(inner.state)
 
 
 THESIS = DDPG(

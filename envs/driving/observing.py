@@ -1,7 +1,5 @@
 """Observations, rewards and ends of many highway scenes at once, compiled by JAX like `traffic`."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 from jax import Array
 

@@ -1,14 +1,12 @@
 """Scenes of highway-env's highway: vehicles on straight parallel lanes from x = 0, the ego first."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from envs.dynamics import namespace
-from envs.shapes import Array
+from envs.spec import Array
 
 DT, FRAMES = 0.2, 2  # s, and frames of a step
 LANES, LANE_WIDTH = 3, 4.0  # m

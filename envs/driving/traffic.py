@@ -9,8 +9,6 @@ Inside, arrays are (N, R) or (lane, N, R), because XLA's loops run along the las
 are unrolled. 13 and 19 vehicles compile in seconds, `observe` with 31 in minutes.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -120,8 +118,7 @@ def _decide(scene: Scene, view: Any, outside: Array, lanes: int) -> tuple[Array,
     along, aside = speed * cos, speed * sin
     free = COMFORTABLE * (1 - jnp.exp(scene.delta * hurry))
 
-    # The vehicle ahead in each lane (L, N, R), and the one behind in the next lanes (2, N, R). XLA compiles each
-    # unrolled loop to one.
+    # The vehicle ahead in each lane (L, N, R), and the one behind in the next ones (2, N, R). XLA fuses them.
     number, side = (jnp.array(each, x.dtype)[:, None, None] for each in (range(lanes), (-1, 1)))
     ahead = [number + jnp.inf * jnp.ones_like(x), *[jnp.zeros((lanes, *x.shape), x.dtype)] * 2]
     behind = [side - jnp.inf * jnp.ones_like(x), *[jnp.zeros((2, *x.shape), x.dtype)] * 4]
@@ -157,8 +154,8 @@ def _decide(scene: Scene, view: Any, outside: Array, lanes: int) -> tuple[Array,
         & (follow(lane + side) - follow(lane) >= GAIN)
     )
 
-    # A change of lanes ends where a vehicle close ahead changes into the same lane. A driver sees the new decisions
-    # of drivers before it, and the old ones of drivers after it. So the loop ends, mostly after one round.
+    # A change of lanes ends where a vehicle close ahead changes into the same lane. A driver sees the new
+    # decisions of drivers before it, and the old ones of drivers after it. So the loop ends, mostly at once.
     claimed = jnp.where(outside | (scene.target == lane), -1.0, scene.target)
 
     def decide(last: Any) -> Any:

@@ -6,8 +6,6 @@ simulation. Its motor drives the joint towards an infinite speed by at most the 
 torque acts. RLLab's reward mirrors the tip from left to right, which is not done here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,10 +14,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never, runge_kutta
+from envs.dynamics import Draws, DynamicsBatch, namespace, never, runge_kutta
 from envs.learners import PPO
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -31,10 +28,9 @@ BEYOND = 0.5  # m, half the width of the drawing's ground
 class Physics:
     """Physics of two uniform rods (`envs.dynamics.Dynamics`). A state is the angle of each from hanging,
     anticlockwise [rad], and both rates [rad/s]. Each step pays minus the tip's distance [m] to its upright
-    place. It never terminates."""
+    place. It never terminates. Units: `gravity` m/s^2, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     mass: float = 0.5
     """Mass of each link [kg]."""
     length: float = 1.0
@@ -44,7 +40,6 @@ class Physics:
     max_rate: float = 50 * np.pi
     """Largest rate [rad/s], as in Box2D: a quarter of a turn in one of its steps of 0.01 s."""
     time_step: float = 0.02
-    """[s]"""
     parts: int = 4
     """Parts of a time step in the integration."""
     act_size = 1
@@ -78,13 +73,6 @@ class Physics:
         return xp.stack(
             [rate, other, (one / 3 - cos * two) / determinant, (4 / 3 * two - cos * one) / determinant]
         )
-
-    def energy(self, state: Array) -> Array:
-        """Return kinetic and potential energy [J], relative to the hinge."""
-        first, second, rate, other = state
-        size, weight = self.mass * self.length * self.length, self.mass * self.gravity * self.length
-        moving = 2 / 3 * rate * rate + other * other / 6 + np.cos(first - second) / 2 * rate * other
-        return np.asarray(size * moving - weight * (1.5 * np.cos(first) + np.cos(second) / 2))
 
     def observe(self, state: Any) -> Any:
         xp = namespace(state)
@@ -124,9 +112,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the links as lines, and a line at the hinge's height."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    inner: Any = env.unwrapped
     first, length = float(inner.state[0]), inner.physics.length
     elbow = [length * np.sin(first), -length * np.cos(first)]
     tip = [float(value) for value in inner.physics.tip(inner.state)]

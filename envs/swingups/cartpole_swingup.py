@@ -5,8 +5,6 @@ omit friction (RLLab's is 2e-6 to 5e-4), and correct no errors of a step by movi
 as cosine and sine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,10 +14,9 @@ import gymnasium as gym
 import numpy as np
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, runge_kutta, why_ended
+from envs.dynamics import Draws, DynamicsBatch, namespace, runge_kutta, why_ended
 from envs.learners import PPO, SMALL_PPO
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -30,22 +27,18 @@ HORIZON = 500
 class Physics:
     """Physics of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`). A state is the cart's
     position [m] and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s].
-    Each step pays the angle's cosine after it, and leaving the track pays -100."""
+    Each step pays the angle's cosine after it, and leaving the track pays -100. Units: `gravity` m/s^2,
+    `cart_mass` kg, `pole_mass` kg, `pole_length` m, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     cart_mass: float = 1.0
-    """[kg]"""
     pole_mass: float = 0.1
-    """[kg]"""
     pole_length: float = 1.0
-    """[m]"""
     max_force: float = 10.0
     """Force at an action of 1 [N]."""
     max_x: float = 3.0
     """Distance of the track's ends from its middle [m]."""
     time_step: float = 0.05
-    """[s]"""
     parts: int = 5
     """Parts of a time step in the integration."""
     act_size = 1
@@ -81,15 +74,6 @@ class Physics:
         turning = (total * fall - moment * cos * push) / determinant
         return xp.stack([velocity, acceleration, rate, turning])
 
-    def energy(self, state: Array) -> Array:
-        """Return kinetic and potential energy [J], relative to the hinge."""
-        _, velocity, angle, rate = state
-        moment = self.pole_mass * self.pole_length / 2
-        inertia = self.pole_mass * self.pole_length * self.pole_length / 3
-        moving = (self.cart_mass + self.pole_mass) * velocity * velocity + inertia * rate * rate
-        both = moment * np.cos(angle) * velocity * rate
-        return np.asarray(moving / 2 + both + moment * self.gravity * np.cos(angle))
-
     def observe(self, state: Any) -> Any:
         xp = namespace(state)
         x, velocity, angle, rate = state
@@ -121,9 +105,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the track, the cart as a box and the pole as a line."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    inner: Any = env.unwrapped
     x, _, angle, _ = (float(value) for value in inner.state)
     return draw_cart_and_pole(x, angle, inner.physics.max_x, inner.physics.pole_length)
 
@@ -155,11 +137,7 @@ SPEC = EnvSpec(
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
     shipped=Shipped(
-        steps=1_000_000,
-        bar=455.0,
-        terminated=0.01,
-        checkpoint_every=10_000,
-        rl=PPO(final_learning_rate=5e-5),
+        steps=1_000_000, bar=455.0, terminated=0.01, checkpoint_every=10_000, rl=PPO(final_learning_rate=5e-5)
     ),
     rl=replace(SMALL_PPO, copies=64, epochs=6, checkpoint_every=40_960),
     variants={

@@ -1,7 +1,5 @@
 """Gymnasium's `Pendulum-v1`: swing a pendulum up with a weak motor, and hold it upright."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,10 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never
+from envs.dynamics import Draws, DynamicsBatch, namespace, never
 from envs.learners import DDPG, SMALL_PPO
-from envs.shapes import Array, Quantity, Shape
-from envs.spec import EnvSpec, Shipped, register
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -24,20 +21,16 @@ HORIZON = 200
 class Physics:
     """Physics of a rod on a motor (`envs.dynamics.Dynamics`). A state is its angle from upright [rad] and its
     rate [rad/s]. A step pays -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and the torque before it,
-    as in Gymnasium."""
+    as in Gymnasium. Units: `gravity` m/s^2, `mass` kg, `length` m, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     mass: float = 1.0
-    """[kg]"""
     length: float = 1.0
-    """[m]"""
     max_torque: float = 2.0
     """Torque at an action of 1 [N m]."""
     max_rate: float = 8.0
     """Largest rate [rad/s]."""
     time_step: float = 0.05
-    """[s]"""
     act_size = 1
 
     @property
@@ -87,9 +80,7 @@ def phi(obs: Array, act: Array) -> Array:
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the rod as a line, and the point that it turns about."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    inner: Any = env.unwrapped
     angle, length = float(inner.state[0]), inner.physics.length
     tip = [-length * np.sin(angle), length * np.cos(angle)]
     return {

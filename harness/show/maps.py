@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from envs import EnvSpec
-from envs.shapes import Array
+from envs.spec import Array
 from harness.learn.exact import expected_rewards
 from methods.base import Policy, Reward
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from envs import EnvSpec
-from envs.shapes import Array
+from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Trajectory
 from harness.show.scenes import LONG, Scene

@@ -21,7 +21,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from envs.shapes import Array, Shape
+from envs.spec import Array, Shape
 from harness.learn.simulator import drawings
 
 FIXED = "scene/fixed"

@@ -4,8 +4,6 @@ A method's `fit` hands over to its version here in one line: `tabular(TabularMax
 without a version, such as `bc`, do the same in all tasks.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any, TypeVar, cast
 

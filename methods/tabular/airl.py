@@ -1,7 +1,5 @@
 """AIRL where the model is known: descent on the discriminator's loss, with both densities exact."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,16 +7,10 @@ import torch
 from torch.nn.functional import softplus
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import ADAM
-from methods.tabular.model import (
-    TabularReward,
-    demonstrated,
-    known_model,
-    soft_policy,
-    soft_value_iteration,
-    state_visitations,
-)
+from methods.tabular import model as mdp
+from methods.tabular.model import TabularReward, demonstrated, known_model
 
 
 @dataclass(frozen=True)
@@ -32,7 +24,7 @@ class TabularAIRL:
     known_rate: float = 0.1
     """Learning rate, by Adam."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Descend the loss, and solve for pi* under g."""
         model = known_model(world)
         density = demonstrated(demos, model).sum(axis=0)
@@ -70,6 +62,6 @@ def soft_visits(
     model: Model, g: Array, shape: tuple[int, ...], gamma: float, horizon: int
 ) -> tuple[Array, Array]:
     """Return the soft policy of g and the density of its states and actions, each of `shape` (S, A)."""
-    policy = soft_policy(soft_value_iteration(model.P, np.broadcast_to(g, shape), gamma)[1])
-    visits = state_visitations(model.P, policy, model.start, horizon).mean(axis=0)
+    policy = mdp.soft_policy(mdp.soft_value_iteration(model.P, np.broadcast_to(g, shape), gamma)[1])
+    visits = mdp.state_visitations(model.P, policy, model.start, horizon).mean(axis=0)
     return policy, visits[:, None] * policy

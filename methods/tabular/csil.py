@@ -1,14 +1,12 @@
 """Coherent soft imitation learning where the model is known: q is a table, and its reward is solved
 exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.tabular.model import TabularReward, demonstrated, known_model
 
 
@@ -19,7 +17,7 @@ class TabularCSIL:
     rl_steps: int = 40_000
     """Environment steps under R*, which an exact solve does not need."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Count actions, and solve for pi* under their reward."""
         model = known_model(world)
         reward = coherent_reward(demonstrated(demos, model).sum(axis=0) * len(demos), model)

@@ -1,23 +1,16 @@
 """f-IRL where the model is known: descent of the divergence by its exact gradient, also for stochastic
 dynamics, which the paper's theorem excludes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import ADAM
-from methods.tabular.model import (
-    TabularReward,
-    demonstrated,
-    finite_soft_value_iteration,
-    known_model,
-    state_visitations,
-)
+from methods.tabular import model as mdp
+from methods.tabular.model import TabularReward, demonstrated, known_model
 
 
 @dataclass(frozen=True)
@@ -29,7 +22,7 @@ class TabularFIRL:
     known_rate: float = 3e-2
     """Learning rate, by Adam."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Descend the divergence."""
         model = known_model(world)
         density = demonstrated(demos, model).sum(axis=(0, 2))
@@ -57,8 +50,8 @@ def forward_divergence(
     `expert` (S,): rho_E, which sums to 1. rho is the density of states of the soft policy of r up to the
     horizon.
     """
-    _, policies = finite_soft_value_iteration(model.P, r, horizon, gamma)
-    visits = state_visitations(model.P, policies, model.start, horizon)
+    _, policies = mdp.finite_soft_value_iteration(model.P, r, horizon, gamma)
+    visits = mdp.state_visitations(model.P, policies, model.start, horizon)
     rho, shown = visits.mean(axis=0), expert > 0
     divergence = float(expert[shown] @ np.log(expert[shown] / rho[shown]))
     change = np.divide(-expert, horizon * rho, out=np.zeros_like(rho), where=shown)

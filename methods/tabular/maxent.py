@@ -5,15 +5,13 @@ discount of the task, because rewards that explain the demonstrations without on
 with it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import ADAM, Network, mlp, standardiser
 from methods.rewards import StateReward
 from methods.tabular.model import demonstrated, finite_soft_value_iteration, known_model, state_visitations
@@ -30,7 +28,7 @@ class TabularMaxEnt:
     learning_rate: float = 1e-3
     """Learning rate of the reward, by Adam."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Ascend the likelihood of the demonstrations. The lines of algorithm 1 are numbered."""
         model = known_model(world)
         mean, std = standardiser(model.obs)

@@ -1,14 +1,12 @@
 """Linear maximum-entropy IRL where the model is known: the likelihood is concave in the weights, and L-BFGS
 maximises it together with their prior."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.rewards import LinearReward
 from methods.tabular.maxent import log_likelihood
 from methods.tabular.model import demonstrated, known_model
@@ -21,7 +19,7 @@ class TabularMaxEntLinear:
     weight_prior: float = 1e-3
     """Inverse variance of the Gaussian prior on weights."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Maximise the posterior density of the weights."""
         model = known_model(world)
         states, actions = model.P.shape[:2]

@@ -1,14 +1,12 @@
 """Apprenticeship learning by maximum margin where the model is known: exact solves and feature expectations,
 as in the paper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, Policy, World
+from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.margins import Margins, discounts, feature_expectations
 from methods.tabular.model import known_model, state_visitations
 
@@ -17,7 +15,7 @@ from methods.tabular.model import known_model, state_visitations
 class TabularMaxMargin(Margins):
     """Hyper-parameters of `methods.maxmargin.MaxMargin` where the model is known: the loop's."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate weights and exact solves, with exact feature expectations."""
         model = known_model(world)
 

@@ -9,20 +9,15 @@ Soft values are those of maximum causal entropy (Ziebart, Bagnell & Dey 2010): r
 actions, in nats. At a temperature t the soft value is t V(r / t).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from envs.models import Model
 from methods.base import Array, Episodes, Unsuitable, World
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True)
@@ -34,10 +29,10 @@ class Table:
 
     def at(self, obs: Array) -> Array:
         """Return the values (B, A) of the states at observations (B, O)."""
-        return self.values[self._tree.query(obs)[1]]
+        return np.asarray(self.values[self._tree.query(obs)[1]])
 
     @cached_property
-    def _tree(self) -> KDTree:
+    def _tree(self) -> Any:
         from scipy.spatial import KDTree  # takes half a second, which other tasks do not need
 
         return KDTree(self.obs)
@@ -58,8 +53,7 @@ class TabularReward(Table):
     absorbing: float = 0.0
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        rewards: Array = (self.at(obs) * act).sum(axis=1)
-        return rewards
+        return np.asarray((self.at(obs) * act).sum(axis=1))
 
 
 def known_model(world: World) -> Model:
@@ -85,16 +79,7 @@ def action_values(P: Array, r: Array, v: Array, gamma: float) -> Array:
     """Return r + gamma E[v(s')], (S, A), of values v (S,)."""
     if r.shape not in (P.shape[:1], P.shape[:2]) or not np.isfinite(r).all():
         raise ValueError(f"rewards must be finite, of shape (S,) or (S, A) of P {P.shape}, not {r.shape}")
-    q: Array = r.reshape(len(P), -1) + gamma * (P @ v)
-    return q
-
-
-def advantage(P: Array, r: Array, v: Array, gamma: float) -> Array:
-    """Return the advantage of each action over values v (S,): r + gamma E[v(s')] - v(s), (S, A).
-
-    It is also the expected reward shaped by the potential v (Ng, Harada & Russell 1999).
-    """
-    return action_values(P, r, v, gamma) - v[:, None]
+    return np.asarray(r.reshape(len(P), -1) + gamma * (P @ v))
 
 
 def value_iteration(P: Array, r: Array, gamma: float, tol: float = 1e-9) -> tuple[Array, Array]:
@@ -123,14 +108,12 @@ def finite_soft_value_iteration(P: Array, r: Array, horizon: int, gamma: float =
 
 def greedy(q: Array) -> Array:
     """Return the policy (S, A) of the best actions by q (S, A). Ties go to the first."""
-    policy: Array = np.eye(q.shape[1])[q.argmax(axis=1)]
-    return policy
+    return np.asarray(np.eye(q.shape[1])[q.argmax(axis=1)])
 
 
 def soft_policy(q: Array) -> Array:
     """Return the policy (S, A) in proportion to exp(q), q (S, A)."""
-    policy: Array = np.exp(q - _soft_maximum(q)[:, None])
-    return policy
+    return np.asarray(np.exp(q - _soft_maximum(q)[:, None]))
 
 
 def policy_value(P: Array, r: Array, policy: Array, gamma: float) -> Array:
@@ -189,14 +172,12 @@ def _fixed_point(
 
 def _soft_maximum(q: Array) -> Array:
     """Return log sum_a exp q(s, a), (S,)."""
-    v: Array = np.logaddexp.reduce(q, axis=1)
-    return v
+    return np.asarray(np.logaddexp.reduce(q, axis=1))
 
 
 def _state_chain(P: Array, policy: Array) -> Array:
     """Return the probability of each next state, given the state, (S, S)."""
-    chain: Array = (policy[:, None] @ P)[:, 0]
-    return chain
+    return np.asarray((policy[:, None] @ P)[:, 0])
 
 
 def _check_discount(gamma: float) -> None:

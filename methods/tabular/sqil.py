@@ -1,22 +1,13 @@
 """Soft Q imitation learning where the model is known: soft values of expected payments."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from envs.models import Model
-from methods.base import Array, Episodes, Learned, World
-from methods.tabular.model import (
-    TabularPolicy,
-    demonstrated,
-    discounted_visitations,
-    greedy,
-    known_model,
-    soft_policy,
-    soft_value_iteration,
-)
+from methods.base import Array, Episodes, Learned, Rng, World
+from methods.tabular import model as mdp
+from methods.tabular.model import TabularPolicy, demonstrated, known_model
 
 
 @dataclass(frozen=True)
@@ -26,11 +17,11 @@ class TabularSQIL:
     iterations: int = 100
     """Soft policies, each solved for with the visits of those before it."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Act greedily by the last soft Q."""
         model = known_model(world)
         q = soft_q(demonstrated(demos, model).sum(axis=0), model, world.gamma, self.iterations)
-        return Learned(TabularPolicy(model.obs, greedy(q)), None)
+        return Learned(TabularPolicy(model.obs, mdp.greedy(q)), None)
 
 
 def soft_q(expert: Array, model: Model, gamma: float, iterations: int) -> Array:
@@ -42,8 +33,8 @@ def soft_q(expert: Array, model: Model, gamma: float, iterations: int) -> Array:
     expert = expert / expert.sum()
     own = np.full_like(expert, 1 / expert.size)
     for i in range(iterations):
-        _, q = soft_value_iteration(model.P, expert / (expert + own), gamma)
-        policy = soft_policy(q)
-        visits = discounted_visitations(model.P, policy, model.start, gamma)[:, None] * policy
+        _, q = mdp.soft_value_iteration(model.P, expert / (expert + own), gamma)
+        policy = mdp.soft_policy(q)
+        visits = mdp.discounted_visitations(model.P, policy, model.start, gamma)[:, None] * policy
         own += (visits / visits.sum() - own) / (i + 2)
     return q

@@ -12,7 +12,7 @@ from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 from envs import EnvSpec, Shape, from_gymnasium
 from envs.learners import DDPG, DQN
 from envs.scaled import scaled
-from envs.shapes import Quantity
+from envs.spec import Quantity
 from harness.registry import SPECS, all_specs
 from harness.testing import ContractError, check_env
 from harness.testing.contract import Check

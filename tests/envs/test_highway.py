@@ -27,7 +27,7 @@ from envs.driving.highway import (
     look,
 )
 from envs.driving.scene import CRUISE, ELBOW_ROOM, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
-from envs.shapes import Array
+from envs.spec import Array
 from harness.learn.ppo import JaxDraws
 
 ROUNDING = 1e-9

@@ -11,7 +11,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from rerun.chunk import RrdReader
 
 from envs.point_maze import TARGET
-from envs.shapes import Array
+from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS
