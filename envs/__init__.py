@@ -1,5 +1,4 @@
-"""Tasks, one file each, in a folder where several are of a family. Importing a file registers its task with
-Gymnasium."""
+"""Tasks, one file each. Importing a file registers its task with Gymnasium."""
 
 from envs.gymnasium_tasks import from_gymnasium
 from envs.spec import BUDGETS, EnvSpec, Quantity, Shape

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from envs.spec import Array
 
-LARGEST = 1e100
-"""Largest size of a reward that counts as finite: sums of these are finite too."""
-INSTANCES = 3
-"""Instances of a task that are made to see whether they agree."""
+LARGEST = 1e100  # largest size of a reward that counts as finite: sums of these are finite too
+INSTANCES = 3  # instances of a task that are made to see whether they agree
 
 
 class Misgiven(ValueError):
@@ -72,8 +70,8 @@ def _flag(value: Any, role: str) -> bool:
 
 
 def check_numbers(task: str, size: int, obs: Array, rewards: Array, steps: Sequence[int]) -> None:
-    """Raise ValueError unless observations are (B, size), rewards are (B,), and all are finite. `steps`: of
-    each episode so far."""
+    """Raise ValueError unless observations (B, size) and rewards (B,) fit and are finite, after `steps`
+    each."""
     if obs.shape[1:] != (size,):
         raise ValueError(f"{task} gives an observation of the shape {obs.shape[1:]}, not ({size},)")
     if rewards.shape != obs.shape[:1]:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real
-from envs.spec import Array, Batch, EnvSpec
+from envs.spec import Array, Batch, EnvSpec, Flags
 
-TRIED = 100
-"""Steps of a trial of a task."""
+TRIED = 100  # steps of a trial of a task
 
 
 class Copies:
@@ -33,9 +32,7 @@ class Copies:
         self._check([place], obs[None], np.zeros(1))
         return obs
 
-    def step(
-        self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
         """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), and flags of
         termination and of truncation by the task itself, (B,) each."""
         self._steps[places] += 1
@@ -63,8 +60,7 @@ def alone(spec: EnvSpec, count: int = 1) -> Copies:
 
 
 def try_out(spec: EnvSpec) -> None:
-    """Step a task with random actions. Raises ValueError for values that no task may return, and the task's
-    own errors."""
+    """Step a task with random actions. Raises ValueError for bad values, and the task's own errors."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium warns of values that are refused here
         for _ in range(INSTANCES):
@@ -91,9 +87,7 @@ class _OneByOne:
             self._envs[place] = self._spec.make()
         return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
 
-    def step(
-        self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
         return gathered(
             self._envs[place].step(self._spec.native(action))
             for place, action in zip(places, act, strict=True)
@@ -103,7 +97,7 @@ class _OneByOne:
         return self._spec.why_ended(self._envs[place])
 
 
-def gathered(steps: Iterable[Any]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+def gathered(steps: Iterable[Any]) -> tuple[Array, Array, Flags, Flags]:
     """Return the results of Gymnasium's `step` for each copy as those of `Copies.step`. Raises `Misgiven`."""
     observations, others = list[NDArray[Any]](), list[tuple[float, bool, bool]]()
     for row, (obs, reward, terminated, truncated, _) in enumerate(steps):

@@ -7,9 +7,8 @@ from typing import Any, Protocol, runtime_checkable
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from envs.spec import Array
+from envs.spec import Array, Flags, Floats
 
 
 class Draws(Protocol):
@@ -56,7 +55,7 @@ class Dynamics(Hashable, Protocol):
         """Return why an episode of one copy terminated in a state, in a few words."""
 
 
-class DynamicsEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class DynamicsEnv(gym.Env[Floats, Floats]):
     """One copy of dynamics as an environment."""
 
     def __init__(self, physics: Dynamics) -> None:
@@ -68,14 +67,12 @@ class DynamicsEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats, dict[str, Any]]:
         super().reset(seed=seed)
         self.state = self.physics.start(self.np_random)
         return self.physics.observe(self.state).astype(np.float32), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         physics, before = self.physics, self.state
         act = np.clip(action, -1, 1).astype(np.float64)
         self.state = physics.advance(before, act)
@@ -99,7 +96,7 @@ class DynamicsBatch:
         self._states[:, place] = self._env.state
         return obs.astype(np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         assert self._states is not None
         physics, before = self._env.physics, self._states[:, places]
         if act.shape != (len(places), physics.act_size):
@@ -133,8 +130,8 @@ def never(state: Any) -> Any:
 
 
 def runge_kutta(rates: Callable[[Any], Any], state: Any, seconds: float, parts: int) -> Any:
-    """Return the state after `seconds`, by the classical fourth-order method in equal `parts`. `rates`:
-    derivative of a state."""
+    """Return the state after `seconds`, by the classical fourth-order method. `rates`: a state's
+    derivative."""
     dt = seconds / parts
     for _ in range(parts):
         first = rates(state)

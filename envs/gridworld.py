@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from envs.learners import DQN
 from envs.models import Tabular
-from envs.spec import Array, EnvSpec, Quantity, Shape, register
+from envs.spec import Array, EnvSpec, Floats, Quantity, Shape, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -114,7 +114,7 @@ def transitions(size: int, slip: float) -> Array:
     return model
 
 
-class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
+class GridWorld(gym.Env[Floats, np.int64]):
     """A `Tabular` as an environment, by default `WORLD`. `state` and `info["state"]` are the state. The
     reward is that of the state before the action. It never terminates."""
 
@@ -126,16 +126,16 @@ class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats, dict[str, Any]]:
         super().reset(seed=seed)
         return self._arrive(self.tabular.start)
 
-    def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         reward = float(self.tabular.reward[self.state])
         obs, info = self._arrive(self.tabular.P[self.state, action])
         return obs, reward, False, False, info
 
-    def _arrive(self, distribution: Array) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def _arrive(self, distribution: Array) -> tuple[Floats, dict[str, Any]]:
         """Draw the next state from probabilities (S,), and return its observation and info."""
         self.state = int(self.np_random.choice(len(distribution), p=distribution))
         return self.tabular.obs[self.state].astype(np.float32), {"state": self.state}
@@ -149,8 +149,7 @@ COLOURS = {1.0: (120, 190, 120), -1.0: (220, 130, 120), 0.0: (200, 200, 200)}
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """Return a square for each cell, a metre wide, green for reward 1 and red for -1, and a diamond for the
-    agent."""
+    """Return a square for each cell, green for reward 1 and red for -1, and a diamond for the agent."""
     inner: Any = env.unwrapped
     square = 0.46 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     diamond = 0.35 * np.array([[-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]])

@@ -16,8 +16,7 @@ from envs.learners import DQN
 from envs.scaled import scaled, time_limit, wrappers
 from envs.spec import EnvSpec
 
-RANDOM_STEPS = 1000
-"""Steps of random actions that estimate a typical size of observations."""
+RANDOM_STEPS = 1000  # steps of random actions that estimate a typical size of observations
 
 
 def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
@@ -47,8 +46,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
 
 
 def _of_actions(env: gym.Env[Any, Any], env_id: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a spec that depend on the actions. Raises ValueError for other actions than
-    choices and bounded real numbers."""
+    """Return fields that depend on actions. Raises ValueError unless these are choices or bounded reals."""
     act = env.action_space
     if isinstance(act, spaces.Discrete):
         return {"act_size": int(act.n), "discrete": True, "rl": DQN()}

@@ -115,15 +115,13 @@ SMALL_PPO = PPO(
     copies=32, steps=64, batch=256, learning_rate=1e-3, final_learning_rate=0.0, checkpoint_every=8192
 )
 """PPO for tasks that take some ten thousand steps."""
-FEW_JOINTS = replace(SMALL_PPO, std=0.5, check_episodes=5)
-"""PPO for MuJoCo's bodies of few joints."""
+FEW_JOINTS = replace(SMALL_PPO, std=0.5, check_episodes=5)  # PPO for MuJoCo's bodies of few joints
 
 Learner = DDPG | TD3 | SAC | DQN | PPO
 
 
 def soft(learner: Learner, discrete: bool) -> SAC | DQN:
-    """Return soft actor-critic, or DQN where actions are choices, with the settings that it shares with a
-    task's learner."""
+    """Return soft actor-critic, or DQN for choices, with the settings that it shares with the learner."""
     if isinstance(learner, SAC | DQN):
         return learner
     if discrete:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-9
-"""Largest distance from 1 of a sum of probabilities."""
+ROUNDING = 1e-9  # largest distance from 1 of a sum of probabilities
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from envs.checks import real
 from envs.copies import gathered
 from envs.scaled import scaled
-from envs.spec import Array
+from envs.spec import Array, Flags
 
 WALKERS = (HopperEnv, Walker2dEnv)
 """Tasks that are stepped without their own code, which takes up to a third of a step's time."""
@@ -39,9 +39,7 @@ class MujocoBatch:
     def reset(self, place: int, seed: int) -> Array:
         return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
 
-    def step(
-        self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
         native, envs = self._scaled.action(act.astype(np.float32)), [self._envs[place] for place in places]
         if type(envs[0]) in WALKERS:
             return walk(envs, native)
@@ -51,7 +49,7 @@ class MujocoBatch:
         return self._why_ended(self._envs[place])
 
 
-def walk(envs: Sequence[Any], act: NDArray[Any]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+def walk(envs: Sequence[Any], act: NDArray[Any]) -> tuple[Array, Array, Flags, Flags]:
     """Step walkers, and return the results of their own code, computed at once for all."""
     first, model = envs[0], envs[0].model
     states = np.empty((2, len(envs), model.nq + model.nv))

@@ -17,10 +17,8 @@ from envs.spec import EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
-WEAK = 0.3
-"""Strength of a weak motor, as a share of the usual."""
-SIDE, TOP = [0, 2], [0, 1]
-"""Axes of a drawing."""
+WEAK = 0.3  # strength of a weak motor, as a share of the usual
+SIDE, TOP = [0, 2], [0, 1]  # axes of a drawing
 COLOURS = ((66, 133, 244), (234, 134, 51), (52, 168, 83), (171, 71, 188))
 GREY = (140, 140, 140)
 
@@ -100,8 +98,7 @@ def slides(joint: Any) -> bool:
 
 
 def joints_of(model: mujoco.MjModel, skipped: int) -> tuple[Quantity, ...]:
-    """Return the names of the joints' positions, without the first `skipped` ones, and then of their
-    rates."""
+    """Return the names of joint positions, without the first `skipped` ones, and then of their rates."""
     joints = [model.joint(i) for i in range(model.njnt)]
     units = ["m" if slides(joint) else "rad" for joint in joints]
     places = [Quantity(joint.name, unit) for joint, unit in zip(joints, units, strict=True)]

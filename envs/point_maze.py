@@ -30,8 +30,7 @@ HEIGHT = 0.3  # m, of the inner wall
 START, TARGET = (0.3, 0.0), (0.3, 0.5)  # m
 RADIUS, WALL = 0.03, 0.02  # m, of the ball; half of a wall's width
 FRAME_SKIP, FRAME = 5, 0.01  # s
-ENERGY = 0.001
-"""Cost of the squared action."""
+ENERGY = 0.001  # cost of the squared action
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,8 @@ NOMINAL = Physics()
 
 
 class PointMaze(MujocoEnv, EzPickle):
-    """Observation (4,): the ball's position [m] and velocity [m/s]. Action (2,) in [-1, 1]: force [N]. Each
-    step pays minus the distance to the target before it, less 0.001 of the action's square. It never
-    terminates."""
+    """Observation (4,): position [m] and velocity [m/s]. Action (2,) in [-1, 1]: force [N]. Each step pays
+    minus the distance to the target before it, less 0.001 of the action's square. It never terminates."""
 
     metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 20}  # noqa: RUF012
 

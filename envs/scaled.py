@@ -16,8 +16,7 @@ UNEVEN = 0.01
 
 
 class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
-    """An environment with actions in [-1, 1], in 32 bits, or choices from 0 on. An action with two equal
-    bounds always has that value."""
+    """An environment with actions in [-1, 1], in 32 bits, or choices from 0. Equal bounds fix an action."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)

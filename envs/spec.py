@@ -18,6 +18,8 @@ from envs.models import Tabular
 from envs.scaled import scaled, time_limit
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 BUDGETS = ("smoke", "quick", "full")
 
 
@@ -47,15 +49,15 @@ def _budgets(smoke: int, quick: int, full: int) -> dict[str, int]:
 
 
 class Batch(Protocol):
-    """Copies of an environment that step together, numbered from 0. Each is reset before it is stepped. They
-    have no time limits."""
+    """Copies of an environment that step together, numbered from 0, each reset first. They have no time
+    limits."""
 
     def reset(self, place: int, seed: int) -> Array:
         """Return the first observation of the copy's next episode, (O,)."""
 
     def step(
         self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_]] | tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[Array, Array, Flags] | tuple[Array, Array, Flags, Flags]:
         """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), flags of termination
         (B,) and, where the task itself truncates episodes, flags of truncation (B,)."""
 
@@ -103,10 +105,9 @@ class EnvSpec:
     horizon: int
     """Steps after which an episode is truncated, unless the task itself truncates it before."""
     obs_names: tuple[Quantity, ...] | None = None
-    """Names of observations, all different, None for 'obs 0', 'obs 1', ...; read them as `observations`."""
+    """Names of observations, None for 'obs 0', 'obs 1', ...; read them as `observations`."""
     act_names: tuple[Quantity, ...] | None = None
-    """Names of entries of an action, all different, None for 'act 0', 'act 1', ...; read them as
-    `actions`."""
+    """Names of entries of an action, None for 'act 0', 'act 1', ...; read them as `actions`."""
     public_bounds: tuple[float, float] | None = None
     """Lowest and highest action of the public environment behind the task, None for -1 and 1."""
     summary: str = ""
@@ -210,8 +211,7 @@ class EnvSpec:
         return env
 
     def variant(self, name: str) -> EnvSpec:
-        """Return one of `variants` as a task without shipped experts. Raises ValueError for an unknown
-        name."""
+        """Return one of `variants` as a task without experts. Raises ValueError for an unknown name."""
         if name not in self.variants:
             known = ", ".join(self.variants) or "none"
             raise ValueError(f"{self.name}: no variant {name!r}; there are: {known}")

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Rng, Transitions, World
@@ -95,7 +96,7 @@ class Game:
         """Return the agent's latest steps, at most `latest`."""
         return agent.replay().last(self.latest)
 
-    def discriminator(self, logit: torch.nn.Module, generator: torch.Generator) -> Discriminator:
+    def discriminator(self, logit: nn.Module, generator: torch.Generator) -> Discriminator:
         """Return an untrained discriminator."""
         optimizer = torch.optim.Adam(logit.parameters(), self.learning_rate, **ADAM)
         return Discriminator(self, logit, optimizer, generator)
@@ -107,7 +108,7 @@ class Discriminator:
     probability that a step is demonstrated."""
 
     game: Game
-    logit: torch.nn.Module
+    logit: nn.Module
     optimizer: torch.optim.Optimizer
     generator: torch.Generator
 
@@ -125,9 +126,7 @@ class Discriminator:
         return errors.item()
 
 
-def contrast_among_living(
-    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
-) -> Contrast:
+def contrast_among_living(network: nn.Module, a: Tensor, b: Tensor, generator: torch.Generator) -> Contrast:
     """Return the contrast of rows a (B, K) and b (B, K), whose last entry is the absorbing indicator. Its
     slope is over pairs of two living steps only. A step that terminates is a living one.
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from methods.adversarial import Game, Turn
 from methods.base import Array, Episodes, Learned, Rng, StochasticPolicy, Transitions, Unsuitable, World
@@ -79,8 +80,7 @@ class AIRL(Game):
 
 
 def as_transitions(demos: Episodes) -> Transitions:
-    """Return every step, with `ABSORBING_STEPS` in the absorbing state after each end. Raises Unsuitable
-    unless every step is shown."""
+    """Return every step, with absorbing steps after each end. Raises Unsuitable unless all are shown."""
     if not demos.whole:
         raise Unsuitable("AIRL learns from demonstrations of which every step is shown")
     return Transitions.of(demos).absorbed()
@@ -99,25 +99,25 @@ def described(steps: Transitions, logs: Array, mean: Array, std: Array, actions:
     return np.column_stack([logs, visited(after, mean, std, False), visited(steps, mean, std, actions)])
 
 
-class Logit(torch.nn.Module):
+class Logit(nn.Module):
     """The logit f - log pi of rows (B, 1 + O + 1 + K). A row is log pi, the next observation, its absorbing
     indicator, and the input of g: the observation, any action, and the absorbing indicator."""
 
-    def __init__(self, g: torch.nn.Module, h: torch.nn.Module, gamma: float) -> None:
+    def __init__(self, g: nn.Module, h: nn.Module, gamma: float) -> None:
         super().__init__()
         self.g, self.h, self.gamma = g, h, gamma
 
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         size = next(self.h.parameters()).shape[1]
         logs, after, now = torch.tensor_split(rows, (1, 1 + size), dim=1)
         before = torch.cat([now[:, : size - 1], now[:, -1:]], dim=1)
         shaping = self.gamma * self._potential(after) - self._potential(before)
-        f: torch.Tensor = self.g(now) + shaping - logs
+        f: Tensor = self.g(now) + shaping - logs
         return f
 
-    def _potential(self, x: torch.Tensor) -> torch.Tensor:
+    def _potential(self, x: Tensor) -> Tensor:
         """Return h, which is 0 in the absorbing state."""
-        h: torch.Tensor = self.h(x) * (1 - x[:, -1:])
+        h: Tensor = self.h(x) * (1 - x[:, -1:])
         return h
 
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from envs.models import Model
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Rng = np.random.Generator
-ABSORBING_STEPS = 5
-"""Steps that an agent stays in the absorbing state before its episode is truncated."""
+Phi = Callable[[Array, Array], Array]  # features (B, K) of observations (B, O) and actions (B, A)
+ABSORBING_STEPS = 5  # steps that an agent stays in the absorbing state before its episode is truncated
 RandomActions = Callable[[int, Rng], Array]
 """A function of a count that returns as many uniform actions, (count, A)."""
 
@@ -32,8 +33,7 @@ class Policy(Protocol):
 
 
 class StochasticPolicy(Protocol):
-    """A policy that draws actions in [-1, 1]^A from a density or, where actions are choices, from
-    probabilities."""
+    """A policy that draws actions in [-1, 1]^A from a density, or choices from probabilities."""
 
     def sample(self, obs: Array, rng: Rng) -> Array:
         """Return an action for each observation (B, O), (B, A)."""
@@ -71,9 +71,9 @@ class Transitions:
     obs: Array
     act: Array
     next_obs: Array
-    absorbing: NDArray[np.bool_]
-    next_absorbing: NDArray[np.bool_]
-    demonstrated: NDArray[np.bool_]
+    absorbing: Flags
+    next_absorbing: Flags
+    demonstrated: Flags
 
     def __len__(self) -> int:
         return len(self.act)
@@ -90,12 +90,7 @@ class Transitions:
 
     @classmethod
     def own(
-        cls,
-        obs: Array,
-        act: Array,
-        next_obs: Array,
-        absorbing: NDArray[np.bool_],
-        next_absorbing: NDArray[np.bool_],
+        cls, obs: Array, act: Array, next_obs: Array, absorbing: Flags, next_absorbing: Flags
     ) -> Transitions:
         """Return an agent's own steps, all not demonstrated."""
         return cls(obs, act, next_obs, absorbing, next_absorbing, np.zeros(len(act), bool))
@@ -215,12 +210,11 @@ class Agent(Protocol):
 
     @property
     def behaviour(self) -> StochasticPolicy:
-        """The policy that it explores with. Raises ValueError before `learn`, and for learners whose policy
-        is deterministic."""
+        """The exploring policy. Raises ValueError before `learn`, and for learners with a deterministic
+        one."""
 
     def replay(self) -> Transitions:
-        """Return its replay buffer, the oldest step first. Raises ValueError before `learn`, and where the
-        model is known."""
+        """Return its replay buffer, oldest first. Raises ValueError before `learn`, and in known models."""
 
 
 class World(Protocol):

@@ -11,8 +11,7 @@ import numpy as np
 from methods.base import Array
 from methods.network import Network
 
-COMPILED_ROWS = 512
-"""Rows that a compiled mean of networks answers at a time."""
+COMPILED_ROWS = 512  # rows that a compiled mean of networks answers at a time
 
 
 @dataclass(frozen=True)

@@ -28,14 +28,11 @@ from methods.tabular import tabular
 from methods.tabular.csil import TabularCSIL
 from methods.visits import seen_by_both
 
-UNIFORM = 3**-0.5
-"""Standard deviation of uniform actions, and of p, which is normal."""
+UNIFORM = 3**-0.5  # standard deviation of uniform actions, and of p, which is normal
 WIDTHS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Candidate widths of the kernel, in standard deviations of observations times the root of their number."""
-NOISES = (0.3, 0.1, 0.03, 0.01)
-"""Candidate standard deviations of q's actions near demonstrations."""
-JITTER = 1e-6
-"""Term added to the kernel of a place with itself, because places may be alike."""
+NOISES = (0.3, 0.1, 0.03, 0.01)  # candidate standard deviations of q's actions near demonstrations
+JITTER = 1e-6  # term added to the kernel of a place with itself, because places may be alike
 
 
 @dataclass(frozen=True)
@@ -56,8 +53,7 @@ class CSIL(BehaviourCloning):
     """Episodes of random actions that standardise observations."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Fit q, and learn under its reward. Raises Unsuitable where actions are choices, unless the model is
-        known."""
+        """Fit q, and learn under its reward. Raises Unsuitable for choices, unless the model is known."""
         if world.model is not None:
             return tabular(TabularCSIL, self).fit(demos, world, rng)
         if world.discrete:
@@ -129,8 +125,7 @@ class GaussianProcess:
 
 
 def kernel(x: Array, places: Array, width: float) -> Array:
-    """Return exp(-|x - place|^2 / 2 w^2) for x (B, O) and places (M, O), (B, M). w is `width` times the root
-    of O."""
+    """Return exp(-|x - place|^2 / 2 w^2), (B, M), for x (B, O) and places (M, O). w is `width` * sqrt(O)."""
     distances: Array = cdist(x, places, "sqeuclidean")
     return np.asarray(np.exp(-distances / (2 * width**2 * places.shape[1])))
 
@@ -156,8 +151,7 @@ def evidence(squares: Array, along: Array, act: Array, noise: float) -> float:
 
 @dataclass(frozen=True)
 class CoherentReward:
-    """The reward (log q - log p) / A for actions of A entries, at least `floor`. It is 0 in the absorbing
-    state, where q is p."""
+    """The reward (log q - log p) / A for A entries, at least `floor`. In the absorbing state q is p."""
 
     q: GaussianProcess
     floor: float

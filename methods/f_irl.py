@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import nn
 
 from methods.adversarial import Game, Turn, contrast_among_living
 from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Rng, Transitions, World
@@ -28,8 +29,7 @@ from methods.tabular import tabular
 from methods.tabular.f_irl import TabularFIRL
 from methods.visits import sample, visitations, visited
 
-LARGEST_LOG = 5.0
-"""Bound of log density ratios."""
+LARGEST_LOG = 5.0  # bound of log density ratios
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def trajectory(episode: Episodes, mean: Array, std: Array) -> tuple[Array, Array
     return rows, counts
 
 
-def weigh(trajectories: list[tuple[Array, Array]], logit: torch.nn.Module) -> Array:
+def weigh(trajectories: list[tuple[Array, Array]], logit: nn.Module) -> Array:
     """Return all rows (M, K) of the trajectories, each with its weight, (M, K + 1).
 
     A trajectory's mean density ratio exp(logit) is standardised among trajectories. A row's weight is that

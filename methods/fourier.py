@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array, Rng
+from methods.base import Array, Phi, Rng
 from methods.network import standardiser
 
 
@@ -19,7 +18,7 @@ class FourierFeatures:
     `mean`, `std`: of observations, (O,). `frequencies`: (O + A, F). `phases`: (F,).
     """
 
-    phi: Callable[[Array, Array], Array]
+    phi: Phi
     mean: Array
     std: Array
     frequencies: Array
@@ -27,13 +26,7 @@ class FourierFeatures:
 
     @classmethod
     def drawn(
-        cls,
-        phi: Callable[[Array, Array], Array],
-        obs: Array,
-        act_size: int,
-        count: int,
-        width: float,
-        rng: Rng,
+        cls, phi: Phi, obs: Array, act_size: int, count: int, width: float, rng: Rng
     ) -> FourierFeatures:
         """Return random features with F = `count`. `width`: the kernel's, in standard deviations of
         observations (N, O) and in units of actions."""

@@ -9,12 +9,10 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Policy, Rng, World
+from methods.base import Array, Episodes, Learned, Phi, Policy, Rng, World
 from methods.rewards import LinearReward
 
-TINY = 1e-9
-"""Smallest margin that counts, for weights that separate nothing."""
-Phi = Callable[[Array, Array], Array]
+TINY = 1e-9  # smallest margin that counts, for weights that separate nothing
 
 
 @dataclass(frozen=True)
@@ -30,8 +28,7 @@ class Margins:
     final_share: float = 0.5
     """Environment steps under R*, as a share of a solve from scratch."""
     epsilon: float = 0.01
-    """Largest margin t at which the loop stops. Feature expectations are scaled to discounts that sum to
-    1."""
+    """Largest margin t at which the loop stops, for feature expectations with discounts that sum to 1."""
     projection: bool = False
     """True for weights of the projection method, False for those of the margin problem."""
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array, Episodes, Learned, Policy, Rng, World
+from methods.base import Array, Episodes, Learned, Phi, Policy, Rng, World
 from methods.fourier import FourierFeatures
-from methods.margins import Margins, Phi, feature_expectations
+from methods.margins import Margins, feature_expectations
 from methods.tabular import tabular
 from methods.tabular.maxmargin import TabularMaxMargin
 from methods.visits import seen_by_both

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from methods.base import Array, Rng
@@ -19,12 +20,9 @@ from methods.soap import Soap
 torch.set_num_threads(1)
 
 ADAM: dict[str, Any] = {"fused": True}
-"""Options of torch's Adam. Its default is slower, and its square roots differ between makers of
-processors."""
-NEAR = 0.1
-"""Distance over which slopes are measured, in standard deviations."""
-LARGEST_MEAN = 0.999
-"""Largest mean action, in size, that networks begin with."""
+"""Options of torch's Adam. Its default is slower, and differs between makers of processors."""
+NEAR = 0.1  # distance over which slopes are measured, in standard deviations
+LARGEST_MEAN = 0.999  # largest mean action, in size, that networks begin with
 ROWS = 1024
 """Rows that a network answers at a time. Their activations fit into a processor's cache."""
 
@@ -53,8 +51,7 @@ class Network:
 
     @cached_property
     def _layers(self) -> list[tuple[Array, Array]]:
-        """Weight and bias of each layer, in float64 and row by row. Products of other layouts round
-        differently."""
+        """Weights and biases in float64, row by row. Products of other layouts round differently."""
         layers = zip(self.weights, self.biases, strict=True)
         return [(np.ascontiguousarray(w, np.float64), np.ascontiguousarray(b, np.float64)) for w, b in layers]
 
@@ -65,9 +62,9 @@ class Network:
         return self.mean.tobytes(), self.std.tobytes(), shapes, self.tanh
 
     @classmethod
-    def from_torch(cls, layers: torch.nn.Module, mean: Array, std: Array, tanh: bool = False) -> Network:
+    def from_torch(cls, layers: nn.Module, mean: Array, std: Array, tanh: bool = False) -> Network:
         """Return the network of a stack of Linear and ReLU layers. `tanh`: True if a tanh follows them."""
-        linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
+        linear = [m for m in layers.modules() if isinstance(m, nn.Linear)]
         weights = tuple(m.weight.detach().cpu().double().numpy().T.copy() for m in linear)
         biases = tuple(m.bias.detach().cpu().double().numpy().copy() for m in linear)
         return cls(mean, std, weights, biases, tanh)
@@ -113,7 +110,7 @@ class _Product(torch.autograd.Function):
     all processors have, is faster than torch's."""
 
     @staticmethod
-    def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
         ctx.save_for_backward(x, weight)
         y = x.detach().numpy() @ weight.detach().numpy().T
         y += bias.detach().numpy()
@@ -121,7 +118,7 @@ class _Product(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         x, weight = (saved.detach().numpy() for saved in ctx.saved_tensors)
         g = grad.numpy()
         to_x = torch.from_numpy(g @ weight) if ctx.needs_input_grad[0] else None
@@ -130,26 +127,26 @@ class _Product(torch.autograd.Function):
         return to_x, torch.from_numpy(g.T @ x), torch.from_numpy(to_bias)
 
 
-class Linear(torch.nn.Linear):
+class Linear(nn.Linear):
     """A layer of torch on the CPU, which can be differentiated once."""
 
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        product: torch.Tensor = _Product.apply(x, self.weight, self.bias)  # type: ignore[no-untyped-call]
+    def forward(self, x: Tensor) -> Tensor:
+        product: Tensor = _Product.apply(x, self.weight, self.bias)  # type: ignore[no-untyped-call]
         return product
 
 
-def mlp(*sizes: int, generator: torch.Generator) -> torch.nn.Sequential:
+def mlp(*sizes: int, generator: torch.Generator) -> nn.Sequential:
     """Return linear layers with ReLU between them, initialised by torch's rule from the generator."""
-    layers: list[torch.nn.Module] = []
+    layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         linear = Linear(inputs, outputs)
         for parameter in linear.parameters():
-            torch.nn.init.uniform_(parameter, -(inputs**-0.5), inputs**-0.5, generator=generator)
-        layers += [linear, torch.nn.ReLU()]
-    return torch.nn.Sequential(*layers[:-1])
+            nn.init.uniform_(parameter, -(inputs**-0.5), inputs**-0.5, generator=generator)
+        layers += [linear, nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
 
 
-def begin_with(layers: torch.nn.Module, act: Array, spread: Array) -> None:
+def begin_with(layers: nn.Module, act: Array, spread: Array) -> None:
     """Set the last bias such that tanh(spread * layers(x)) begins near the mean of actions (N, A). An
     optimizer would take long to get there where the spread (A,) is small."""
     *_, bias = layers.parameters()
@@ -166,17 +163,13 @@ def standardiser(x: Array) -> tuple[Array, Array]:
 class Contrast(NamedTuple):
     """A network's outputs for two batches of rows, (B, 1) each, and its mean squared slope between them."""
 
-    a: torch.Tensor
-    b: torch.Tensor
-    squared_slope: torch.Tensor
+    a: Tensor
+    b: Tensor
+    squared_slope: Tensor
 
 
 def contrast(
-    network: torch.nn.Module,
-    a: torch.Tensor,
-    b: torch.Tensor,
-    generator: torch.Generator,
-    among: torch.Tensor | None = None,
+    network: nn.Module, a: Tensor, b: Tensor, generator: torch.Generator, among: Tensor | None = None
 ) -> Contrast:
     """Return a network's outputs for rows a (B, K) and b (B, K), and its slope between the rows of each pair.
 
@@ -194,7 +187,7 @@ def contrast(
 
 
 def descend(
-    loss: Callable[..., torch.Tensor],
+    loss: Callable[..., Tensor],
     optimizer: torch.optim.Optimizer,
     data: Sequence[Array],
     steps: int,
@@ -233,8 +226,8 @@ class Regression:
 
     def minimise(
         self,
-        loss: Callable[..., torch.Tensor],
-        networks: Sequence[torch.nn.Module],
+        loss: Callable[..., Tensor],
+        networks: Sequence[nn.Module],
         data: Sequence[Array],
         rng: Rng,
         shares: Sequence[float] | None = None,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
+from torch import nn
 
-from methods.base import Array, Episodes, RandomActions, Reward, Rng
+from methods.base import Array, Episodes, Phi, RandomActions, Reward, Rng
 from methods.compiled import MeanNetwork
 from methods.network import ROWS, Network
 
@@ -27,10 +26,9 @@ class Constant:
 
 @dataclass(frozen=True)
 class LinearReward:
-    """The reward w^T phi(s, a), with weights w (K + 1,), the last of which is `absorbing`. `phi`:
-    features."""
+    """The reward w^T phi(s, a) of features `phi`. `absorbing` is the last of the weights w (K + 1,)."""
 
-    phi: Callable[[Array, Array], Array]
+    phi: Phi
     w: Array
 
     @property
@@ -65,17 +63,11 @@ class NetworkReward:
 
     @classmethod
     def of(
-        cls,
-        layers: torch.nn.Module,
-        mean: Array,
-        std: Array,
-        *,
-        bound: float | None = None,
-        actions: bool = True,
+        cls, layers: nn.Module, mean: Array, std: Array, *, bound: float | None = None, actions: bool = True
     ) -> NetworkReward:
         """Return the reward of torch layers on standardised observations (`mean`, `std`), actions and the
         indicator. `bound`: factor of the layers' tanh, None for their output as it is."""
-        linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
+        linear = [m for m in layers.modules() if isinstance(m, nn.Linear)]
         rest = linear[0].in_features - len(mean)
         shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
         network = Network.from_torch(layers, shift, scale, tanh=bound is not None)

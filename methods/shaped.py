@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 from methods.rewards import default_absorbing
 
-FIRST_L = 0.01
-"""Factor of the last weights of L that torch draws."""
+FIRST_L = 0.01  # factor of the last weights of L that torch draws
 SHARE_OF_L = 0.03
 """Learning rate of L, as a share of that of f. SOAP's steps do not shrink where L hardly matters, and would
 carry it away far from demonstrations."""
@@ -58,11 +58,11 @@ class Shaped(Regression):
         bias.data *= FIRST_L
         parameters = [*f.parameters(), *chol.parameters()]
 
-        def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        def loss(s: Tensor, a: Tensor) -> Tensor:
             action = torch.tanh(unit * f(s))
             reward = shaped_reward(a, action, chol(s))
             error = ((a - action) / unit).square().sum(1).mean()
-            total: torch.Tensor = error - reward.mean() / unit.square().mean()
+            total: Tensor = error - reward.mean() / unit.square().mean()
             if not self.weight_decay:
                 return total
             return total + self.weight_decay * sum(p.square().sum() for p in parameters)
@@ -75,7 +75,7 @@ class Shaped(Regression):
         return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve}, reward.size_of_l(obs))
 
 
-def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch.Tensor:
+def shaped_reward(a: Tensor, f: Tensor, chol: Tensor) -> Tensor:
     """Return eq. 4.3 for actions (B, A), f(s) (B, A) and L(s) (B, A * A), (B,)."""
     size = a.shape[1]
     d = (a - f).unsqueeze(1)

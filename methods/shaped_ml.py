@@ -26,16 +26,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from scipy import linalg, optimize
+from torch import Tensor
 
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, mlp, standardiser
 from methods.rewards import default_absorbing
 from methods.shaped import Shaped, ShapedReward, shaped_reward
 
-CONDITION = 100
-"""Largest condition number of C, about."""
-STABLE = 0.999
-"""Largest eigenvalue of a discounted closed loop."""
+CONDITION = 100  # largest condition number of C, about
+STABLE = 0.999  # largest eigenvalue of a discounted closed loop
 
 
 @dataclass(frozen=True)
@@ -64,10 +63,10 @@ class ShapedML(Shaped):
         *_, bias = chol.parameters()
         bias.data = torch.as_tensor(start.flatten(), dtype=torch.float32)
 
-        def loss(s: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
+        def loss(s: Tensor, d: Tensor) -> Tensor:
             L = chol(s).view(-1, size, size)
             M = L @ L.mT + torch.eye(size)
-            quadratic: torch.Tensor = (M * C).sum((1, 2)) - shaped_reward(d, torch.zeros_like(d), L)
+            quadratic: Tensor = (M * C).sum((1, 2)) - shaped_reward(d, torch.zeros_like(d), L)
             return (quadratic - torch.logdet(M)).mean()
 
         obs, act = demos.pairs()

@@ -4,7 +4,7 @@ R of eq. 4.3 is 0, its best, wherever the action is f(s). It ranks actions in a 
 the policy is f, fitted as in `methods.shaped`, and the reward is one of states alone. It ranks f the higher,
 the fewer of f's actions are replaced by random ones. Logistic regression learns it from such comparisons
 (Bradley & Terry 1952). They are of sums of rewards over states of two levels, i with less noise than j. Only
-rollouts touch a task.
+rollouts act.
 
     max over r of E log sigma(sum_(s in i) r(s) - sum_(s in j) r(s))
 
@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, Rng, World
@@ -33,8 +34,7 @@ from methods.shaped import Shaped
 from methods.stochastic import roughened
 from methods.visits import visitations
 
-SEEN = 1000
-"""Observations of each level that standardise all."""
+SEEN = 1000  # observations of each level that standardise all
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ShapedRanked(Shaped):
         for i in range(self.networks):
             network = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
 
-            def loss(*states: torch.Tensor, network: torch.nn.Module = network) -> torch.Tensor:
+            def loss(*states: Tensor, network: nn.Module = network) -> Tensor:
                 r = [torch.tanh(network(s.flatten(0, 1))).view(s.shape[:2]) for s in states]
                 ranked = softplus((r[1] - r[0]).sum(1)).mean()
                 return ranked + softplus(r[3] - r[2]).mean() if reached else ranked

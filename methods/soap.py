@@ -13,12 +13,9 @@ import torch
 
 from methods.base import Array
 
-DECAY = 0.95
-"""Decay of the running means in each step."""
-EVERY = 10
-"""Steps between updates of the axes."""
-TINY = 1e-8
-"""Term added to the root of the second moment."""
+DECAY = 0.95  # decay of the running means in each step
+EVERY = 10  # steps between updates of the axes
+TINY = 1e-8  # term added to the root of the second moment
 
 
 @dataclass
@@ -66,8 +63,7 @@ class Soap(torch.optim.Optimizer):
     gradient gives the axes."""
 
     def __init__(self, networks: Sequence[torch.nn.Module], rates: Sequence[float]) -> None:
-        """Set up networks and their learning rates. A step moves a layer's weights about that far along each
-        axis."""
+        """Set up networks and rates. A step moves weights about as far as the rate along each axis."""
         groups = [
             {"params": [layer.weight, layer.bias], "lr": rate}
             for network, rate in zip(networks, rates, strict=True)

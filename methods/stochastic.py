@@ -73,8 +73,7 @@ class EpsilonGreedy:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Independent normal actions, clipped to [-1, 1]. `log_std` (A,): log standard deviation, the same at all
-    observations."""
+    """Independent normal actions, clipped to [-1, 1]. `log_std` (A,): the same at all observations."""
 
     mean: Policy
     log_std: Array

@@ -14,8 +14,7 @@ ANGLE, RATE = Quantity("pole angle", "rad"), Quantity("pole rate", "rad/s")
 
 
 def centred(obs: Array, limits: Sequence[float]) -> Array:
-    """Return the centredness of each observation (B, O), 1 - (value / limit)^2 clipped to [-1, 1], and a
-    constant, (B, O + 1)."""
+    """Return 1 - (value / limit)^2 of observations (B, O), clipped to [-1, 1], and a constant, (B, O + 1)."""
     inside = 1 - (obs / np.array(limits)) ** 2
     return np.concatenate([np.clip(inside, -1, 1), np.ones((len(obs), 1))], axis=1)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG, FEW_JOINTS
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
+from envs.spec import Array, EnvSpec, Flags, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -94,7 +94,7 @@ class PendulumBatch:
         mujoco.mj_getState(self._env.model, self._env.data, self._states[place], STATE)
         return np.asarray(obs, np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         model, data, frames = self._env.model, self._env.data, self._env.frame_skip
         states = self._states[places]
         states[:, FORCE] = act[:, 0].astype(np.float32) * self._env.full_action

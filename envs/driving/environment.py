@@ -14,20 +14,19 @@ from numpy.typing import NDArray
 from envs.driving import scene as road
 from envs.driving.scene import Scene, first_scene, in_line
 from envs.dynamics import Draws, namespace
-from envs.spec import Array
+from envs.spec import Array, Flags, Floats
 
 Ints = NDArray[np.int64]
 
 VEHICLES = 12  # besides the ego
 OBS_SIZE = 18
-BLOCK = 64
-"""Scenes in a compiled step: always as many, so that a scene's bits do not depend on other scenes."""
+BLOCK = 64  # scenes in a compiled step: always as many, so that a scene's bits do not depend on other scenes
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """The task's dynamics (`envs.dynamics.Dynamics`), for JAX's arrays only. A state is the rows of a scene,
-    one after the other."""
+    """The task's dynamics (`envs.dynamics.Dynamics`) in JAX. A state is a scene's rows, one after the
+    other."""
 
     vehicles: int = VEHICLES
     """Vehicles besides the ego."""
@@ -84,7 +83,7 @@ def _columns(states: Any) -> Any:
 NOMINAL = Traffic()
 
 
-class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class Highway(gym.Env[Floats, Floats]):
     """Observation (18,), with units in brackets. The ego: offsets from the road's middle [4 m] and its lane's
     [1 m], lateral speed [1 m/s], and forward speed less 25 m/s [5 m/s].
 
@@ -110,15 +109,13 @@ class Highway(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats, dict[str, Any]]:
         super().reset(seed=seed, options=options)
         self.state = self.physics.first(self.np_random)
-        obs: NDArray[np.float32] = look(self.state[None])[0]
+        obs: Floats = look(self.state[None])[0]
         return obs, {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         (obs,), (reward,), (terminated,) = drive(self.state[None], np.zeros(1, np.int64), action[None])
         return obs, float(reward), bool(terminated), False, {"crashed": bool(self.scene.crashed[0])}
 
@@ -128,13 +125,13 @@ def first_states(seeds: Sequence[int], physics: Traffic = NOMINAL) -> Array:
     return np.array([physics.first(seeding.np_random(seed)[0]) for seed in seeds])
 
 
-def look(states: Array) -> NDArray[np.float32]:
+def look(states: Array) -> Floats:
     """Return the observations (R, 18) of states (R, 12, N)."""
     (obs,) = _in_blocks("look", states)
     return obs
 
 
-def drive(states: Array, places: Ints, act: NDArray[Any]) -> tuple[NDArray[np.float32], Array, NDArray[Any]]:
+def drive(states: Array, places: Ints, act: NDArray[Any]) -> tuple[Floats, Array, NDArray[Any]]:
     """Step the states (R, 12, N) at `places`, in place, by actions (B, 2). Return observations (B, 18),
     rewards (B,), and flags of termination (B,)."""
     states[places], obs, rewards, terminated = _in_blocks("drive", states[places], act.astype(np.float32))
@@ -182,7 +179,7 @@ class HighwayBatch:
         self._states[place] = first[0]
         return np.asarray(look(first)[0], np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         obs, rewards, terminated = drive(self._states, np.array(places), act)
         return obs.astype(np.float64), rewards, terminated
 

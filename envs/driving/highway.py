@@ -17,15 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.driving import scene as road
-from envs.driving.environment import (
-    NOMINAL,
-    OBS_SIZE,
-    VEHICLES,
-    HighwayBatch,
-    Traffic,
-    drive,
-    first_states,
-)
+from envs.driving.environment import NOMINAL, OBS_SIZE, VEHICLES, HighwayBatch, Traffic, drive, first_states
 from envs.driving.scene import Scene
 from envs.dynamics import why_ended
 from envs.learners import DDPG, SMALL_PPO
@@ -98,9 +90,8 @@ def idm_return(seeds: Sequence[int]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """Return features (B, 8) in [-1, 1], larger mostly better: forward speed, lane centring, little drift,
-    and distance to the road's edge; free gaps ahead and behind in the own lane, opening speed ahead, a
-    constant."""
+    """Return features (B, 8) in [-1, 1], larger mostly better. They are forward speed, lane centring, little
+    drift, distance to the road's edge, free gaps ahead and behind, opening speed ahead, and 1."""
     edge = road.LANES / 2 * road.LANE_WIDTH - np.abs(obs[:, 0]) * road.WIDE
     features = [
         obs[:, 3] * road.FAST / 10,

@@ -59,8 +59,8 @@ SPEEDS, SPREADS, DELTAS = (0.7 * SPEED_LIMIT, 0.8 * SPEED_LIMIT), (0.9, 1.1), (3
 
 
 def first_scene(rng: np.random.Generator, vehicles: int, density: float) -> Array:
-    """Return a scene (12, 1 + vehicles) as highway-env draws it, bit for bit. `density`: of vehicles,
-    relative to highway-env's."""
+    """Return highway-env's first scene (12, 1 + vehicles), bit for bit. `density`: relative to
+    highway-env's."""
 
     def uniform(low: float, high: float) -> float:
         return low + (high - low) * rng.random()  # equals `rng.uniform`, and is five times faster
@@ -74,8 +74,8 @@ def first_scene(rng: np.random.Generator, vehicles: int, density: float) -> Arra
 
 
 def in_line(lane: Any, speed: Any, spread: Any, delta: Any, density: float) -> Any:
-    """Return a scene (12, N) of vehicles one after the other. `spread`: distances relative to usual ones.
-    Arrays (N,) are NumPy's or JAX's."""
+    """Return a scene (12, N) of vehicles in line, of arrays (N,) of NumPy or JAX. `spread`: relative
+    distances."""
     xp = namespace(speed)
     ego = xp.arange(len(speed)) == 0
     usual = xp.where(ego, EGO_SPACING, 1 / density) * (12 + speed) * math.exp(-5 / 40 * LANES)

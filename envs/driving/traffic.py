@@ -50,8 +50,7 @@ def step(
 
 
 def _view(scene: Scene, lanes: int) -> tuple[Array, Array]:
-    """Return log ratios of speeds to desired ones (N, R), and positions of vehicles on each lane, else NaN
-    (L, N, R)."""
+    """Return log ratios of speeds to desired ones (N, R), and positions on each lane, else NaN, (L, N, R)."""
     limit = jnp.abs(_not_zero(jnp.clip(scene.target_speed, 0, road.SPEED_LIMIT)))
     number = jnp.arange(lanes, dtype=scene.x.dtype)[:, None, None]
     places = jnp.where(jnp.abs(scene.y - road.LANE_WIDTH * number) <= NEAR_LANE, scene.x, jnp.nan)

@@ -95,8 +95,7 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """Return the pole's uprightness, the cart's centredness, the stillness of both, and a constant, (B,
-    5)."""
+    """Return how upright the pole is, how centred the cart, how still both, and a constant, (B, 5)."""
     upright = np.clip(obs[:, 2], -1, 1)
     limits = (NOMINAL.max_x, 5.0, 10.0)
     inside = 1 - np.clip(obs[:, [0, 1, 4]] / np.array(limits), -1, 1) ** 2

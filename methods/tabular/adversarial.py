@@ -8,8 +8,7 @@ from methods.base import Agent, Rng, Transitions, World
 
 @dataclass(frozen=True)
 class TabularGame(Game):
-    """A game against an agent that solves for its policy. It has no replay buffer, so its steps are
-    rollouts."""
+    """A game against an agent without a replay buffer. Its steps are rollouts of its exact policy."""
 
     def latest_steps(self, world: World, agent: Agent, rng: Rng) -> Transitions:
         """Return the steps of `rollouts` episodes of the agent's policy."""

@@ -1,5 +1,4 @@
-"""Coherent soft imitation learning where the model is known: q is a table, and its reward is solved
-exactly."""
+"""Coherent soft imitation learning where the model is known: q is a table, its reward solved exactly."""
 
 from dataclasses import dataclass
 

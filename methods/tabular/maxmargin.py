@@ -1,5 +1,4 @@
-"""Apprenticeship learning by maximum margin where the model is known: exact solves and feature expectations,
-as in the paper."""
+"""Maximum margin where the model is known: exact solves and feature expectations, as in the paper."""
 
 from dataclasses import dataclass
 

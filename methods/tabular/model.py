@@ -139,8 +139,7 @@ def state_visitations(P: Array, policy: Array, start: Array, horizon: int) -> Ar
 
 
 def discounted_visitations(P: Array, policy: Array, start: Array, gamma: float) -> Array:
-    """Return expected visits to each state, (S,), with weight gamma^t at time t. They sum to 1 / (1 -
-    gamma)."""
+    """Return expected visits (S,), with weight gamma^t at time t. They sum to 1 / (1 - gamma)."""
     _check_discount(gamma)
     visits = np.linalg.solve(np.eye(len(P)) - gamma * _state_chain(P, policy).T, start)
     return np.asarray(visits, np.float64)
