@@ -60,8 +60,8 @@ class Physics:
     def rates(self, state: Any, torque: Any) -> Any:
         """Return the state's derivative, by Lagrange. m is mass, l length, d = first - second.
 
-        4/3 m l^2 first'' + 1/2 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 3/2 m g l sin(first)
-        1/3 m l^2 second'' + 1/2 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 1/2 m g l sin(second)
+        (4/3) m l^2 first'' + 0.5 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 1.5 m g l sin(first).
+        (1/3) m l^2 second'' + 0.5 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 0.5 m g l sin(second).
         """
         xp = namespace(state)
         first, second, rate, other = state

@@ -21,7 +21,10 @@ from harness.judge.results import (
     usable,
 )
 from harness.judge.roles import LOWER, is_rival, role_of
-from harness.judge.statistics import mean_interval, normal_interval
+from harness.judge.statistics import (
+    mean_interval,
+    normal_interval,
+)
 from harness.registry import Demonstrator
 
 T = TypeVar("T")

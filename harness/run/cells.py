@@ -8,7 +8,15 @@ from dataclasses import replace
 
 from harness.judge import effort
 from harness.judge.evaluation import Evaluation
-from harness.judge.results import REFERENCE, UNSHOWN, Cell, CellResult, Conditions, PolicyName, name_of
+from harness.judge.results import (
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    name_of,
+)
 from harness.run import given, plugins, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes

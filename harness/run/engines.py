@@ -18,7 +18,15 @@ from typing import Protocol, Self, cast
 
 import numpy as np
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, files_of, policies_of, usable
+from harness.judge.results import (
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    files_of,
+    policies_of,
+    usable,
+)
 from harness.run import plugins
 from harness.run.cache import compiled_once
 from harness.run.codec import decode, encode, printable

@@ -11,7 +11,15 @@ from typing import Self
 
 import psutil
 
-from harness.judge.results import REFERENCE, Cell, CellResult, Conditions, Status, before, takes_one_solve
+from harness.judge.results import (
+    REFERENCE,
+    Cell,
+    CellResult,
+    Conditions,
+    Status,
+    before,
+    takes_one_solve,
+)
 from harness.run.costs import FILE, SHARED, Costs, name_of
 from harness.run.engines import Job, Outcome
 from harness.run.environment import cache_folder

@@ -18,7 +18,11 @@ from rich.table import Table
 from rich.text import Text
 
 from harness.judge.across_tasks import GOOD, NO_BETTER
-from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.leaderboard import (
+    Entry,
+    leaderboard,
+    scored_rows,
+)
 from harness.judge.numbers import as_text
 from harness.judge.results import NOMINAL, CellResult, Request
 from harness.judge.roles import ASKS, UNINFORMED

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from envs.models import Model, Tabular
-from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
+from methods.base import (
+    Array,
+    Episodes,
+    Kind,
+    Payment,
+    Policy,
+    Reward,
+    StochasticPolicy,
+    Transitions,
+)
 from methods.network import Network
 from methods.stochastic import SquashedGaussian
 from methods.tabular.model import greedy, value_iteration

@@ -13,7 +13,15 @@ from envs import EnvSpec
 from envs.spec import Shipped
 from harness import expert_training
 from harness.cli import main
-from harness.expert_training import CANDIDATES, Candidate, Measured, is_good, measure, meets_bar, train_all
+from harness.expert_training import (
+    CANDIDATES,
+    Candidate,
+    Measured,
+    is_good,
+    measure,
+    meets_bar,
+    train_all,
+)
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.learn.seeds import held_out_seeds, tuning_seeds
 from harness.registry import SPECS, BadInput, all_specs

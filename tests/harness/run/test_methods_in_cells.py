@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from harness.judge.results import LONGEST_TEXT, MOST_CURVES, MOST_POINTS, Cell, Conditions, Library, Shown
+from harness.judge.results import (
+    LONGEST_TEXT,
+    MOST_CURVES,
+    MOST_POINTS,
+    Cell,
+    Conditions,
+    Library,
+    Shown,
+)
 from harness.learn import world
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds
 from harness.learn.world import solver_for

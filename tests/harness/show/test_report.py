@@ -22,7 +22,16 @@ from scipy.stats import norm
 import irl_bench
 from harness.judge.across_tasks import indistinct, overall
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import COLUMNS, CONTROLS, UNSHOWN, Cell, CellResult, Conditions, PolicyName, Shown
+from harness.judge.results import (
+    COLUMNS,
+    CONTROLS,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    Shown,
+)
 from harness.run.reporting import write_report
 from harness.show import curves, figures, spreadsheet
 from harness.show.boards import Board
