@@ -1,5 +1,4 @@
-"""The loop of apprenticeship learning by maximum margin (`methods.maxmargin`), for any features and any way
-to estimate feature expectations, and its two ways to find weights."""
+"""The loop of maximum margin (`methods.maxmargin`) for any features, and its two ways to find weights."""
 
 import math
 from collections.abc import Callable
