@@ -1,4 +1,4 @@
-"""All that a plug-in, a notebook or another program needs of this benchmark, under one name.
+"""The public interface of this benchmark.
 
 import irl_bench
 
@@ -38,49 +38,13 @@ _FROM = {
     "methods.rewards": ("LinearReward", "MeanReward", "NetworkReward", "StateReward"),
 }
 WHERE = {name: module for module, names in _FROM.items() for name in names}
-"""The module that each name comes from."""
+"""Home module of each public name."""
 
-__all__ = [
-    "DDPG",
-    "DQN",
-    "PPO",
-    "SAC",
-    "TD3",
-    "ContractError",
-    "EnvSpec",
-    "Episodes",
-    "Exported",
-    "ExportedPolicy",
-    "Frames",
-    "Learned",
-    "LearnedReward",
-    "LinearReward",
-    "MeanReward",
-    "Method",
-    "Network",
-    "NetworkReward",
-    "Policy",
-    "Quantity",
-    "Reward",
-    "Shape",
-    "StateReward",
-    "Transitions",
-    "Unsuitable",
-    "World",
-    "add_plugins",
-    "check_env",
-    "check_method",
-    "export",
-    "from_gymnasium",
-    "load",
-    "load_learned",
-    "make",
-    "run",
-]
+__all__ = list(WHERE)
 
 
 def _begin() -> None:
-    """Make this program's packages be found before others of their names, such as those beside a script."""
+    """Import this program's packages before others of their names, such as those beside a script."""
     here = os.path.dirname(os.path.realpath(__file__))
     sys.path.insert(0, here)
     try:
@@ -97,14 +61,14 @@ _begin()
 
 
 def start() -> int:
-    """Do what the command line asks for, and return the exit code. For a process of its own."""
+    """Run the command line, and return its exit code."""
     from harness.__main__ import start
 
     return start()
 
 
 def __getattr__(name: str) -> object:
-    """Imports what is asked for when it is first asked for, for torch takes a second."""
+    """Import a public name on first use, because torch takes a second."""
     if name not in WHERE:
         raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(importlib.import_module(WHERE[name]), name)

@@ -1,6 +1,6 @@
-"""The tasks, one file each, in a folder where several are of a family. Importing a file registers its task
-with Gymnasium."""
+"""Tasks, one file each. Importing a file registers its task with Gymnasium."""
 
-from envs.spec import BUDGETS, EnvSpec, Quantity, Shape, from_gymnasium
+from envs.gymnasium_tasks import from_gymnasium
+from envs.spec import BUDGETS, EnvSpec, Quantity, Shape
 
 __all__ = ["BUDGETS", "EnvSpec", "Quantity", "Shape", "from_gymnasium"]

@@ -1,6 +1,4 @@
-"""Copies of a task that step together, and what no task may give."""
-
-from __future__ import annotations
+"""Copies of a task that step together, with checks of all that they return."""
 
 import dataclasses
 import warnings
@@ -11,15 +9,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.spec import INSTANCES, Array, Batch, EnvSpec, Misgiven, check_numbers, flags, named, real
+from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real
+from envs.spec import Array, Batch, EnvSpec, Flags
 
-TRIED = 100
-"""Steps for which a task is tried."""
+TRIED = 100  # steps of a trial of a task
 
 
 class Copies:
     """Copies of a task in lockstep, by its batch or one by one, numbered from 0. Each is reset before it is
-    stepped. `reset` and `step` raise ValueError, naming task, step and entry, unless all is finite."""
+    stepped. `reset` and `step` raise ValueError with task, step and entry unless all values are finite."""
 
     def __init__(self, spec: EnvSpec, count: int) -> None:
         self._spec, self._name = spec, f"the task {spec.name}"
@@ -34,15 +32,14 @@ class Copies:
         self._check([place], obs[None], np.zeros(1))
         return obs
 
-    def step(
-        self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), whether each
-        terminated, and whether the task itself truncated it."""
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
+        """Step the copies by actions (B, A). Return observations (B, O), rewards (B,), and flags of
+        termination and of truncation by the task itself, (B,) each."""
         self._steps[places] += 1
         with named(self._name, self._steps[places].tolist()):
-            seen, paid, terminated, *truncated = self._batch.step(places, act)
-            obs, rewards = np.asarray(real(seen), np.float64), np.asarray(real(paid, "reward"), np.float64)
+            obs, rewards, terminated, *truncated = self._batch.step(places, act)
+            obs = np.asarray(real(obs), np.float64)
+            rewards = np.asarray(real(rewards, "reward"), np.float64)
             ended = real(terminated, "terminated", "b")
             cut = real(truncated[0], "truncated", "b") if truncated else np.zeros_like(ended)
         self._check(places, obs, rewards)
@@ -63,10 +60,9 @@ def alone(spec: EnvSpec, count: int = 1) -> Copies:
 
 
 def try_out(spec: EnvSpec) -> None:
-    """Step a task with random actions. Raises ValueError for what no task may give, and whatever making and
-    stepping it raises."""
+    """Step a task with random actions. Raises ValueError for bad values, and the task's own errors."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Gymnasium's, of what is refused here in one line
+        warnings.simplefilter("ignore")  # Gymnasium warns of values that are refused here
         for _ in range(INSTANCES):
             spec.make()
         copies, length = Copies(spec, 1), 0
@@ -80,7 +76,7 @@ def try_out(spec: EnvSpec) -> None:
 
 
 class _OneByOne:
-    """Environments that are stepped one by one, made when they are needed."""
+    """Environments that are stepped one by one, created on their first reset."""
 
     def __init__(self, spec: EnvSpec) -> None:
         self._spec = spec
@@ -91,9 +87,7 @@ class _OneByOne:
             self._envs[place] = self._spec.make()
         return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
 
-    def step(
-        self, places: Sequence[int], act: Array
-    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
         return gathered(
             self._envs[place].step(self._spec.native(action))
             for place, action in zip(places, act, strict=True)
@@ -103,15 +97,15 @@ class _OneByOne:
         return self._spec.why_ended(self._envs[place])
 
 
-def gathered(steps: Iterable[Any]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return what `Copies.step` does, of what Gymnasium's `step` gave for each copy. Raises `Misgiven`."""
-    seen, given = list[NDArray[Any]](), list[tuple[float, bool, bool]]()
+def gathered(steps: Iterable[Any]) -> tuple[Array, Array, Flags, Flags]:
+    """Return the results of Gymnasium's `step` for each copy as those of `Copies.step`. Raises `Misgiven`."""
+    observations, others = list[NDArray[Any]](), list[tuple[float, bool, bool]]()
     for row, (obs, reward, terminated, truncated, _) in enumerate(steps):
         try:
-            given.append(flags(reward, terminated, truncated))
-            seen.append(real(obs))
+            others.append(flags(reward, terminated, truncated))
+            observations.append(real(obs))
         except Misgiven as wrong:
             wrong.row = row
             raise
-    rewards, ended, cut = zip(*given, strict=True)
-    return np.array(seen, np.float64), np.array(rewards), np.array(ended), np.array(cut)
+    rewards, ended, cut = zip(*others, strict=True)
+    return np.array(observations, np.float64), np.array(rewards), np.array(ended), np.array(cut)

@@ -1,7 +1,5 @@
-"""Environments whose dynamics are written down once, over the array namespace of their arguments. NumPy runs
-one of them, or many in lockstep; JAX runs them in the loop that reinforcement learning compiles."""
-
-from __future__ import annotations
+"""Environments whose dynamics are written once, for NumPy and JAX. NumPy runs one of them, or many in
+lockstep. JAX runs them inside compiled reinforcement learning."""
 
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Protocol, runtime_checkable
@@ -9,55 +7,56 @@ from typing import Any, Protocol, runtime_checkable
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from envs.spec import Array
+from envs.spec import Array, Flags, Floats
 
 
 class Draws(Protocol):
-    """A source of first states: NumPy's generator, or one with the same methods, to be asked once."""
+    """A random source of first states, used once: NumPy's generator, or another with its methods."""
 
     def uniform(self, low: Any, high: Any) -> Any:
-        """(S,): uniform between bounds (S,)."""
+        """Return uniform numbers between bounds (S,), (S,)."""
 
     def standard_normal(self, size: int) -> Any:
-        """(size,)."""
+        """Return standard normal numbers, (size,)."""
 
 
 @runtime_checkable
 class Dynamics(Hashable, Protocol):
-    """What becomes of a state under an action in [-1, 1]^A, of 32 bits. Of one, state (S,), obs (O,), act
-    (A,); of B in lockstep, (S, B), (O, B), (A, B), and what is a number of one is (B,). Arrays are NumPy's or
-    JAX's, as those given are."""
+    """Transitions and rewards of states under actions in [-1, 1]^A, of 32 bits.
+
+    One copy has state (S,), obs (O,) and act (A,). B copies in lockstep have (S, B), (O, B), (A, B) and (B,)
+    for numbers. Results are arrays of NumPy or JAX, like the arguments.
+    """
 
     @property
     def act_size(self) -> int: ...
 
     @property
     def bounds(self) -> Sequence[float]:
-        """(O,): how far from 0 each observation may be."""
+        """Largest size of each observation, (O,)."""
 
     def start(self, draws: Draws) -> Any:
-        """(S,): the first state of an episode."""
+        """Return the first state of an episode, (S,)."""
 
     def advance(self, state: Any, act: Any) -> Any:
-        """The state a step later."""
+        """Return the state a step later."""
 
     def observe(self, state: Any) -> Any:
-        """What is seen of it."""
+        """Return the observation of a state."""
 
     def pay(self, state: Any, act: Any, after: Any) -> Any:
-        """The true reward of a step, that of failing included."""
+        """Return the true reward of a step, that of failing included."""
 
     def fails(self, state: Any) -> Any:
-        """Whether the episode terminates there."""
+        """Return True where the episode terminates."""
 
     def failure(self, state: Array) -> str:
-        """Of one: what ended an episode there, in a few words."""
+        """Return why an episode of one copy terminated in a state, in a few words."""
 
 
-class DynamicsEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One of them."""
+class DynamicsEnv(gym.Env[Floats, Floats]):
+    """One copy of dynamics as an environment."""
 
     def __init__(self, physics: Dynamics) -> None:
         self.physics = physics
@@ -68,14 +67,12 @@ class DynamicsEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats, dict[str, Any]]:
         super().reset(seed=seed)
         self.state = self.physics.start(self.np_random)
         return self.physics.observe(self.state).astype(np.float32), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         physics, before = self.physics, self.state
         act = np.clip(action, -1, 1).astype(np.float64)
         self.state = physics.advance(before, act)
@@ -85,7 +82,7 @@ class DynamicsEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 class DynamicsBatch:
-    """Many in lockstep (`envs.spec.Batch`)."""
+    """Many copies of dynamics in lockstep (`envs.spec.Batch`)."""
 
     def __init__(self, count: int, physics: Dynamics) -> None:
         self._env = DynamicsEnv(physics)
@@ -99,16 +96,16 @@ class DynamicsBatch:
         self._states[:, place] = self._env.state
         return obs.astype(np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         assert self._states is not None
         physics, before = self._env.physics, self._states[:, places]
         if act.shape != (len(places), physics.act_size):
             raise ValueError(f"actions of {len(places)} copies have shape {act.shape}")
-        given = np.clip(act.T.astype(np.float32), -1, 1).astype(np.float64)
-        after = physics.advance(before, given)
+        clipped = np.clip(act.T.astype(np.float32), -1, 1).astype(np.float64)
+        after = physics.advance(before, clipped)
         self._states[:, places] = after
         obs = physics.observe(after).astype(np.float32).astype(np.float64).T
-        return obs, physics.pay(before, given, after), physics.fails(after)
+        return obs, physics.pay(before, clipped, after), physics.fails(after)
 
     def why_ended(self, place: int) -> str:
         assert self._states is not None
@@ -116,14 +113,14 @@ class DynamicsBatch:
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
-    """What ended the episode."""
+    """Return why the episode terminated."""
     inner: Any = env.unwrapped
     failure: str = inner.physics.failure(inner.state)
     return failure
 
 
 def namespace(state: Any) -> Any:
-    """Return the module whose functions take such an array: NumPy, or JAX's."""
+    """Return the module whose functions take such an array, NumPy or JAX's."""
     return state.__array_namespace__()
 
 
@@ -133,8 +130,8 @@ def never(state: Any) -> Any:
 
 
 def runge_kutta(rates: Callable[[Any], Any], state: Any, seconds: float, parts: int) -> Any:
-    """The state after so many seconds, in equal parts of the classical fourth-order method. rates: the
-    state's derivative."""
+    """Return the state after `seconds`, by the classical fourth-order method. `rates`: a state's
+    derivative."""
     dt = seconds / parts
     for _ in range(parts):
         first = rates(state)

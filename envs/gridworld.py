@@ -1,12 +1,9 @@
-"""The tabular family: grid worlds whose model is known exactly, after Ng & Russell 2000 (`grid`) and
-Levine, Popovic & Koltun 2011, "Nonlinear Inverse Reinforcement Learning with Gaussian Processes"
-(`objectworld`).
+"""Grid worlds whose model is known exactly, after Ng & Russell 2000 (`grid`) and Levine, Popovic & Koltun
+2011, "Nonlinear Inverse Reinforcement Learning with Gaussian Processes" (`objectworld`).
 
-Cell (x, y), x to the right and y up, is state y * size + x. A state pays its reward when an action is
-taken in it, whatever the action, so a return over T steps counts the states at times 0 to T-1.
+Cell (x, y), x to the right and y up, is state y * size + x. Any action in a state pays the state's reward. So
+a return over T steps counts the states at times 0 to T-1.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,30 +14,33 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs.learners import DQN
-from envs.spec import Array, EnvSpec, Quantity, Shape, Tabular
+from envs.models import Tabular
+from envs.spec import Array, EnvSpec, Floats, Quantity, Shape, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
 ACTIONS = ("right", "up", "left", "down", "stay")
-MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, in the order of ACTIONS
+MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, one row for each of ACTIONS
 
 
 @dataclass(frozen=True)
 class ObjectWorld(Tabular):
-    """A `Tabular` that remembers its objects, M of them."""
+    """A `Tabular` with its M objects."""
 
     cells: NDArray[np.int64]
-    """(M,): the state that each lies in."""
+    """State of each object, (M,)."""
     inner: NDArray[np.int64]
-    """(M,): its inner colour."""
+    """Inner colour of each object, (M,)."""
     outer: NDArray[np.int64]
-    """(M,): its outer colour."""
+    """Outer colour of each object, (M,)."""
 
 
 def grid(size: int, slip: float) -> Tabular:
-    """Reward 1 in the top right corner and 0 elsewhere; starts anywhere; the features are one indicator a
-    state, observations (S, 2) the position from -1 to 1. Ng & Russell's grid is size 5, without `stay`, and
-    slips with probability 0.3."""
+    """Return a grid with reward 1 in the top right corner and 0 elsewhere, and uniform starts.
+
+    Features are one indicator for each state, observations (S, 2) the position from -1 to 1. Ng & Russell's
+    grid has size 5 and no `stay`, and slips with probability 0.3.
+    """
     model = transitions(size, slip)
     states = len(model)
     reward = np.zeros(states)
@@ -49,20 +49,21 @@ def grid(size: int, slip: float) -> Tabular:
 
 
 def objectworld(size: int, objects: int, colours: int, slip: float, rng: np.random.Generator) -> ObjectWorld:
-    """Objects in distinct random cells, each of a random inner and a random outer colour; starts anywhere.
+    """Return a grid with objects in distinct random cells, each of random inner and outer colour, and uniform
+    starts.
 
-    Reward: 1 nearer than 3 cells to outer colour 0 and nearer than 2 to outer colour 1, -1 nearer than 3 to
-    outer colour 0 only, else 0; other colours distract. Distances are Euclidean, to the nearest such object,
-    and the grid's diagonal where there is none. The paper says "within"; strictly nearer is how its
-    authors' code reads it, and makes the reward a function of the discrete features.
+    The reward is 1 nearer than 3 cells to outer colour 0 and nearer than 2 to outer colour 1. It is -1 if
+    only the former holds, else 0. Other colours distract. Distances are Euclidean, to the nearest such
+    object. Without one, it is the grid's diagonal. The paper says "within", and its authors' code means
+    strictly nearer, which makes the reward a function of the discrete features.
 
-    Observations (S, 2 + 2C): the position, and the distances to the inner, then the outer colours, all from
-    -1 to 1. Features (S, 2CN): indicators of each distance being less than 1, ..., N cells. They are the
-    continuous and the discrete features of the paper, position aside.
+    Observations (S, 2 + 2C) are the position, and the distances to the inner, then the outer colours, all
+    from -1 to 1. Features (S, 2CN) indicate each distance being less than 1, ..., N cells. They are the
+    paper's continuous and discrete features, besides the position.
 
-    The paper has N = 32 and 30 % chance of a *different* random action, which is slip = 0.375 here; its
+    The paper has N = 32 and 30 % chance of a *different* random action, which is slip = 0.375 here. Its
     authors' code puts an object in a cell with probability 0.05. Raises ValueError for fewer than two
-    colours, or objects that are none or do not fit.
+    colours, no objects, or too many.
     """
     if colours < 2 or not 1 <= objects <= size**2:
         raise ValueError(
@@ -91,19 +92,19 @@ def objectworld(size: int, objects: int, colours: int, slip: float, rng: np.rand
 
 
 def positions(size: int) -> NDArray[np.int64]:
-    """(S, 2): x and y of each state [cells]."""
+    """Return x and y of each state [cells], (S, 2)."""
     y, x = np.divmod(np.arange(size**2), size)
     return np.stack([x, y], axis=1)
 
 
 def _scaled(size: int) -> Array:
-    """(S, 2): positions from -1 to 1."""
+    """Return positions from -1 to 1, (S, 2)."""
     return (2 * positions(size) / (size - 1) - 1).astype(np.float32).astype(np.float64)
 
 
 def transitions(size: int, slip: float) -> Array:
-    """(S, A, S): each of `ACTIONS` does what it says, or with probability `slip` what one of all five, drawn
-    uniformly, says; moves into a wall stay. Raises ValueError for a size below 2 or a slip outside [0, 1]."""
+    """Return transition probabilities (S, A, S). With probability `slip` an action is replaced by a uniform
+    one of all five. Moves into a wall stay. Raises ValueError for a size below 2 or a slip outside [0, 1]."""
     if size < 2 or not 0 <= slip <= 1:
         raise ValueError(f"grid: needs a size of 2 or more and a slip in [0, 1], not {size}, {slip}")
     x, y = np.moveaxis(np.clip(positions(size)[:, None] + MOVES, 0, size - 1), 2, 0)
@@ -113,9 +114,9 @@ def transitions(size: int, slip: float) -> Array:
     return model
 
 
-class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
-    """A `Tabular` to act in, by default `WORLD`. `state` and `info["state"]` tell the state. It never
-    terminates. Reward: that of the state in which the action was taken."""
+class GridWorld(gym.Env[Floats, np.int64]):
+    """A `Tabular` as an environment, by default `WORLD`. `state` and `info["state"]` are the state. The
+    reward is that of the state before the action. It never terminates."""
 
     def __init__(self, tabular: Tabular | None = None) -> None:
         self.tabular = tabular or WORLD
@@ -125,17 +126,17 @@ class GridWorld(gym.Env[NDArray[np.float32], np.int64]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats, dict[str, Any]]:
         super().reset(seed=seed)
         return self._arrive(self.tabular.start)
 
-    def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         reward = float(self.tabular.reward[self.state])
         obs, info = self._arrive(self.tabular.P[self.state, action])
         return obs, reward, False, False, info
 
-    def _arrive(self, distribution: Array) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """In a state drawn from (S,) probabilities."""
+    def _arrive(self, distribution: Array) -> tuple[Floats, dict[str, Any]]:
+        """Draw the next state from probabilities (S,), and return its observation and info."""
         self.state = int(self.np_random.choice(len(distribution), p=distribution))
         return self.tabular.obs[self.state].astype(np.float32), {"state": self.state}
 
@@ -144,14 +145,12 @@ SIZE = 12  # cells
 HORIZON = 50
 WORLD = objectworld(SIZE, objects=10, colours=2, slip=0.3, rng=np.random.default_rng(0))
 COLOURS = {1.0: (120, 190, 120), -1.0: (220, 130, 120), 0.0: (200, 200, 200)}
-"""Of a cell, by its reward."""
+"""Colour of a cell, by its reward."""
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """A square for each cell, a metre wide, green where the reward is 1 and red where it is -1, and a diamond
-    for the agent."""
-    inner = env.unwrapped
-    assert isinstance(inner, GridWorld)
+    """Return a square for each cell, green for reward 1 and red for -1, and a diamond for the agent."""
+    inner: Any = env.unwrapped
     square = 0.46 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     diamond = 0.35 * np.array([[-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]])
     where = positions(SIZE)
@@ -163,7 +162,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, K): the features of the states observed."""
+    """Return the features of the states observed, (B, K)."""
     return WORLD.features[WORLD.states(obs)]
 
 
@@ -181,13 +180,11 @@ SPEC = EnvSpec(
     obs_scale=(1.0,) * WORLD.obs.shape[1],
     horizon=HORIZON,
     gamma=0.95,
-    time_step=1.0,
     bar=lambda seeds: 0.0,
     max_terminated={"smoke": 0.0, "quick": 0.0, "full": 0.0},
     rl_steps={"smoke": 1, "quick": 1, "full": 1},
     solves={"smoke": 1, "quick": 1, "full": 1},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=lambda env: "",
@@ -199,6 +196,4 @@ SPEC = EnvSpec(
 slips to a random one of these with probability 0.3. A cell pays 1, -1 or 0 by which objects are near. Experts
 are exact: the best policy, by value iteration. No episode ends before 50 steps."""
 
-gym.register(
-    SPEC.env_id, entry_point="envs.gridworld:GridWorld", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.gridworld:GridWorld")

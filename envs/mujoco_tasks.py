@@ -1,6 +1,4 @@
-"""MuJoCo's tasks of Gymnasium (`-v5`), one row of `task` each; they are those of Gymnasium, bit for bit."""
-
-from __future__ import annotations
+"""MuJoCo's tasks of Gymnasium (`-v5`), one call of `task` each. They equal Gymnasium's, bit for bit."""
 
 import math
 from collections.abc import Mapping
@@ -15,32 +13,30 @@ from gymnasium.envs.mujoco import MujocoEnv
 
 from envs.learners import DDPG, FEW_JOINTS, PPO, SAC, Learner
 from envs.mujoco_batch import MujocoBatch
-from envs.spec import EnvSpec, Quantity, Shape, Shipped
+from envs.spec import EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
-WEAK = 0.3
-"""Of its strength, what a weak motor has left."""
-SIDE, TOP = [0, 2], [0, 1]
-"""Axes that a drawing shows."""
+WEAK = 0.3  # strength of a weak motor, as a share of the usual
+SIDE, TOP = [0, 2], [0, 1]  # axes of a drawing
 COLOURS = ((66, 133, 244), (234, 134, 51), (52, 168, 83), (171, 71, 188))
 GREY = (140, 140, 140)
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is changed of Gymnasium's model; factors."""
+    """Factors of quantities in Gymnasium's model."""
 
     mass: float = 1.0
-    """Of every body; its inertia follows."""
+    """Mass and inertia of every body."""
     gravity: float = 1.0
     gear: float = 1.0
-    """Of every motor; -1 flips them."""
+    """Strength of every motor. -1 flips them."""
     weak: tuple[str, ...] = ()
     """Joints whose motors have `WEAK` of their strength."""
 
     def change(self, env: MujocoEnv) -> None:
-        """Changes the environment's model."""
+        """Change the environment's model."""
         model = env.model
         model.body_mass *= self.mass
         model.body_inertia *= self.mass
@@ -55,9 +51,9 @@ NOMINAL = Physics()
 
 
 def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
-    """Gymnasium's environment with these physics."""
+    """Return Gymnasium's environment with these physics."""
     before = mujoco.get_mju_user_warning()
-    # It warns of one of Gymnasium's models, and would write a file of that where the program was started.
+    # It warns about one of Gymnasium's models, and would write a log file into the current folder.
     mujoco.set_mju_user_warning(lambda message: None)
     try:
         env = gym.make(env_id, disable_env_checker=True).unwrapped
@@ -70,10 +66,9 @@ def make(env_id: str, physics: Physics = NOMINAL) -> MujocoEnv:
 
 
 def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shape]:
-    """Each geometry along these two axes, a capsule as the line of its axis, a ball as a circle. moves:
-    whether the scene follows the first body, over a scale of metres."""
-    inner = env.unwrapped
-    assert isinstance(inner, MujocoEnv)
+    """Return each geometry along these two axes: a capsule as the line of its axis, a ball as a circle.
+    `moves`: the scene follows the first body, over a scale of metres."""
+    inner: Any = env.unwrapped
     model, data = inner.model, inner.data
     origin = float(data.qpos[0]) if moves else 0.0
     shapes = {}
@@ -88,8 +83,8 @@ def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shap
             points = centre[axes] + radius * np.column_stack([np.cos(turns), np.sin(turns)])
         else:
             continue
-        fixed = geom.bodyid[0] == 0
-        shapes[geom.name] = Shape(points - [origin, 0], GREY if fixed else COLOURS[geom.bodyid[0] % 4])
+        colour = COLOURS[geom.bodyid[0] % 4] if geom.bodyid[0] else GREY
+        shapes[geom.name] = Shape(points - [origin, 0], colour)
     if moves:
         ticks = np.floor(origin) + np.arange(-3, 5) - origin
         comb = [[[x, 0.0], [x, -0.05], [x, 0.0]] for x in ticks]
@@ -98,12 +93,12 @@ def draw(env: gym.Env[Any, Any], axes: list[int], moves: bool) -> dict[str, Shap
 
 
 def slides(joint: Any) -> bool:
-    """Whether it slides, and does not turn."""
+    """Return True if a joint slides, False if it turns."""
     return bool(joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def joints_of(model: mujoco.MjModel, skipped: int) -> tuple[Quantity, ...]:
-    """What is observed where that is the joints' positions, but for the first few, and then their rates."""
+    """Return the names of joint positions, without the first `skipped` ones, and then of their rates."""
     joints = [model.joint(i) for i in range(model.njnt)]
     units = ["m" if slides(joint) else "rad" for joint in joints]
     places = [Quantity(joint.name, unit) for joint, unit in zip(joints, units, strict=True)]
@@ -129,23 +124,19 @@ def task(
     gamma: float = 0.99,
     **fields: Any,
 ) -> EnvSpec:
-    """The spec of one task. ends: why its episodes terminate. obs_names: what is observed, where that is not
-    the joints' positions without the first, and their rates. fields: more of `EnvSpec`."""
+    """Return the spec of one task. `ends`: why its episodes terminate. `obs_names`: by default the joints'
+    positions without the first, and their rates. `fields`: more fields of `EnvSpec`."""
     env = make(gymnasium_id)
     model = env.model
     env_id = f"irl_bench/{gymnasium_id}"
-    known = gym.spec(gymnasium_id)
-    assert known.max_episode_steps is not None
-    gym.register(
-        env_id,
-        entry_point="envs.mujoco_tasks:make",
-        max_episode_steps=known.max_episode_steps,
-        disable_env_checker=True,
-        kwargs={"env_id": gymnasium_id},
-    )
+    horizon = gym.spec(gymnasium_id).max_episode_steps
+    assert horizon is not None
     motors = [model.joint(int(joint)) for joint in model.actuator_trnid[:, 0]]
-    why = partial(_because, ends)
-    return EnvSpec(
+
+    def why_ended(env: gym.Env[Any, Any]) -> str:
+        return ends
+
+    spec = EnvSpec(
         name=name,
         summary=summary,
         env_id=env_id,
@@ -157,29 +148,26 @@ def task(
             for joint, gear in zip(motors, model.actuator_gear[:, 0], strict=True)
         ),
         obs_scale=obs_scale,
-        horizon=known.max_episode_steps,
+        horizon=horizon,
         gamma=gamma,
         time_step=env.dt,
         bar=lambda seeds: bar,
         rl_steps=rl_steps,
         eval_episodes={"smoke": 5, "quick": 20, "full": 50},
-        demo_episodes={"smoke": 5, "quick": 100, "full": 100},
         draw=partial(draw, axes=axes, moves=moves),
-        why_ended=why,
-        batch=partial(MujocoBatch, env_id, why),
+        why_ended=why_ended,
+        batch=partial(MujocoBatch, env_id, why_ended),
         shipped=shipped,
         rl=rl,
         variants={variant: {"physics": physics} for variant, physics in variants.items()},
         **fields,
     )
-
-
-def _because(ends: str, env: gym.Env[Any, Any]) -> str:
-    return ends
+    register(spec, "envs.mujoco_tasks:make", env_id=gymnasium_id)
+    return spec
 
 
 MANY = PPO(copies=20, steps=200, checkpoint_every=20_000, check_episodes=5)
-"""What trained the experts of bodies that balance."""
+"""Learner of the experts of bodies that balance."""
 ANGLES = ("first", "second")
 DOUBLE_PENDULUM = task(
     "double_pendulum",
@@ -224,16 +212,11 @@ REACHER = task(
 """An arm of two links in a plane, seen from above. A step pays minus the distance from its tip to the target,
 less 0.1 of the action's square. The target is another one in each episode. None ends before 50 steps."""
 RUNNING = replace(
-    FEW_JOINTS,
-    net=(128, 128),
-    steps=128,
-    learning_rate=4e-4,
-    gae_lambda=0.97,
-    checkpoint_every=40_960,
+    FEW_JOINTS, net=(128, 128), steps=128, learning_rate=4e-4, gae_lambda=0.97, checkpoint_every=40_960
 )
-"""RL where a body runs."""
+"""Learner for bodies that run."""
 RUNNING_DDPG = DDPG(net=RUNNING.net)
-"""The same by DDPG, and by the soft actor-critic of csil, whose clone has these networks."""
+"""DDPG for bodies that run, and soft actor-critic for csil, whose clone has these networks."""
 FEW = {"smoke": 1, "quick": 2, "full": 2}
 """Solves of a reward where each takes minutes."""
 HALFCHEETAH = task(
@@ -312,5 +295,5 @@ WALKER2D = task(
     solves=FEW,
 )
 """A body on two legs, in a vertical plane. A step pays 1 and the forward speed [m/s], less 0.001 of the
-action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than
-1 rad."""
+action's square. An episode ends where it falls: the torso below 0.8 m or above 2 m, or tilted by more than 1
+rad."""

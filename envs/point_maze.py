@@ -1,10 +1,8 @@
 """The maze of the transfer experiment of AIRL (Fu, Luo & Levine 2018): push a ball around the end of a wall.
 
-Sizes, wall, ball, motors, start, reward and horizon are those of the authors' code. They observe where the
-ball is; here its velocity is observed too, so that the state is known.
+Sizes, wall, ball, motors, start, reward and horizon are those of the authors' code. They observe the ball's
+position. Here its velocity is observed too, so that the state is known.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 
 from envs.learners import DDPG, FEW_JOINTS, PPO
 from envs.mujoco_batch import MujocoBatch
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -32,21 +30,20 @@ HEIGHT = 0.3  # m, of the inner wall
 START, TARGET = (0.3, 0.0), (0.3, 0.5)  # m
 RADIUS, WALL = 0.03, 0.02  # m, of the ball; half of a wall's width
 FRAME_SKIP, FRAME = 5, 0.01  # s
-ENERGY = 0.001
-"""What the square of the action costs."""
+ENERGY = 0.001  # cost of the squared action
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What may change."""
+    """Parameters that variants change."""
 
     wall: tuple[float, float] = (0.2, HIGH)
-    """From where to where the inner wall reaches [m]: the way around it is on the left."""
+    """Ends of the inner wall [m]. The way around it is on the left."""
     gear: float = 1.0
-    """Of the motors [N]."""
+    """Strength of the motors [N]."""
 
     def compile(self) -> mujoco.MjModel:
-        """The model."""
+        """Return the model."""
         left, right = self.wall
         corners = ((LOW, LOW), (HIGH, LOW), (HIGH, HIGH), (LOW, HIGH), (LOW, LOW))
         ends = [*pairwise(corners), ((left, HEIGHT), (right, HEIGHT))]
@@ -78,16 +75,14 @@ NOMINAL = Physics()
 
 
 class PointMaze(MujocoEnv, EzPickle):
-    """Observation (4,): where the ball is [m], and its velocity [m/s]. Action (2,) in [-1, 1], a force of as
-    many newtons. Each step pays minus the distance to the target before it, and 0.001 of the action's square
-    less. It never terminates."""
+    """Observation (4,): position [m] and velocity [m/s]. Action (2,) in [-1, 1]: force [N]. Each step pays
+    minus the distance to the target before it, less 0.001 of the action's square. It never terminates."""
 
     metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(self, physics: Physics = NOMINAL) -> None:
         self.physics = physics
-        seen = spaces.Box(-np.inf, np.inf, (4,), np.float64)
-        super().__init__(__file__, FRAME_SKIP, seen)
+        super().__init__(__file__, FRAME_SKIP, spaces.Box(-np.inf, np.inf, (4,), np.float64))
         EzPickle.__init__(self, physics)
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -98,23 +93,23 @@ class PointMaze(MujocoEnv, EzPickle):
         away, act = self.place() - TARGET, action.astype(np.float64)
         self.do_simulation(action, self.frame_skip)
         reward = -float(np.sqrt(away @ away)) - ENERGY * float(act @ act)
-        return self._seen(), reward, False, False, {}
+        return self._observe(), reward, False, False, {}
 
     def reset_model(self) -> NDArray[np.float64]:
         push = self.np_random.uniform(-0.01, 0.01, 2)
         self.set_state(self.init_qpos, self.init_qvel + push)  # type: ignore[no-untyped-call]
-        return self._seen()
+        return self._observe()
 
     def place(self) -> Array:
-        """(2,): where the ball is [m]."""
+        """Return the ball's position [m], (2,)."""
         return np.asarray(self.data.qpos + START)
 
-    def _seen(self) -> Array:
+    def _observe(self) -> Array:
         return np.concatenate([self.place(), self.data.qvel])
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 10): how near the ball is to each of nine places on a grid, and a constant."""
+    """Return the nearness of the ball to nine places on a grid, and a constant, (B, 10)."""
     line = np.linspace(0.0, 0.5, 3)
     grid = np.array([(x, y) for x in line for y in line])
     squares = np.square(obs[:, None, :2] - grid).sum(axis=2)
@@ -122,9 +117,8 @@ def phi(obs: Array, act: Array) -> Array:
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The walls as lines, from above; the ball and the target as circles."""
-    inner = env.unwrapped
-    assert isinstance(inner, PointMaze)
+    """Return a view from above: walls as lines, the ball and the target as circles."""
+    inner: Any = env.unwrapped
     turns = np.linspace(0, 2 * math.pi, 17)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
     outer = np.array([(LOW, LOW), (HIGH, LOW), (HIGH, HIGH), (LOW, HIGH), (LOW, LOW)])
@@ -136,13 +130,8 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     }
 
 
-def why_ended(env: gym.Env[Any, Any]) -> str:
-    """Nothing ends it."""
-    return "never"
-
-
 THESIS = DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2500, n_steps=5, critics=2)
-"""The learner of the thesis."""
+"""Learner of the thesis."""
 
 SPEC = EnvSpec(
     name="point_maze",
@@ -154,7 +143,6 @@ SPEC = EnvSpec(
     act_names=(Quantity("force along x", "N"), Quantity("force along y", "N")),
     obs_scale=(0.3, 0.3, 0.3, 0.3),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=FRAME_SKIP * FRAME,
     bar=lambda seeds: -6.0,
     rl_steps={"smoke": 4096, "quick": 51_200, "full": 102_400},
@@ -162,8 +150,7 @@ SPEC = EnvSpec(
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
-    why_ended=why_ended,
-    batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", why_ended),
+    batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", EnvSpec.why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
     rl=FEW_JOINTS,
     ddpg=THESIS,
@@ -175,9 +162,4 @@ SPEC = EnvSpec(
 """The ball starts below the wall and the target lies above it. With the wall moved, the way around is on the
 other side: what was learned must be worth something there as well."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.point_maze:PointMaze",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.point_maze:PointMaze")

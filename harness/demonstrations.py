@@ -170,12 +170,12 @@ def described(found: Found, spec: EnvSpec) -> list[str]:
         lines.append(f"choices     {units.first} to {units.first + spec.act_size - 1} there, {units.why}")
     elif units:
         lines.append(f"bounds      {units} there, {units.why}")
-    width = max(len(str(quantity)) for quantity in (*spec.obs_names, *spec.act_names))
+    width = max(len(str(quantity)) for quantity in (*spec.observations, *spec.actions))
     act = np.concatenate(episodes.act)
     there = units.native(act) if units and not spec.discrete else None
     for kind, names, values in (
-        ("observed", spec.obs_names, np.concatenate(episodes.obs)),
-        ("actions", spec.act_names, act),
+        ("observed", spec.observations, np.concatenate(episodes.obs)),
+        ("actions", spec.actions, act),
     ):
         for i, (name, column) in enumerate(zip(names, values.T, strict=True)):
             spread = f"{_range(column)}, mean {column.mean():.3g}"
@@ -250,7 +250,7 @@ def _check_possible(obs: Sequence[Array], spec: EnvSpec) -> None:
         if (outside := (rows < low - beyond) | (rows > high + beyond)).any():
             step, entry = np.argwhere(outside)[0]
             raise ValueError(
-                f"episode {i} observes {rows[step, entry]:.6g} as {spec.obs_names[entry].name}, "
+                f"episode {i} observes {rows[step, entry]:.6g} as {spec.observations[entry].name}, "
                 f"which lies in [{low[entry]:g}, {high[entry]:g}]"
             )
 
@@ -274,7 +274,7 @@ def _actions(there: Sequence[NDArray[Any]], spec: EnvSpec, units: Units) -> list
         most, entry = excess.max(), excess.max(axis=0).argmax()
         raise ValueError(
             f"{outside} of {len(excess)} actions ({100 * outside / len(excess):.2g} %) are outside of "
-            f"{units}, by {most:.6g} at most, in {spec.act_names[entry].name}; if the environment clipped "
+            f"{units}, by {most:.6g} at most, in {spec.actions[entry].name}; if the environment clipped "
             f"them, clip them in the file, and only if all are in other units, give {action_units.OPTION}"
         )
     return [units.scaled(rows) for rows in act]

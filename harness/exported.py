@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from envs.spec import number
+from envs.checks import number
 from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
@@ -231,8 +231,8 @@ def _facts(
         "learned": policy,
         "observation_space": str(env.observation_space),
         "action_space": str(env.action_space),
-        "observations": [str(quantity) for quantity in spec.obs_names],
-        "actions": [str(quantity) for quantity in spec.act_names],
+        "observations": [str(quantity) for quantity in spec.observations],
+        "actions": [str(quantity) for quantity in spec.actions],
         "absorbing": None if reward is None or cell.method == REFERENCE else float(reward.absorbing),
         "key": key,
         "computed_with": dict(origin),

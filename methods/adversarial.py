@@ -1,13 +1,12 @@
-"""The game that adversarial methods play: a reward is fitted to tell demonstrations from what an agent does,
-and the agent learns under it, in turn.
+"""The game of adversarial methods: a reward learns to distinguish demonstrations from the agent's steps, and
+the agent learns under that reward, in turn.
 
-What the agent does is read from what it remembers, steps in the absorbing state included, as in
-Discriminator-Actor-Critic (Kostrikov et al. 2019): of PPO that is its latest bout. Where the model is known,
-it is read from rollouts. Single iterates of either player
-swing widely. So one rule finds pi* for all these methods, without the true reward: once the game is over,
-reinforcement learning goes on under the mean of rewards, and its best checkpoint there is pi*. Of all,
-for it is a player's average over the whole game that converges, and early rewards say what is wrong with
-states that no later agent visits.
+The agent's steps are read from its replay buffer, steps in the absorbing state included, as in
+Discriminator-Actor-Critic (Kostrikov et al. 2019). For PPO the buffer is its latest bout. Single iterates of
+either player swing widely. So all these methods find pi* by one rule, without the true reward. After the game
+the agent learns on under the mean of all rewards, and pi* is its best checkpoint there. The mean is over all
+because a player's average over the whole game converges. Early rewards also judge states that no later agent
+visits.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
+from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Transitions, World, seen_by_both
+from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Rng, Transitions, World
 from methods.network import ADAM, Contrast, contrast, standardiser
 from methods.rewards import MeanReward
-from methods.visits import sample
+from methods.visits import sample, seen_by_both
 
 
 class Turn(NamedTuple):
-    """What the reward's player says once: what the agent is paid, and which R* that stands for."""
+    """A move of the reward's player: what the agent is paid, and the R* that this stands for."""
 
     payment: Reward | Payment
     reward: Reward
 
 
 class Outcome(NamedTuple):
-    """pi*, the last reward, and the mean of all."""
+    """The result of a game: pi*, the last reward, and the mean of all."""
 
     policy: Policy
     last: Reward
@@ -51,28 +50,26 @@ class Game:
     iterations: int = 20
     """Turns of each player."""
     rl_share: float = 0.06
-    """Environment steps of each turn of the agent, of those of a solve from scratch."""
+    """Environment steps of each turn of the agent, as a share of a solve from scratch."""
     reward_steps: int = 100
     """Gradient steps of each turn of the reward."""
     learning_rate: float = 1e-3
-    """Of Adam, of the reward."""
+    """Learning rate of the reward, by Adam."""
     batch: int = 256
-    """Steps of demonstrations in each of the discriminator's gradient steps, and as many of the agent's."""
+    """Demonstrated steps in each gradient step of the discriminator, and as many of the agent's."""
     latest: int = 3000
-    """Steps of the agent, its last, that are sampled from; an agent that learns by PPO remembers fewer."""
+    """Latest steps of the agent that are sampled from. PPO remembers fewer."""
     slope_penalty: float = 1.0
-    """Weight of the reward's mean squared slope between the two (`contrast_among_living`), observations being
-    standardised."""
+    """Weight of the reward's mean squared slope between demonstrations and the agent's steps
+    (`contrast_among_living`), on standardised observations."""
     final_share: float = 0.5
-    """Environment steps under the mean of all rewards at the end, of those of a solve from scratch."""
+    """Environment steps under the mean of all rewards at the end, as a share of a solve from scratch."""
     rollouts: int = 10
-    """Episodes of random actions, with which observations are standardised; where the model is known, also of
+    """Episodes of random actions that standardise observations. Where the model is known, also episodes of
     the agent in each turn."""
 
-    def standard(
-        self, demos: Episodes, world: World, rng: np.random.Generator
-    ) -> tuple[Array, Array, torch.Generator]:
-        """Mean and spread (O,) of observations, and what networks begin with."""
+    def standard(self, demos: Episodes, world: World, rng: Rng) -> tuple[Array, Array, torch.Generator]:
+        """Return the mean and spread of observations, (O,) each, and the source of first weights."""
         random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
         mean, std = standardiser(seen_by_both(demos, random, rng))
         return mean, std, torch.Generator().manual_seed(int(rng.integers(1 << 31)))
@@ -81,62 +78,60 @@ class Game:
         self,
         world: World,
         agent: Agent,
-        first: Turn,
-        answer: Callable[[Transitions], Turn],
-        rng: np.random.Generator,
+        propose: Callable[[], Turn],
+        improve: Callable[[Transitions], None],
+        rng: Rng,
     ) -> Outcome:
-        """Each player takes its turns, the agent under `first` to begin with, and the reward's by `answer` to
-        the agent's latest steps."""
-        turns = [first]
+        """Alternate the players: the agent learns under each proposal, and its steps improve the next one."""
+        turns = [propose()]
         for _ in range(self.iterations):
             agent.learn(math.ceil(self.rl_share * world.solve_steps), turns[-1].payment)
-            if world.model is None:
-                seen = agent.replay().last(self.latest)
-            else:
-                seen = Transitions.of(world.rollout(agent.policy, self.rollouts, rng))
-            turns.append(answer(seen))
+            improve(self.latest_steps(world, agent, rng))
+            turns.append(propose())
         mean = MeanReward(tuple(turn.reward for turn in turns[1:]))
         agent.learn(math.ceil(self.final_share * world.solve_steps), mean)
         return Outcome(agent.best(mean), turns[-1].reward, mean)
 
-    def discriminator(self, logit: torch.nn.Module, generator: torch.Generator) -> Discriminator:
-        """One that has not learned yet."""
+    def latest_steps(self, world: World, agent: Agent, rng: Rng) -> Transitions:
+        """Return the agent's latest steps, at most `latest`."""
+        return agent.replay().last(self.latest)
+
+    def discriminator(self, logit: nn.Module, generator: torch.Generator) -> Discriminator:
+        """Return an untrained discriminator."""
         optimizer = torch.optim.Adam(logit.parameters(), self.learning_rate, **ADAM)
         return Discriminator(self, logit, optimizer, generator)
 
 
 @dataclass(frozen=True)
 class Discriminator:
-    """Tells demonstrated steps from others, by rows that describe them. logit: of such rows (B, K), (B, 1):
-    log D - log(1 - D), D being the probability that one is demonstrated."""
+    """A classifier of rows that describe steps. `logit`: of rows (B, K), (B, 1), log D - log(1 - D). D is the
+    probability that a step is demonstrated."""
 
     game: Game
-    logit: torch.nn.Module
+    logit: nn.Module
     optimizer: torch.optim.Optimizer
     generator: torch.Generator
 
-    def tell(self, shown: Array, own: Array, rng: np.random.Generator) -> float:
-        """Learn to tell shown (N, K) from own (M, K). Its logistic loss at the end, 1.39 where it knows
-        nothing."""
+    def learn(self, expert: Array, own: Array, rng: Rng) -> float:
+        """Learn to distinguish expert rows (N, K) from own rows (M, K). Return the last logistic loss, which
+        is 1.39 if uninformed."""
         for _ in range(self.game.reward_steps):
-            d, e = (sample(visits, self.game.batch, rng) for visits in (shown, own))
-            said = contrast_among_living(self.logit, d, e, self.generator)
-            errors = softplus(-said.a).mean() + softplus(said.b).mean()
-            loss = errors + self.game.slope_penalty * said.squared_slope
+            d, e = (sample(visits, self.game.batch, rng) for visits in (expert, own))
+            logits = contrast_among_living(self.logit, d, e, self.generator)
+            errors = softplus(-logits.a).mean() + softplus(logits.b).mean()
+            loss = errors + self.game.slope_penalty * logits.squared_slope
             self.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
         return errors.item()
 
 
-def contrast_among_living(
-    network: torch.nn.Module, a: torch.Tensor, b: torch.Tensor, generator: torch.Generator
-) -> Contrast:
+def contrast_among_living(network: nn.Module, a: Tensor, b: Tensor, generator: torch.Generator) -> Contrast:
     """Return the contrast of rows a (B, K) and b (B, K), whose last entry is the absorbing indicator. Its
-    slope is between those pairs alone of which both are living steps, one that ends being one.
+    slope is over pairs of two living steps only. A step that terminates is a living one.
 
-    The absorbing state is beside no other: were the slope on all the way there penalised too, it would pay
-    almost what the mean of observations does, and an end more than a fall. Slopes are along the indicators as
-    well; without that, rewards retrained worse on the swing-up (`docs/tuning.md`).
+    The absorbing state has no neighbours. A penalty on the slope on the way there would pull its reward
+    towards that of the mean observation, so that an end would pay more than a fall. The slope is along the
+    indicators too. Without that, rewards retrained worse on the swing-up (`docs/tuning.md`).
     """
     return contrast(network, a, b, generator, (a[:, -1] == 0) & (b[:, -1] == 0))

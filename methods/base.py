@@ -1,4 +1,4 @@
-"""The one interface between methods and the benchmark: what a method is given and what it returns."""
+"""The interface between methods and the benchmark: demonstrations and a `World` in, `Learned` out."""
 
 from __future__ import annotations
 
@@ -9,48 +9,49 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.spec import Model
+from envs.models import Model
 
 Array = NDArray[np.float64]
-ABSORBING_STEPS = 5
-"""Steps that an agent stays in the absorbing state before its episode is cut."""
-RandomActions = Callable[[int, np.random.Generator], Array]
-"""(count, A), uniform over all actions."""
+Flags = NDArray[np.bool_]
+Rng = np.random.Generator
+Phi = Callable[[Array, Array], Array]  # features (B, K) of observations (B, O) and actions (B, A)
+ABSORBING_STEPS = 5  # steps that an agent stays in the absorbing state before its episode is truncated
+RandomActions = Callable[[int, Rng], Array]
+"""A function of a count that returns as many uniform actions, (count, A)."""
 
 
 class Unsuitable(ValueError):
-    """What a method raises where it is not made for the task, or for what it is shown. Its cell is skipped
-    then, and says why."""
+    """An error that a method raises for tasks or demonstrations that it cannot learn from. Its cell is then
+    skipped, with the error's text as the reason."""
 
 
 class Policy(Protocol):
-    """A deterministic policy: observations (B, O) to actions (B, A) within [-1, 1]; where an action is a
-    choice among A, the largest entry acts."""
+    """A deterministic policy: observations (B, O) to actions (B, A) in [-1, 1]. Where an action is a choice
+    among A, the largest entry acts."""
 
     def __call__(self, obs: Array, /) -> Array: ...
 
 
 class StochasticPolicy(Protocol):
-    """A policy that draws its actions, within [-1, 1]^A, by a density; or, where actions are choices, by
-    probabilities."""
+    """A policy that draws actions in [-1, 1]^A from a density, or choices from probabilities."""
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
-        """(B, A): an action for each observation (B, O)."""
+    def sample(self, obs: Array, rng: Rng) -> Array:
+        """Return an action for each observation (B, O), (B, A)."""
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """(B,): logarithm of the density, or probability, of actions (B, A) at observations (B, O)."""
+        """Return the log density, or log probability, of actions (B, A) at observations (B, O), (B,)."""
 
     @property
     def mean(self) -> Policy:
-        """What it does without chance."""
+        """The deterministic policy at its centre."""
 
 
 @runtime_checkable
 class Reward(Protocol):
-    """A learned reward: (B, O) observations, (B, A) actions, (B, O) next observations to (B,) rewards.
+    """A learned reward: observations (B, O), actions (B, A) and next observations (B, O) to rewards (B,).
 
-    `absorbing` is what one step in the absorbing state pays, where episodes go when they terminate.
-    Only differences from it count (docs/termination.md).
+    `absorbing` is the reward of one step in the absorbing state, which terminated episodes enter. Only
+    differences from it count (docs/termination.md).
     """
 
     @property
@@ -61,34 +62,38 @@ class Reward(Protocol):
 
 @dataclass(frozen=True)
 class Transitions:
-    """N steps. obs, next_obs (N, O); act (N, A); absorbing, next_absorbing (N,): whether each was taken in
-    the absorbing state, and whether it led there. In the absorbing state observations mean nothing.
-    demonstrated (N,): whether each is of demonstrations; by default none is."""
+    """N steps: `obs` and `next_obs` (N, O), `act` (N, A), and three flags for each step, (N,).
+
+    `absorbing`: it starts in the absorbing state, where observations mean nothing. `next_absorbing`: it ends
+    there. `demonstrated`: it is part of a demonstration.
+    """
 
     obs: Array
     act: Array
     next_obs: Array
-    absorbing: NDArray[np.bool_]
-    next_absorbing: NDArray[np.bool_]
-    demonstrated: NDArray[np.bool_] = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        if self.demonstrated is None:
-            object.__setattr__(self, "demonstrated", np.zeros(len(self), bool))
+    absorbing: Flags
+    next_absorbing: Flags
+    demonstrated: Flags
 
     def __len__(self) -> int:
         return len(self.act)
 
     def last(self, count: int) -> Transitions:
-        """The last so many, or all where there are fewer."""
+        """Return the last `count` steps, or all where there are fewer."""
         return Transitions(*(column[-count:] for column in vars(self).values()))
 
     def absorbed(self) -> Transitions:
-        """Return the steps, each that ends an episode followed by `ABSORBING_STEPS` in the absorbing state.
-        None of those given may be there."""
+        """Return living steps, with `ABSORBING_STEPS` in the absorbing state after each that terminates."""
         rows = np.repeat(np.arange(len(self)), 1 + ABSORBING_STEPS * self.next_absorbing)
         obs, act, next_obs, _, ended, demonstrated = (column[rows] for column in vars(self).values())
         return Transitions(obs, act, next_obs, np.diff(rows, prepend=-1) == 0, ended, demonstrated)
+
+    @classmethod
+    def own(
+        cls, obs: Array, act: Array, next_obs: Array, absorbing: Flags, next_absorbing: Flags
+    ) -> Transitions:
+        """Return an agent's own steps, all not demonstrated."""
+        return cls(obs, act, next_obs, absorbing, next_absorbing, np.zeros(len(act), bool))
 
     @classmethod
     def of(cls, episodes: Episodes) -> Transitions:
@@ -96,48 +101,43 @@ class Transitions:
         obs, act = episodes.pairs()
         ended = np.zeros(len(act), bool)
         ended[episodes.lengths.cumsum() - 1] = episodes.terminated
-        return cls(
-            obs, act, np.concatenate([seen[1:] for seen in episodes.obs]), np.zeros(len(act), bool), ended
-        )
+        after = np.concatenate([rows[1:] for rows in episodes.obs])
+        return cls.own(obs, act, after, np.zeros(len(act), bool), ended)
 
 
 Payment = Callable[[Transitions], Array]
-"""What an agent is paid for each step, (N,), those in the absorbing state and into it included, own and
-demonstrated ones: for methods that need to say more than a `Reward` can."""
+"""A function of N steps that returns the reward of each, (N,). Unlike a `Reward` it sees steps in the
+absorbing state and into it, and which ones are demonstrated."""
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """Episodes without rewards: demonstrations, or rollouts in a `World`. Its arrays are read-only.
+    """Episodes without rewards: demonstrations, or rollouts in a `World`. Arrays are read-only.
 
-    obs: for each episode (T+1, O), the last row being where it ended.
-    act: for each episode (T, A), in [-1, 1]; 1 for a choice and 0 for the others where actions are choices.
-    terminated: for each episode whether it terminated (and was not cut at the horizon).
-    times: where only some steps are shown, for each episode the N numbers of those, from 0, ascending; obs is
-    then (N, O) and act (N, A). None where all are.
-    steps: for each episode T; by default those that are shown.
-    Raises ValueError for anything else: no episode, no step, wrong shapes, NaN, actions out of range.
+    `obs`: (T+1, O) for each episode, the last row being where it ended. `act`: (T, A) for each episode, in
+    [-1, 1]; a choice is 1 and the others are 0. `terminated`: the episodes that were not truncated. `times`:
+    None if every step is shown. Otherwise the N times of the steps shown, from 0, ascending, for each
+    episode; then `obs` is (N, O) and `act` (N, A). `steps`: T of each episode, None if every step is shown.
+    Raises ValueError for no episode, no step, wrong shapes, NaN, and actions out of range.
     """
 
     obs: tuple[Array, ...]
     act: tuple[Array, ...]
     terminated: tuple[bool, ...]
     times: tuple[NDArray[np.int64], ...] | None = None
-    steps: tuple[int, ...] = ()
+    steps: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.obs) == len(self.act) == len(self.terminated) > 0:
             raise ValueError("episodes: obs, act and terminated must list the same episodes, at least one")
-        if not self.steps:
-            object.__setattr__(self, "steps", tuple(map(len, self.act)))
         last, rows = (1, "T+1") if self.whole else (0, "N")
-        for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
+        for i, (obs, act, steps) in enumerate(zip(self.obs, self.act, self.lengths, strict=True)):
             if obs.ndim != 2 or act.ndim != 2 or len(obs) != len(act) + last or len(act) == 0:
                 raise ValueError(f"episode {i}: needs obs ({rows}, O) and act, has {obs.shape}, {act.shape}")
             times = np.arange(len(act)) if self.times is None else self.times[i]
-            within = times.shape == (len(act),) and times[0] >= 0 and times[-1] < self.steps[i]
+            within = times.shape == (len(act),) and times[0] >= 0 and times[-1] < steps
             if not (within and (np.diff(times) > 0).all()):
-                raise ValueError(f"episode {i}: its times must ascend within its {self.steps[i]} steps")
+                raise ValueError(f"episode {i}: its times must ascend within its {steps} steps")
             if obs.shape[1] != self.obs[0].shape[1] or act.shape[1] != self.act[0].shape[1]:
                 raise ValueError(f"episode {i}: its sizes differ from those of episode 0")
             if not (np.isfinite(obs).all() and np.isfinite(act).all()):
@@ -151,126 +151,127 @@ class Episodes:
 
     @property
     def whole(self) -> bool:
-        """Whether every step is shown."""
+        """True if every step is shown."""
         return self.times is None
 
     @property
     def lengths(self) -> NDArray[np.int64]:
         """Steps of each episode, shown or not."""
-        return np.array(self.steps)
+        return np.array([len(act) for act in self.act] if self.steps is None else self.steps)
 
     def pairs(self) -> tuple[Array, Array]:
-        """Every (observation, action) that is shown, in one batch: (N, O) and (N, A)."""
+        """Return every observation and action that is shown, (N, O) and (N, A)."""
         obs = [obs[: len(act)] for obs, act in zip(self.obs, self.act, strict=True)]
         return np.concatenate(obs), np.concatenate(self.act)
 
     def transitions(self) -> tuple[Array, Array, Array]:
-        """Every step that is shown with what was observed after it: (N, O), (N, A) and (N, O)."""
-        obs, act, after = [], [], []
-        for i, (seen, done) in enumerate(zip(self.obs, self.act, strict=True)):
-            times = np.arange(len(seen)) if self.times is None else self.times[i]
+        """Return steps with their next observations, where both are shown: (N, O), (N, A) and (N, O)."""
+        before, actions, after = [], [], []
+        for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
+            times = np.arange(len(obs)) if self.times is None else self.times[i]
             followed = np.flatnonzero(np.diff(times) == 1)
-            obs.append(seen[followed])
-            act.append(done[followed])
-            after.append(seen[followed + 1])
-        return np.concatenate(obs), np.concatenate(act), np.concatenate(after)
+            before.append(obs[followed])
+            actions.append(act[followed])
+            after.append(obs[followed + 1])
+        return np.concatenate(before), np.concatenate(actions), np.concatenate(after)
 
-    def every(self, count: int, rng: np.random.Generator) -> Episodes:
-        """Every `count`-th step of each episode, from one of the first, which chance decides; of a shorter
-        episode one step."""
-        starts = [int(rng.integers(min(count, steps))) for steps in self.steps]
-        times = tuple(np.arange(start, T, count) for start, T in zip(starts, self.steps, strict=True))
+    def every(self, count: int, rng: Rng) -> Episodes:
+        """Return every `count`-th step of each episode, from a random one of its first `count`. A shorter
+        episode keeps one step."""
+        lengths = tuple(self.lengths.tolist())
+        starts = [int(rng.integers(min(count, steps))) for steps in lengths]
+        times = tuple(np.arange(start, T, count) for start, T in zip(starts, lengths, strict=True))
         obs, act = (
             tuple(rows[at].copy() for rows, at in zip(column, times, strict=True))
             for column in (self.obs, self.act)
         )
-        return Episodes(obs, act, self.terminated, times, self.steps)
+        return Episodes(obs, act, self.terminated, times, lengths)
 
 
 Kind = Literal["own", "stochastic", "soft"]
-"""An agent that learns by the task's own learner; by that where its policy is by chance, and else as the
-third; by soft actor-critic or, where actions are choices, by one for these."""
+"""The learner of an agent. `own` is the task's. `soft` is soft actor-critic, or DQN where actions are
+choices. `stochastic` is the task's if that is PPO, whose policy is stochastic, else as `soft`."""
 
 
 class Agent(Protocol):
-    """Learns by reinforcement, and goes on from where it is under whatever reward comes next. Where the model
-    is known it knows at once, without a step."""
+    """A reinforcement learner, which continues from its present policy under each new reward. Where the model
+    is known it solves for the policy, without a step."""
 
     def learn(self, steps: int, reward: Reward | Payment) -> None:
-        """Learn for so many environment steps, at least 1, and for a few more where its learner takes steps
-        in bouts. All that it remembers is paid by this reward alone."""
+        """Learn for `steps` environment steps, at least 1, rounded up to whole bouts of its learner. Its
+        replay buffer is paid anew by this reward."""
 
     def best(self, reward: Reward) -> Policy:
-        """The checkpoint of what was learned last that does best under the reward."""
+        """Return the checkpoint of the last `learn` that scores best under the reward."""
 
     @property
     def policy(self) -> Policy:
-        """What it would do now."""
+        """The present policy, without exploration."""
 
     @property
     def behaviour(self) -> StochasticPolicy:
-        """What it explores with. Raises ValueError where nothing was learned yet, and where its policy is not
-        by chance."""
+        """The exploring policy. Raises ValueError before `learn`, and for learners with a deterministic
+        one."""
 
     def replay(self) -> Transitions:
-        """The latest steps that it has seen, the oldest first: all that it remembers. Raises ValueError where
-        the model is known, and where nothing was learned yet."""
+        """Return its replay buffer, oldest first. Raises ValueError before `learn`, and in known models."""
 
 
 class World(Protocol):
-    """The environment without its reward: all that a method may touch. It counts what it is asked for."""
+    """The environment without its reward: all that a method may touch. It counts steps and RL solves."""
 
     obs_size: int
     act_size: int
     horizon: int
     gamma: float
     solve_steps: int
-    """Environment steps that a solve takes here from scratch, at the run's budget."""
+    """Environment steps of an RL solve from scratch, at the run's budget."""
     discrete: bool
-    """Whether actions are choices."""
+    """True if actions are choices."""
     model: Model | None
-    """The dynamics, where they are known."""
+    """The dynamics, None where they are not known."""
 
-    def random_actions(self, count: int, rng: np.random.Generator) -> Array:
-        """(count, A), uniform over all actions."""
+    def random_actions(self, count: int, rng: Rng) -> Array:
+        """Return uniform actions, (count, A)."""
 
     def phi(self, obs: Array, act: Array) -> Array:
-        """The environment's features for linear rewards, (B, K), within [-1, 1]."""
+        """Return the task's features for linear rewards, (B, K), in [-1, 1]."""
 
-    def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
-        """Fresh episodes of the policy."""
+    def rollout(self, policy: Policy, episodes: int, rng: Rng) -> Episodes:
+        """Return new episodes of the policy."""
 
     def ask(self, obs: Array) -> Array:
-        """What the expert does, (B, A), at observations (B, O). Raises ValueError for methods that are not
-        marked as asking it."""
+        """Return the expert's actions (B, A) at observations (B, O). Raises ValueError for methods that are
+        not registered as asking the expert."""
 
     def agent(
         self,
-        rng: np.random.Generator,
+        rng: Rng,
         *,
         kind: Kind = "own",
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
         entropy: float = 0.0,
     ) -> Agent:
-        """One that has not learned yet.
+        """Return an untrained agent.
 
-        init: what it begins with, a `Network` of its actor's shape or, for soft actor-critic, a
-        `SquashedGaussian` of it.
-        demonstrations: half of what it learns from at each gradient step, paid as its own steps are.
-        entropy: what a nat of its policy's entropy is worth, uniform actions having 0, where it learns from
-        its latest steps alone (PPO). Soft actor-critic weighs entropy by itself, and others have none.
-        Raises ValueError for another `init`, and for either of the first two where the model is known.
+        `init`: its first policy, a `Network` of its actor's shape or, for soft actor-critic, a
+        `SquashedGaussian` of one. `demonstrations`: half of each batch, paid like its own steps. `entropy`:
+        reward of a nat of its policy's entropy, relative to uniform actions, for PPO. Soft actor-critic tunes
+        its own weight, and other learners have none. Raises ValueError for another `init`, and for `init` or
+        `demonstrations` where the model is known.
         """
 
-    def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
-        """What an agent of its own learns in `steps` environment steps under the reward, at its best."""
+    def solve(self, reward: Reward, rng: Rng, steps: int) -> Policy:
+        """Return the best checkpoint of a new agent that learns for `steps` environment steps."""
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What a method found: the apprentice policy pi*, the reward R* (None: it learns none), curves of its
-    training by name, such as losses, one value an iteration, and numbers about the fit by name."""
+    """The result of a fit: the apprentice policy pi* and the reward R*, None if the method learns none.
+
+    `curves`: one value an iteration, such as losses, by name. `details`: numbers about the fit, by name.
+    """
 
     policy: Policy
     reward: Reward | None
@@ -279,40 +280,7 @@ class Learned:
 
 
 class Method(Protocol):
-    """A method: a frozen dataclass whose fields are its hyper-parameters."""
+    """A frozen dataclass whose fields are hyper-parameters."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Learn from the demonstrations alone, in a world without its reward."""
-
-
-def roughened(
-    policy: Policy, share: float, random_actions: RandomActions, rng: np.random.Generator
-) -> Policy:
-    """The policy with this share of its actions replaced by random ones."""
-
-    def act(obs: Array) -> Array:
-        replaced = rng.random((len(obs), 1)) < share
-        return np.where(replaced, random_actions(len(obs), rng), policy(obs))
-
-    return act
-
-
-def seen_by_both(demos: Episodes, rollouts: Episodes, rng: np.random.Generator) -> Array:
-    """(2N, O): what was observed in N steps of rollouts, and as much of demonstrations. By its spread inputs
-    are standardised: where an expert hardly moves, its own would make outliers of all states but its own."""
-    visited = rollouts.pairs()[0]
-    return np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
-
-
-def default_absorbing(
-    reward: Reward, demos: Episodes, random_actions: RandomActions, rng: np.random.Generator
-) -> float:
-    """What absorption pays under a reward learned from expert pairs only: its mean over the demonstrated
-    states with uniform actions; over the demonstrated pairs where the demonstrations themselves terminate.
-
-    So an uninformed agent gains nothing from staying alive, nor from dying.
-    """
-    obs, act = demos.pairs()
-    if not all(demos.terminated):
-        act = random_actions(len(act), rng)
-    return float(reward(obs, act, obs).mean())
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Learn from demonstrations in a world without its reward."""

@@ -1,37 +1,34 @@
-"""Behaviour cloning (Pomerleau 1991; Bain & Sammut 1999): regression from observations to actions.
-The error is squared, in units of each action's standard deviation over the demonstrations, sigma.
+"""Behaviour cloning (Pomerleau 1991; Bain & Sammut 1999): regression from observations to actions. The error
+is squared, in units of each action's standard deviation sigma over the demonstrations.
 
     min over pi of E_D |(a - pi(s)) / sigma|^2
 
-It learns no reward, so there is no pi_R.
+It learns no reward, so it has no pi_R.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
-from methods.base import Array, Episodes, Learned, World
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 
 
 @dataclass(frozen=True)
 class BehaviourCloning(Regression):
-    """Its hyper-parameters, besides those of `Regression`."""
+    """Hyper-parameters of cloning, besides those of `Regression`."""
 
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the policy."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Clone what is shown. Touches no environment."""
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Clone the demonstrations, without the environment."""
         policy, losses = self.clone(*demos.pairs(), rng)
         return Learned(policy, None, {"loss": losses})
 
-    def clone(self, obs: Array, act: Array, rng: np.random.Generator) -> tuple[Network, list[float]]:
-        """Minimise the squared error of the policy's actions act (N, A) at obs (N, O), in units of their
-        standard deviation: one who balances well hardly moves. The policy, and the loss as it falls."""
+    def clone(self, obs: Array, act: Array, rng: Rng) -> tuple[Network, list[float]]:
+        """Fit a policy to actions (N, A) at observations (N, O), and return it with its falling loss. Errors
+        are in units of the actions' standard deviation, because an expert that balances well hardly moves."""
         mean, std = standardiser(obs)
         spread = standardiser(act)[1]
         unit = torch.as_tensor(spread, dtype=torch.float32)

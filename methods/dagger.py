@@ -1,36 +1,34 @@
-"""DAgger (Ross, Gordon & Bagnell 2011), algorithm 3.1: behaviour cloning that asks the expert what it would
-do where its own policy leads, adds the answers to what it was shown, and clones again.
+"""DAgger (Ross, Gordon & Bagnell 2011), algorithm 3.1: behaviour cloning that asks the expert for its actions
+where its own policy leads, adds them to the demonstrations, and clones again.
 
     D_(i+1) = D_i + (s, pi_E(s)) for s that pi_i visits,   pi_(i+1) = clone of D_(i+1)
 
-It is told more than other methods are, and so it is a ceiling and no rival of theirs. It learns no reward.
+It learns no reward. It sees more than other methods do, so its scores are a ceiling for them.
 
-Deviates from the paper: pi* is the last clone, not the best of all on validation. Whoever demonstrates, it is
-the expert that answers. The paper's beta, by which the expert acts with a falling chance, is 1 in the first
-iteration, whose episodes are the demonstrations, and 0 after it: its "parameter-free version".
+Deviates from the paper: pi* is the last clone, not the best of all on validation. The expert answers, whoever
+demonstrates. The paper's beta, by which the expert acts with a falling chance, is 1 in the first iteration,
+whose episodes are the demonstrations, and 0 after it: its "parameter-free version".
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Episodes, Learned, World
+from methods.base import Episodes, Learned, Rng, World
 from methods.bc import BehaviourCloning
 
 
 @dataclass(frozen=True)
 class DAgger(BehaviourCloning):
-    """Its hyper-parameters, besides those of its clones."""
+    """DAgger's hyper-parameters, besides those of its clones."""
 
     rounds: int = 10
-    """Policies that act, after that of the demonstrations."""
+    """Clones that act, after the demonstrations."""
     rollouts: int = 5
-    """Episodes of each, at every step of which the expert is asked."""
+    """Episodes of each clone. The expert is asked at every step."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Clone, act and ask in turn; pi* is the last clone, of all answers."""
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Clone, act and ask in turn. pi* is the last clone, of all answers."""
         obs, act = demos.pairs()
         policy, losses = self.clone(obs, act, rng)
         ends = [losses[-1]]

@@ -1,25 +1,24 @@
-"""Random Fourier features (Rahimi & Recht 2007): linear rewards of them are smooth functions of any shape."""
+"""Random Fourier features (Rahimi & Recht 2007). Linear rewards of them are smooth functions of any shape."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from methods.base import Array
+from methods.base import Array, Phi, Rng
 from methods.network import standardiser
 
 
 @dataclass(frozen=True)
 class FourierFeatures:
-    """A task's features phi (B, K) of (B, O) observations and (B, A) actions, and F cosines of both, whose
-    squares sum to 1 on average: inner products of these are nearly a Gaussian kernel's values.
+    """A task's features phi (B, K) of observations (B, O) and actions (B, A), and F cosines of both.
 
-    mean, std: (O,), of observations. frequencies: (O + A, F). phases: (F,).
+    The cosines' squares sum to 1 on average, and their inner products are nearly a Gaussian kernel's values.
+    `mean`, `std`: of observations, (O,). `frequencies`: (O + A, F). `phases`: (F,).
     """
 
-    phi: Callable[[Array, Array], Array]
+    phi: Phi
     mean: Array
     std: Array
     frequencies: Array
@@ -27,15 +26,10 @@ class FourierFeatures:
 
     @classmethod
     def drawn(
-        cls,
-        phi: Callable[[Array, Array], Array],
-        obs: Array,
-        act_size: int,
-        count: int,
-        width: float,
-        rng: np.random.Generator,
+        cls, phi: Phi, obs: Array, act_size: int, count: int, width: float, rng: Rng
     ) -> FourierFeatures:
-        """count: F. width: of the kernel, in standard deviations of obs (N, O), and in actions."""
+        """Return random features with F = `count`. `width`: the kernel's, in standard deviations of
+        observations (N, O) and in units of actions."""
         mean, std = standardiser(obs)
         frequencies = rng.normal(size=(len(mean) + act_size, count)) / width
         return cls(phi, mean, std, frequencies, rng.uniform(0, 2 * np.pi, count))

@@ -1,42 +1,40 @@
-"""Linear maximum-entropy inverse reinforcement learning (Ziebart, Maas, Bagnell & Dey 2008): the gradient of
-the demonstrations' log-likelihood L with respect to weights of features is the demonstrations' mean features
-less those that the weights lead to.
+"""Linear maximum-entropy inverse reinforcement learning (Ziebart, Maas, Bagnell & Dey 2008).
+
+The demonstrations' log-likelihood L rises along their mean features, minus those that the weights w lead to.
+The reward is linear.
 
     r(s, a) = w^T phi(s, a),   grad_w log L = phi_D - E[phi]
 
-Where the model is known the likelihood is that of maximum causal entropy up to the horizon (Ziebart, Bagnell
-& Dey 2010), which is concave in w, maximised by L-BFGS.
+Here phi are features. Where the model is known the likelihood is that of maximum causal entropy up to the
+horizon (Ziebart, Bagnell & Dey 2010), which is concave in w (`methods.tabular.maxent_linear`).
 
-Deviates from the paper: a Gaussian prior on w keeps it finite where demonstrations leave no doubt. Elsewhere
-"solve the MDP" is warm-started RL, and E[phi] comes from rollouts of it, averaged over the iterations. Each
-iteration's weights solve a linear system, for a Gaussian prior on the reward's values is quadratic in them.
-Features get an absorbing indicator, and visitations count absorbing steps up to the horizon, so what
-absorption pays is learned like any state's reward.
+Deviates from the paper: a Gaussian prior on w keeps it finite where demonstrations leave no doubt. Where the
+model is not known, "solve the MDP" is RL that goes on from before, and E[phi] comes from its rollouts,
+averaged over the iterations. Each iteration's weights solve a linear system, because a Gaussian prior on
+reward values is quadratic in them. Features get an absorbing indicator, and visitations count absorbing steps
+up to the horizon. So the reward of absorption is learned like any state's.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
-from envs.spec import Model
-from methods.base import Array, Episodes, Learned, Policy, World
-from methods.maxent import log_likelihood
+from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.rewards import LinearReward
-from methods.visits import demonstrated, with_absorbing_steps
+from methods.tabular import tabular
+from methods.tabular.maxent_linear import TabularMaxEntLinear
+from methods.visits import with_absorbing_steps
 
 
 @dataclass(frozen=True)
 class MaxEntLinear:
-    """Its hyper-parameters."""
+    """Hyper-parameters of linear maximum-entropy IRL."""
 
     iterations: int = 5
-    """Reward updates, each followed by a reinforcement-learning solve."""
+    """Reward updates, each followed by reinforcement learning."""
     rl_share: float = 0.3
-    """Environment steps of each, of those of a solve from scratch."""
+    """Environment steps of each iteration, as a share of a solve from scratch."""
     rollouts: int = 10
     """Episodes that estimate a policy's mean features."""
     prior: float = 0.5
@@ -44,32 +42,10 @@ class MaxEntLinear:
     weight_prior: float = 1e-3
     """Inverse variance of the Gaussian prior on weights."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Maximise the likelihood of the demonstrations."""
-        if world.model is None:
-            return self._fit(demos, world, rng)
-        return self._fit_exactly(demos, world, world.model, rng)
-
-    def _fit_exactly(self, demos: Episodes, world: World, model: Model, rng: np.random.Generator) -> Learned:
-        states, actions = model.P.shape[:2]
-        every = np.repeat(model.obs, actions, axis=0), np.tile(np.eye(actions), (states, 1))
-        phi = world.phi(*every).reshape(states, actions, -1)
-        mu_demo = demonstrated(demos, model)
-        likelihoods: list[float] = []
-
-        def loss(w: Array) -> tuple[float, Array]:
-            likelihood, gradient = log_likelihood(model, phi @ w, mu_demo, world.gamma)
-            likelihoods.append(likelihood)
-            value = 0.5 * self.weight_prior * float(w @ w) - likelihood
-            return value, self.weight_prior * w - np.tensordot(gradient, phi, axes=2)
-
-        w = optimize.minimize(loss, np.zeros(phi.shape[2]), jac=True, method="L-BFGS-B").x
-        reward = LinearReward(world.phi, np.append(w, 0.0))
-        policy = world.solve(reward, rng, world.solve_steps)
-        return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
-
-    def _fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate the weights' closed form and reinforcement learning on their reward."""
+        if world.model is not None:
+            return tabular(TabularMaxEntLinear, self).fit(demos, world, rng)
         mean_demo, moment_demo = moments(demos, world)
         policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         means: list[Array] = []
@@ -91,7 +67,7 @@ class MaxEntLinear:
 
 
 def moments(episodes: Episodes, world: World) -> tuple[Array, Array]:
-    """Mean (K + 1,) and second moments (K + 1, K + 1) of the features over all steps up to the horizon, the
-    last feature being the absorbing indicator."""
+    """Return the features' mean (K + 1,) and second moments (K + 1, K + 1) over all steps up to the horizon.
+    The last feature is the absorbing indicator."""
     phi = with_absorbing_steps(world.phi(*episodes.pairs()), episodes, world.horizon - episodes.lengths)
     return phi.mean(axis=0), phi.T @ phi / len(phi)

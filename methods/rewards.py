@@ -1,21 +1,21 @@
-"""The forms that rewards take in several places."""
+"""Forms of rewards that several methods share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
+from torch import nn
 
-from methods.base import Array, Episodes, Reward
-from methods.network import ROWS, MeanNetwork, Network
+from methods.base import Array, Episodes, Phi, RandomActions, Reward, Rng
+from methods.compiled import MeanNetwork
+from methods.network import ROWS, Network
 
 
 @dataclass(frozen=True)
 class Constant:
-    """Pays `value` while alive."""
+    """A reward of `value` for each living step."""
 
     value: float
     absorbing: float
@@ -26,9 +26,9 @@ class Constant:
 
 @dataclass(frozen=True)
 class LinearReward:
-    """w^T phi(s, a), of weights w (K + 1,); the last is what the absorbing state pays. phi: the world's."""
+    """The reward w^T phi(s, a) of features `phi`. `absorbing` is the last of the weights w (K + 1,)."""
 
-    phi: Callable[[Array, Array], Array]
+    phi: Phi
     w: Array
 
     @property
@@ -36,13 +36,13 @@ class LinearReward:
         return float(self.w[-1])
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        starts = range(0, max(1, len(obs)), ROWS)  # features of a million rows are gigabytes
+        starts = range(0, max(1, len(obs)), ROWS)  # a million rows of features are gigabytes
         return np.concatenate([self.phi(obs[i : i + ROWS], act[i : i + ROWS]) @ self.w[:-1] for i in starts])
 
 
 @dataclass(frozen=True)
 class StateReward:
-    """A network of the observation alone, for environments without an absorbing state."""
+    """A network of observations alone, for tasks without an absorbing state."""
 
     network: Network
     absorbing: float = 0.0
@@ -53,8 +53,8 @@ class StateReward:
 
 @dataclass(frozen=True)
 class NetworkReward:
-    """`size` times a network of (observation, action, absorbing indicator), or, where it sees no `actions`,
-    of (observation, absorbing indicator)."""
+    """A network of (observation, action, absorbing indicator), times `size`. Without `actions` it is one of
+    (observation, absorbing indicator)."""
 
     network: Network
     size: float
@@ -63,17 +63,11 @@ class NetworkReward:
 
     @classmethod
     def of(
-        cls,
-        layers: torch.nn.Module,
-        mean: Array,
-        std: Array,
-        *,
-        bound: float | None = None,
-        actions: bool = True,
+        cls, layers: nn.Module, mean: Array, std: Array, *, bound: float | None = None, actions: bool = True
     ) -> NetworkReward:
-        """From torch layers on standardised observations (`mean`, `std`), actions and the indicator. bound:
-        what it is times the layers' tanh; None where it is what they give."""
-        linear = [m for m in layers.modules() if isinstance(m, torch.nn.Linear)]
+        """Return the reward of torch layers on standardised observations (`mean`, `std`), actions and the
+        indicator. `bound`: factor of the layers' tanh, None for their output as it is."""
+        linear = [m for m in layers.modules() if isinstance(m, nn.Linear)]
         rest = linear[0].in_features - len(mean)
         shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
         network = Network.from_torch(layers, shift, scale, tanh=bound is not None)
@@ -85,26 +79,26 @@ class NetworkReward:
         return self.size * self.network(self.inputs(obs, act))[:, 0]
 
     def inputs(self, obs: Array, act: Array) -> Array:
-        """Return what the network sees of living steps."""
-        seen = [obs, act] if self.actions else [obs]
-        return np.concatenate([*seen, np.zeros((len(obs), 1))], axis=1)
+        """Return the network's input for living steps."""
+        columns = [obs, act] if self.actions else [obs]
+        return np.concatenate([*columns, np.zeros((len(obs), 1))], axis=1)
 
     @cached_property
     def compiled(self) -> Reward:
-        """A form in float32, which is faster for many rows; a subclass's is itself."""
+        """The reward in float32, which is faster for many rows. A subclass's is itself."""
         return CompiledReward((self,)) if type(self) is NetworkReward else self
 
 
 def deterred(reward: NetworkReward, demos: Episodes, random: Episodes, most: float) -> NetworkReward:
-    """The reward, whose absorption pays at most `most` where demonstrations terminate less often than random
-    actions do: an end that nobody shows is worth no more."""
+    """Return the reward. If demonstrations terminate less often than random actions, its `absorbing` becomes
+    at most `most`, because no demonstration shows what an end is worth."""
     if np.mean(demos.terminated) >= np.mean(random.terminated):
         return reward
     return replace(reward, absorbing=min(reward.absorbing, most))
 
 
 def paid(reward: Reward, episodes: Episodes) -> Array:
-    """(N,): what a reward that does not see the next observation pays each step that is shown."""
+    """Return the rewards of all steps shown, (N,), by a reward that does not see next observations."""
     obs, act = episodes.pairs()
     return reward(obs, act, obs)
 
@@ -124,7 +118,7 @@ class MeanReward:
 
     @cached_property
     def compiled(self) -> Reward:
-        """A form in float32, if all are rewards of networks that differ in numbers alone; else itself."""
+        """The reward in float32 if all parts are networks that differ in numbers alone, else itself."""
         networks = tuple(reward for reward in self.rewards if type(reward) is NetworkReward)
         forms = {(reward.actions, *reward.network.form) for reward in networks}
         stack = type(self) is MeanReward and len(networks) == len(self.rewards) and len(forms) == 1
@@ -132,13 +126,13 @@ class MeanReward:
 
 
 def fast(reward: Reward) -> Reward:
-    """Return the reward in float32 where it is of networks, else itself."""
+    """Return the reward in float32 if it is of networks, else itself."""
     return reward.compiled if isinstance(reward, MeanReward | NetworkReward) else reward
 
 
 @dataclass(frozen=True)
 class CompiledReward:
-    """The mean of rewards, whose networks differ in numbers alone, in float32."""
+    """The mean in float32 of rewards whose networks differ in numbers alone."""
 
     rewards: tuple[NetworkReward, ...]
 
@@ -153,3 +147,16 @@ class CompiledReward:
     def _network(self) -> MeanNetwork:
         networks, sizes = zip(*((reward.network, reward.size) for reward in self.rewards), strict=True)
         return MeanNetwork(networks, sizes)
+
+
+def default_absorbing(reward: Reward, demos: Episodes, random_actions: RandomActions, rng: Rng) -> float:
+    """Return `absorbing` for a reward learned from expert pairs only, such that an uninformed agent gains
+    from neither staying alive nor dying.
+
+    It is the mean reward of demonstrated states with uniform actions, or of the demonstrated pairs if all
+    demonstrations terminate.
+    """
+    obs, act = demos.pairs()
+    if not all(demos.terminated):
+        act = random_actions(len(act), rng)
+    return float(reward(obs, act, obs).mean())

@@ -1,11 +1,9 @@
-"""The one table of hyper-parameters that differ from a method's defaults."""
-
-from __future__ import annotations
+"""The table of hyper-parameters that differ from methods' defaults."""
 
 from collections.abc import Sequence
 from typing import Any
 
-NO_NUMBERS = "Keys are of the settings that it gives to a method."
+NO_NUMBERS = "Keys contain the settings that it returns for a method."
 
 MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
@@ -14,11 +12,15 @@ ITERATIVE = (*MAXMARGIN, *MAXENT)
 GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
-"""Methods whose policy is the f of the thesis's model."""
-BASES = {"methods.adversarial:Game": GAMES, "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED)}
-"""Methods that derive from classes that are no methods themselves."""
+"""Methods whose policy is f of the thesis's model."""
+BASES = {
+    "methods.adversarial:Game": GAMES,
+    "methods.margins:Margins": MAXMARGIN,
+    "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED),
+}
+"""Methods by the base class that they share."""
 LARGE = ("halfcheetah", "hopper", "walker2d")
-"""Environments whose experts the usual networks are too small to clone."""
+"""Environments whose experts need larger networks to be cloned."""
 ANY: tuple[str, ...] = ()
 SMOKE_CLONE = {"steps": 200}
 SMOKE_RL = {"iterations": 1, "rollouts": 3}
@@ -47,19 +49,19 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("shaped_ranked",), ("halfcheetah",), ("quick", "full"), {"rl_rounds": 4}),
     (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
 ]
-"""Methods, environments, budgets (`ANY` for all) and the hyper-parameters that they get; later rows win."""
+"""Methods, environments and budgets (`ANY` for all), and their hyper-parameters. Later rows win."""
 
 
 def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
-    """The hyper-parameters that a method gets in an environment at a budget."""
-    chosen: dict[str, Any] = {}
+    """Return the hyper-parameters of a method in an environment at a budget, without its defaults."""
+    result: dict[str, Any] = {}
     for methods, envs, budgets, settings in SETTINGS:
         if method in methods and env in (envs or (env,)) and budget in (budgets or (budget,)):
-            chosen |= settings
-    return chosen
+            result |= settings
+    return result
 
 
 def agreed(methods: Sequence[str], env: str, budget: str) -> dict[str, Any]:
-    """Return the hyper-parameters that all of these methods get alike in an environment at a budget."""
-    found = [settings_for(method, env, budget) for method in methods]
-    return {name: v for name, v in (found or [{}])[0].items() if all(its.get(name) == v for its in found)}
+    """Return the hyper-parameters that all of these methods share in an environment at a budget."""
+    tables = [settings_for(method, env, budget) for method in methods] or [{}]
+    return {name: v for name, v in tables[0].items() if all(table.get(name) == v for table in tables)}

@@ -2,50 +2,49 @@
 
     R(s, a) = -(a - f(s))^T (L(s) L(s)^T + I) (a - f(s))     (eq. 4.3)
 
-Maximising R over the demonstrated pairs (eq. 4.4) learns the policy f and the reward together, without
-any reinforcement learning. As in figure 4.3, f is an auxiliary output of the model, fitted to the
-demonstrated actions by a loss of its own; R's distance to 0, its upper bound, is the other.
+R is at most 0. Maximising it over the demonstrated pairs (eq. 4.4) learns the policy f and the reward
+together, without any reinforcement learning. As in figure 4.3, f is an auxiliary output of the model, fitted
+to the demonstrated actions by a loss of its own. The other loss is the distance of R to 0.
 
-Deviates from the paper. f passes through tanh: actions are bounded, and R must not reward leaving their
-range where there were no demonstrations. The auxiliary loss is squared: the median that the absolute one
-fits ignores the few steps of a demonstration that recover from its start. Observations are standardised.
+Deviates from the paper: f passes through tanh, because actions are bounded, and R must not reward leaving
+their range far from demonstrations. The auxiliary loss is squared, because the absolute one fits the median,
+which ignores the few steps of a demonstration that recover from its start. Observations are standardised.
 Errors are in units of the demonstrated actions' standard deviation, a hundredth of their range where an
-expert balances well. SOAP replaces RMSprop. L starts near 0, where R is greatest, and learns at a lower
-rate. Nothing decides what L is beyond the demonstrations, and a large one makes life there worse than its
-end. Figure 4.4 multiplies the batch into one matrix, eq. 4.3 does not.
+expert balances well. SOAP replaces RMSprop. L starts near 0, where R is greatest, and learns at a lower rate.
+Nothing determines L beyond the demonstrations, and a large one makes life there worse than its end. Figure
+4.4 multiplies the batch into one matrix, eq. 4.3 does not.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from methods.base import Array, Episodes, Learned, World, default_absorbing
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
+from methods.rewards import default_absorbing
 
-FIRST_L = 0.01
-"""Size of the last weights of L at the start, of what torch draws."""
+FIRST_L = 0.01  # factor of the last weights of L that torch draws
 SHARE_OF_L = 0.03
-"""Share of the learning rate that is L's. SOAP's steps are as long however little L matters, and carry it
-away where no demonstration is."""
+"""Learning rate of L, as a share of that of f. SOAP's steps do not shrink where L hardly matters, and would
+carry it away far from demonstrations."""
 
 
 @dataclass(frozen=True)
 class Shaped(Regression):
-    """Its hyper-parameters, besides those of `Regression`; the layer sizes are those of figure 4.3."""
+    """Hyper-parameters, besides those of `Regression`. The layer sizes are those of figure 4.3."""
 
     f_layers: tuple[int, ...] = (32, 16)
     """Hidden layers of f."""
     l_layers: tuple[int, ...] = (32, 32)
     """Hidden layers of L."""
     weight_decay: float = 0.0
-    """Of the sum of all squared weights of f and L, what is added to the loss."""
+    """Weight of the sum of all squared weights of f and L in the loss."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        """Maximise eq. 4.3 over the demonstrated pairs. Touches no environment."""
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Maximise eq. 4.3 over the demonstrated pairs, without the environment."""
         obs, act = demos.pairs()
         mean, std = standardiser(obs)
         spread = standardiser(act)[1]
@@ -59,11 +58,11 @@ class Shaped(Regression):
         bias.data *= FIRST_L
         parameters = [*f.parameters(), *chol.parameters()]
 
-        def loss(s: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        def loss(s: Tensor, a: Tensor) -> Tensor:
             action = torch.tanh(unit * f(s))
             reward = shaped_reward(a, action, chol(s))
             error = ((a - action) / unit).square().sum(1).mean()
-            total: torch.Tensor = error - reward.mean() / unit.square().mean()
+            total: Tensor = error - reward.mean() / unit.square().mean()
             if not self.weight_decay:
                 return total
             return total + self.weight_decay * sum(p.square().sum() for p in parameters)
@@ -76,8 +75,8 @@ class Shaped(Regression):
         return Learned(policy, replace(reward, absorbing=absorbing), {"loss": curve}, reward.size_of_l(obs))
 
 
-def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch.Tensor:
-    """Eq. 4.3 for each row of a batch: actions (B, A), f(s) (B, A) and L(s) (B, A * A) to (B,)."""
+def shaped_reward(a: Tensor, f: Tensor, chol: Tensor) -> Tensor:
+    """Return eq. 4.3 for actions (B, A), f(s) (B, A) and L(s) (B, A * A), (B,)."""
     size = a.shape[1]
     d = (a - f).unsqueeze(1)
     projected = d @ chol.view(-1, size, size)
@@ -86,15 +85,14 @@ def shaped_reward(a: torch.Tensor, f: torch.Tensor, chol: torch.Tensor) -> torch
 
 @dataclass(frozen=True)
 class ShapedReward:
-    """Eq. 4.3 with fitted f and L: at most 0, and 0 exactly where the action is f(s)."""
+    """The reward of eq. 4.3: at most 0, and 0 exactly where the action is f(s)."""
 
     f: Network
     chol: Network
     absorbing: float = 0.0
 
     def size_of_l(self, obs: Array) -> dict[str, float]:
-        """What is left of L: the eigenvalues of L L^T over the observations, beside those of I, which are
-        1."""
+        """Return the mean and the largest eigenvalue of L L^T over observations. Those of I are 1."""
         flat = self.chol(obs)
         size = math.isqrt(flat.shape[1])
         eigenvalues = np.square(np.linalg.svd(flat.reshape(-1, size, size), compute_uv=False))
@@ -107,5 +105,4 @@ class ShapedReward:
         d = act - self.f(obs)
         size = d.shape[1]
         projected = np.einsum("bi,bij->bj", d, self.chol(obs).reshape(-1, size, size))
-        value: Array = -(np.square(projected).sum(1) + np.square(d).sum(1))
-        return value
+        return np.asarray(-(np.square(projected).sum(1) + np.square(d).sum(1)))

@@ -1,49 +1,48 @@
-"""The shaped-reward model of eq. 4.3 with L fitted by maximum likelihood; the thesis's objective, eq. 4.4, is
+"""The shaped-reward model of eq. 4.3 with L fitted by maximum likelihood. The thesis's objective, eq. 4.4, is
 indifferent to L wherever f meets the demonstrations.
 
-Under maximum entropy an expert whose advantage is eq. 4.3 acts around f(s) with Gaussian noise of a
-covariance in proportion to M(s)^-1, M(s) = L(s) L(s)^T + I. Its actions' negative log-likelihood, with a
-covariance C added to theirs, is up to constants
+Under maximum entropy an expert whose advantage is eq. 4.3 acts with Gaussian noise around f(s). Its
+covariance is in proportion to M(s)^-1, with M(s) = L(s) L(s)^T + I. With a covariance C added, the negative
+log-likelihood of its actions is, up to constants, a sum.
 
     (a - f(s))^T M(s) (a - f(s)) + tr(M(s) C) - log det M(s)
 
-and least where M(s) is the inverse of C plus the covariance that the actions show. So noise in demonstrations
-tells M, and C does where there is little or none; it bounds M as well. C^-1 is in proportion to the Hessian
-of the action value in an inverse linear-quadratic problem (Kalman 1964), solved by the residuals of its
-optimality condition (Keshavarz, Wang & Boyd 2011): what an action costs of itself, and by where it leads.
+It is least where M(s)^-1 is C plus the actions' covariance. So noise in demonstrations determines M, and C
+does where there is little or none, and bounds M. C^-1 is in proportion to the Hessian of the action value,
+the cost of an action itself and of where it leads. It is that of an inverse linear-quadratic problem (Kalman
+1964), solved by the residuals of its optimality condition (Keshavarz, Wang & Boyd 2011).
 
-What can be known: of demonstrations without noise, states and actions alone leave M open. With linear
-dynamics, and a true cost that is a weighted sum of squares of single observations and actions about any
-target, C^-1 is right. Other costs may share dynamics and optimal policy and differ in M; then it is a guess.
+Demonstrations without noise leave M open. C^-1 is right if dynamics are linear, and the true cost is a
+weighted sum of squares of single observations and actions about any target. Other costs may share dynamics
+and optimal policy and differ in M. Then it is a guess.
 
-Deviates from the thesis: the objective of L, and rollouts, which the dynamics are fitted to. f is fitted as
-in `methods.shaped`, for the likelihood would trade the accuracy of one action against that of another.
+Deviates from the thesis: the objective of L, and the rollouts, to which the dynamics are fitted. The policy f
+is fitted as in `methods.shaped`, because the likelihood would trade the accuracy of one action against that
+of another.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from scipy import linalg, optimize
+from torch import Tensor
 
-from methods.base import Array, Episodes, Learned, World, default_absorbing
+from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, mlp, standardiser
+from methods.rewards import default_absorbing
 from methods.shaped import Shaped, ShapedReward, shaped_reward
 
-CONDITION = 100
-"""About the largest condition number of C."""
-STABLE = 0.999
-"""The largest eigenvalue that a discounted closed loop may have."""
+CONDITION = 100  # largest condition number of C, about
+STABLE = 0.999  # largest eigenvalue of a discounted closed loop
 
 
 @dataclass(frozen=True)
 class ShapedML(Shaped):
-    """Its hyper-parameters, besides those of `Shaped`; as many steps go to L as to f."""
+    """Hyper-parameters, besides those of `Shaped`. L gets as many steps as f."""
 
     rollouts: int = 10
-    """Episodes of f with noise, which the dynamics are fitted to."""
+    """Episodes of f with noise, to which the dynamics are fitted."""
     exploration: float = 0.3
     """Standard deviation of that noise."""
     softness: float = 0.1
@@ -51,7 +50,7 @@ class ShapedML(Shaped):
     prior: float = 1e-3
     """Inverse variance of the Gaussian prior on the weights of costs, whose mean is 1."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit f as `Shaped` does, then L by maximum likelihood."""
         learned = super().fit(demos, world, rng)
         assert isinstance(learned.reward, ShapedReward)
@@ -64,10 +63,10 @@ class ShapedML(Shaped):
         *_, bias = chol.parameters()
         bias.data = torch.as_tensor(start.flatten(), dtype=torch.float32)
 
-        def loss(s: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
+        def loss(s: Tensor, d: Tensor) -> Tensor:
             L = chol(s).view(-1, size, size)
             M = L @ L.mT + torch.eye(size)
-            quadratic: torch.Tensor = (M * C).sum((1, 2)) - shaped_reward(d, torch.zeros_like(d), L)
+            quadratic: Tensor = (M * C).sum((1, 2)) - shaped_reward(d, torch.zeros_like(d), L)
             return (quadratic - torch.logdet(M)).mean()
 
         obs, act = demos.pairs()
@@ -78,8 +77,8 @@ class ShapedML(Shaped):
         curves = {**learned.curves, "negative log-likelihood": curve}
         return Learned(f, replace(reward, absorbing=absorbing), curves, reward.size_of_l(demos.pairs()[0]))
 
-    def _precision(self, demos: Episodes, world: World, f: Network, rng: np.random.Generator) -> Array:
-        """C^-1 (A, A); its smallest eigenvalue is that of `softness`."""
+    def _precision(self, demos: Episodes, world: World, f: Network, rng: Rng) -> Array:
+        """Return C^-1 (A, A). `softness` sets its smallest eigenvalue."""
 
         def noisy(obs: Array) -> Array:
             return np.clip(f(obs) + self.exploration * rng.normal(size=(len(obs), world.act_size)), -1, 1)
@@ -87,8 +86,8 @@ class ShapedML(Shaped):
         obs, act = demos.pairs()
         centre, spread = standardiser(act)
         x, u = (obs - f.mean) / f.std, (act - centre) / spread
-        seen = (demos, world.rollout(noisy, self.rollouts, rng))
-        steps = [episodes.transitions() for episodes in seen]
+        both = (demos, world.rollout(noisy, self.rollouts, rng))
+        steps = [episodes.transitions() for episodes in both]
         before, acts, after = (np.concatenate(parts) for parts in zip(*steps, strict=True))
         moved = np.concatenate([(before - f.mean) / f.std, (acts - centre) / spread], axis=1)
         dynamics = linear_fit(moved, (after - f.mean) / f.std)
@@ -101,18 +100,18 @@ class ShapedML(Shaped):
 
 
 def linear_fit(x: Array, y: Array) -> Array:
-    """(K, I): the slopes of y (N, K) on x (N, I) by least squares."""
-    slopes: Array = np.linalg.lstsq(x - x.mean(axis=0), y - y.mean(axis=0))[0].T
-    return slopes
+    """Return the slopes of y (N, K) on x (N, I) by least squares, (K, I)."""
+    return np.asarray(np.linalg.lstsq(x - x.mean(axis=0), y - y.mean(axis=0))[0].T)
 
 
 def inverse_lqr(A: Array, B: Array, K: Array, x: Array, gamma: float, prior: float) -> Array:
-    """(U, U): the Hessian of the action value, up to sign and scale, in which the feedback u = -K x is best
-    for dynamics A x + B u, A (X, X), B (X, U), and a cost x^T diag(q) x + u^T diag(r) u, q and r at least 0.
+    """Return the Hessian of the action value, up to sign and scale, for which the feedback u = -K x is best,
+    (U, U).
 
-    The action value's gradient at u = -K x is linear in q and r, and 0 for the true ones. Those found
-    minimise its mean square over the states x (N, X), plus `prior` times their squared distance from 1. A
-    closed loop that is not stable is shrunk until it is.
+    Dynamics are A x + B u, with A (X, X) and B (X, U). The cost is x^T diag(q) x + u^T diag(r) u, with q and
+    r at least 0. The action value's gradient at u = -K x is linear in q and r, and 0 for the true ones. The
+    estimates minimise its mean square over states x (N, X), plus `prior` times their squared distance from 1.
+    An unstable closed loop is shrunk until it is stable.
     """
     states, actions = B.shape
     closed = np.sqrt(gamma) * (A - B @ K)

@@ -1,115 +1,109 @@
 """The shaped-reward model's policy, with the reward of states of D-REX (Brown, Goo & Niekum 2019).
 
-R of eq. 4.3 is 0, its best, wherever the action is f(s): it says how to act in a state, and nothing about
-which state to be in. Here the policy is f, fitted as in `methods.shaped`, and the reward is one of states
-alone, by which f is the better the fewer of its actions are replaced by random ones. It is learned from these
-comparisons by logistic regression (Bradley & Terry 1952) on sums of rewards over states of two levels, i with
-less noise than j, and touches the environment for the rollouts alone.
+R of eq. 4.3 is 0, its best, wherever the action is f(s). It ranks actions in a state, but not states. Here
+the policy is f, fitted as in `methods.shaped`, and the reward is one of states alone. It ranks f the higher,
+the fewer of f's actions are replaced by random ones. Logistic regression learns it from such comparisons
+(Bradley & Terry 1952). They are of sums of rewards over states of two levels, i with less noise than j. Only
+rollouts act.
 
     max over r of E log sigma(sum_(s in i) r(s) - sum_(s in j) r(s))
 
-Only where `rl_rounds` says so there is a little reinforcement learning: R* may pay well
-for states that no rollout visits. RL finds them, and each of its states is compared with one of f's: what
-cannot be told from f's pays like them, and what can pays less.
+R* may pay well for other states. Where `rl_rounds` is above 0, a little reinforcement learning reaches them,
+and each of its states is compared with one of f's. States like f's are then paid like f's, and other states
+less.
 
-Deviates from the paper: states that are compared are drawn from all of a level's episodes, where the paper
-compares stretches of two of them; rewards are bounded. The networks see an absorbing indicator, and episodes
-that terminated count absorbing steps up to the horizon, so what absorption pays is learned as well. Where
-demonstrations terminate less often than random actions it pays at most the least that a visited state does,
-for without this RL on cart-pole failed once (`docs/tuning.md`).
+Deviates from the paper: compared states are drawn from all of a level's episodes, where the paper compares
+stretches of two of them. Rewards are bounded. The networks see an absorbing indicator, and episodes that
+terminated count absorbing steps up to the horizon, so the reward of absorption is learned as well. Where
+demonstrations terminate less often than random actions, absorption pays at most the least reward of a visited
+state. Without this RL on cart-pole failed once (`docs/tuning.md`).
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from methods.base import Array, Episodes, Learned, Reward, World, roughened
+from methods.base import Array, Episodes, Learned, Reward, Rng, World
 from methods.network import ADAM, descend, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
+from methods.stochastic import roughened
 from methods.visits import visitations
 
-SEEN = 1000
-"""Observations of each level, by whose spread they are standardised."""
+SEEN = 1000  # observations of each level that standardise all
 
 
 @dataclass(frozen=True)
 class ShapedRanked(Shaped):
-    """Its hyper-parameters, besides those of `Shaped`."""
+    """Hyper-parameters, besides those of `Shaped`."""
 
     levels: tuple[float, ...] = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
     """Shares of random actions, ascending."""
     rollouts: int = 10
-    """Episodes of each."""
+    """Episodes of each level."""
     comparisons: int = 2000
-    """Of two levels each."""
+    """Comparisons of two levels."""
     compared: int = 50
-    """States of either."""
+    """States of each level in a comparison."""
     layers: tuple[int, ...] = (64, 64)
     """Hidden layers of the reward's networks."""
     networks: int = 3
-    """Of whose rewards R* is the mean."""
+    """Networks that R* is the mean of."""
     reward_steps: int = 500
     """Gradient steps on each network."""
     reward_batch: int = 32
-    """Comparisons that each of these is the mean of."""
+    """Comparisons in each gradient step."""
     reward_rate: float = 1e-3
-    """Learning rate of these."""
-
+    """Learning rate of the reward."""
     rl_rounds: int = 0
-    """Solves from scratch by reinforcement learning, each under the latest reward, whose states rank below
+    """Solves from scratch by reinforcement learning, each under the latest reward. Their states rank below
     f's in the next one."""
 
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
+    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit f as `Shaped` does, then the reward by comparisons."""
         learned = super().fit(demos, world, rng)
         policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
-        found = list[Episodes]()
-        reward, curves = self._rank(ladder, found, demos, world, rng)
+        reached = list[Episodes]()
+        reward, curves = self._rank(ladder, reached, demos, world, rng)
         for _ in range(self.rl_rounds):
             agent = world.agent(rng)
             agent.learn(world.solve_steps, reward)
-            found.append(world.rollout(agent.policy, self.rollouts, rng))
-            reward, curves = self._rank(ladder, found, demos, world, rng)
+            reached.append(world.rollout(agent.policy, self.rollouts, rng))
+            reward, curves = self._rank(ladder, reached, demos, world, rng)
         return Learned(learned.policy, reward, {**learned.curves, **curves})
 
     def _rank(
-        self,
-        ladder: Sequence[Episodes],
-        found: Sequence[Episodes],
-        demos: Episodes,
-        world: World,
-        rng: np.random.Generator,
+        self, ladder: Sequence[Episodes], reached: Sequence[Episodes], demos: Episodes, world: World, rng: Rng
     ) -> tuple[Reward, dict[str, Sequence[float]]]:
-        """A reward by which each of the ladder's episodes are better than those after it, and the states of
-        the first than those that RL found; and the losses."""
-        mean, std = standardiser(np.concatenate([rng.choice(e.pairs()[0], SEEN) for e in (*ladder, *found)]))
+        """Return a reward that ranks each level of the ladder above the next, and the first level's states
+        above those that RL reached; and its losses."""
+        levels = (*ladder, *reached)
+        mean, std = standardiser(np.concatenate([rng.choice(level.pairs()[0], SEEN) for level in levels]))
 
         def visits(episodes: Episodes) -> Array:
             return visitations(episodes, world.horizon - episodes.lengths, mean, std, actions=False)
 
-        levels = [visits(episodes) for episodes in ladder]
-        pairs = np.sort([rng.choice(len(levels), 2, replace=False) for _ in range(self.comparisons)])
-        compared = [np.stack([rng.choice(levels[i], self.compared) for i in side]) for side in pairs.T]
-        if found:
-            by_rl = np.concatenate([visits(episodes) for episodes in found])
+        rows = [visits(level) for level in ladder]
+        pairs = np.sort([rng.choice(len(rows), 2, replace=False) for _ in range(self.comparisons)])
+        compared = [np.stack([rng.choice(rows[i], self.compared) for i in side]) for side in pairs.T]
+        if reached:
+            by_rl = np.concatenate([visits(episodes) for episodes in reached])
             size = (self.comparisons, self.compared)
-            compared += [rng.choice(levels[0], size), rng.choice(by_rl, size)]
+            compared += [rng.choice(rows[0], size), rng.choice(by_rl, size)]
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
         rewards, curves = list[Reward](), dict[str, Sequence[float]]()
         for i in range(self.networks):
             network = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
 
-            def loss(*states: torch.Tensor, network: torch.nn.Module = network) -> torch.Tensor:
+            def loss(*states: Tensor, network: nn.Module = network) -> Tensor:
                 r = [torch.tanh(network(s.flatten(0, 1))).view(s.shape[:2]) for s in states]
                 ranked = softplus((r[1] - r[0]).sum(1)).mean()
-                return ranked + softplus(r[3] - r[2]).mean() if found else ranked
+                return ranked + softplus(r[3] - r[2]).mean() if reached else ranked
 
             adam = torch.optim.Adam(network.parameters(), self.reward_rate, **ADAM)
             curves[f"ranking loss, network {i}"] = descend(

@@ -1,6 +1,6 @@
 """SOAP (Vyas et al. 2024): Adam in the axes along which a layer's gradients vary.
 
-Deviates from the paper: a layer's bias is one more column of its weights; axes and moments have one decay.
+Deviates from the paper: a layer's bias is one more column of its weights. Axes and moments have one decay.
 """
 
 from __future__ import annotations
@@ -13,18 +13,15 @@ import torch
 
 from methods.base import Array
 
-DECAY = 0.95
-"""Share of the running means that is kept, a step."""
-EVERY = 10
-"""Steps between turns of the axes."""
-TINY = 1e-8
-"""Added to the root of the second moment."""
+DECAY = 0.95  # decay of the running means in each step
+EVERY = 10  # steps between updates of the axes
+TINY = 1e-8  # term added to the root of the second moment
 
 
 @dataclass
 class Moments:
-    """Running means of one layer's gradients (K, I + 1), and the axes along which they vary, on either side
-    (K, K) and (I + 1, I + 1)."""
+    """Running means of one layer's gradients (K, I + 1), and the axes along which they vary: (K, K) on the
+    left and (I + 1, I + 1) on the right."""
 
     first: Array
     second: Array
@@ -34,13 +31,13 @@ class Moments:
 
     @classmethod
     def of(cls, gradient: Array) -> Moments:
-        """Return those before the first step, with the axes of this gradient."""
+        """Return moments before the first step, with the axes of this gradient."""
         sides = squares(gradient)
         left, right = (np.linalg.eigh(side)[1] for side in sides)
         return cls(np.zeros_like(gradient), np.zeros_like(gradient), sides, (left, right))
 
     def step(self, gradient: Array) -> Array:
-        """Take one more gradient (K, I + 1) into account, and return the step's direction, (K, I + 1)."""
+        """Add a gradient (K, I + 1), and return the step's direction, (K, I + 1)."""
         left, right = self.axes
         self.count += 1
         self.first += (1 - DECAY) * (gradient - self.first)
@@ -57,16 +54,16 @@ class Moments:
 
 
 def squares(gradient: Array) -> tuple[Array, Array]:
-    """(K, K) and (I, I) of (K, I): its product with itself, from either side."""
+    """Return the products of a gradient (K, I) with itself from the left and right, (K, K) and (I, I)."""
     return gradient @ gradient.T, gradient.T @ gradient
 
 
 class Soap(torch.optim.Optimizer):
-    """SOAP for all linear layers of some networks, which have no other parameters. The first step moves
-    nothing, as in the paper: its gradient gives the axes."""
+    """SOAP for networks of linear layers alone. The first step moves nothing, as in the paper, because its
+    gradient gives the axes."""
 
     def __init__(self, networks: Sequence[torch.nn.Module], rates: Sequence[float]) -> None:
-        """rates: of each network, about how far a step moves a layer's weights along each of the axes."""
+        """Set up networks and rates. A step moves weights about as far as the rate along each axis."""
         groups = [
             {"params": [layer.weight, layer.bias], "lr": rate}
             for network, rate in zip(networks, rates, strict=True)
@@ -77,7 +74,7 @@ class Soap(torch.optim.Optimizer):
         self._moments: dict[int, Moments] = {}
 
     def step(self) -> None:  # type: ignore[override]
-        """Move all weights once, by the gradients that they hold."""
+        """Move all weights once, by their gradients."""
         for number, group in enumerate(self.param_groups):
             weight, bias = (p.detach().numpy() for p in group["params"])
             slopes, slope = (p.grad.numpy() for p in group["params"])

@@ -1,35 +1,33 @@
-"""Stochastic policies as plain arrays: what agents explore with, and soft actor-critic may begin with."""
-
-from __future__ import annotations
+"""Stochastic policies as plain arrays. Agents explore with them, and soft actor-critic may begin with one."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from methods.base import Array, Policy
+from methods.base import Array, Policy, RandomActions, Rng
 from methods.network import Network
 
 LOG_STD = (-20.0, 2.0)
-"""Bounds of the logarithm of the standard deviation, as in Haarnoja et al. 2018 and in their followers."""
+"""Bounds of the log standard deviation, as in Haarnoja et al. 2018."""
 LARGEST = 1 - 2.0**-24
-"""The largest action below 1 in 32 bits. Those that are 1 there lie anywhere beyond, and count as it."""
+"""Largest action below 1 in 32 bits. Larger ones count as this one."""
 
 
 @dataclass(frozen=True)
 class SquashedGaussian:
-    """tanh(u), u being normal and its entries independent. The network gives, before any tanh, the mean of u
-    and the logarithm of its standard deviation, one after the other: (B, O) to (B, 2A)."""
+    """Actions tanh(u), for normal u with independent entries. The network maps (B, O) to (B, 2A): the mean of
+    u and its log standard deviation, without a tanh."""
 
     network: Network
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
-        """(B, A): an action for each observation (B, O)."""
+    def sample(self, obs: Array, rng: Rng) -> Array:
+        """Return an action for each observation (B, O), (B, A)."""
         mean, log_std = self._parameters(obs)
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape))
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """(B,): logarithm of the density of actions (B, A), on [-1, 1]^A, at observations (B, O)."""
+        """Return the log density of actions (B, A), on [-1, 1]^A, at observations (B, O), (B,)."""
         mean, log_std = self._parameters(obs)
         act = np.clip(act, -LARGEST, LARGEST)
         z = (np.arctanh(act) - mean) / np.exp(log_std)
@@ -39,7 +37,7 @@ class SquashedGaussian:
 
     @property
     def mean(self) -> Network:
-        """The policy that does tanh of the mean of u."""
+        """The policy whose action is tanh of the mean of u."""
         net, size = self.network, len(self.network.biases[-1]) // 2
         weights = (*net.weights[:-1], net.weights[-1][:, :size])
         return replace(net, weights=weights, biases=(*net.biases[:-1], net.biases[-1][:size]), tanh=True)
@@ -51,45 +49,42 @@ class SquashedGaussian:
 
 @dataclass(frozen=True)
 class EpsilonGreedy:
-    """Does what the policy does, which chooses, but for a share of choices that are uniform. share: in
-    (0, 1]."""
+    """Choices of a policy, except for a share in (0, 1] of uniform ones."""
 
     mean: Policy
     share: float
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
-        """(B, A): 1 for the choice at each observation (B, O), and 0 for others."""
+    def sample(self, obs: Array, rng: Rng) -> Array:
+        """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         greedy = self._greedy(obs)
         uniform = np.eye(greedy.shape[1])[rng.integers(greedy.shape[1], size=len(obs))]
         return np.where(rng.random((len(obs), 1)) < self.share, uniform, greedy)
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """(B,): logarithm of the probability of the choices (B, A) at observations (B, O)."""
+        """Return the log probability of choices (B, A) at observations (B, O), (B,)."""
         greedy = self._greedy(obs)
         same = (greedy * act).sum(axis=1)
         return np.asarray(np.log((1 - self.share) * same + self.share / greedy.shape[1]))
 
     def _greedy(self, obs: Array) -> Array:
         values = self.mean(obs)
-        chosen: Array = np.eye(values.shape[1])[values.argmax(axis=1)]
-        return chosen
+        return np.asarray(np.eye(values.shape[1])[values.argmax(axis=1)])
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Normal actions about a mean, independent; what lies beyond [-1, 1] counts as the bound. log_std (A,):
-    logarithm of the standard deviation, the same at all observations."""
+    """Independent normal actions, clipped to [-1, 1]. `log_std` (A,): the same at all observations."""
 
     mean: Policy
     log_std: Array
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
+    def sample(self, obs: Array, rng: Rng) -> Array:
         """Return an action for each observation (B, O), (B, A)."""
         mean = self.mean(obs)
         return np.clip(mean + np.exp(self.log_std) * rng.standard_normal(mean.shape), -1, 1)
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """Return the logarithm of the normal density of actions (B, A) at observations (B, O), (B,)."""
+        """Return the log density of unclipped actions (B, A) at observations (B, O), (B,)."""
         z = (act - self.mean(obs)) / np.exp(self.log_std)
         return np.asarray((-0.5 * (z**2 + np.log(2 * np.pi)) - self.log_std).sum(axis=1))
 
@@ -100,13 +95,22 @@ class Softmax:
 
     mean: Policy
 
-    def sample(self, obs: Array, rng: np.random.Generator) -> Array:
-        """Return 1 for the choice at each observation (B, O), and 0 for others, (B, A)."""
+    def sample(self, obs: Array, rng: Rng) -> Array:
+        """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         values = self.mean(obs)
-        chosen: Array = np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)]
-        return chosen
+        return np.asarray(np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)])
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """Return the logarithm of the probability of the choices (B, A) at observations (B, O), (B,)."""
+        """Return the log probability of choices (B, A) at observations (B, O), (B,)."""
         values = self.mean(obs)
         return np.asarray((values * act).sum(axis=1) - logsumexp(values, axis=1))
+
+
+def roughened(policy: Policy, share: float, random_actions: RandomActions, rng: Rng) -> Policy:
+    """Return the policy with this share of its actions replaced by random ones."""
+
+    def act(obs: Array) -> Array:
+        replaced = rng.random((len(obs), 1)) < share
+        return np.where(replaced, random_actions(len(obs), rng), policy(obs))
+
+    return act

@@ -1,20 +1,19 @@
-"""What is visited, as the inputs of reward networks: rows of (observation, action, absorbing indicator),
-or of (observation, absorbing indicator), the observations standardised; all zeros and 1 in the absorbing
-state."""
+"""Visited states and actions as the inputs of reward networks.
 
-from __future__ import annotations
+A row is (standardised observation, action, absorbing indicator), or without the action. In the absorbing
+state it is all zeros and 1.
+"""
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from envs.spec import Model
-from methods.base import Array, Episodes, Transitions
+from methods.base import Array, Episodes, Rng, Transitions
 
 
 def visitations(episodes: Episodes, stay: ArrayLike, mean: Array, std: Array, actions: bool = True) -> Array:
-    """(N, O + A + 1), or (N, O + 1) without actions: every step that is shown, and `stay`, a number or one
-    for each episode, steps in the absorbing state for those that terminated."""
+    """Return a row for every step shown, and `stay` absorbing rows for each episode that terminated: (N, O +
+    A + 1), or (N, O + 1) without actions. `stay` is one number, or one for each episode."""
     obs, act = episodes.pairs()
     scaled = (obs - mean) / std
     steps = np.concatenate([scaled, act], axis=1) if actions else scaled
@@ -22,36 +21,36 @@ def visitations(episodes: Episodes, stay: ArrayLike, mean: Array, std: Array, ac
 
 
 def with_absorbing_steps(steps: Array, episodes: Episodes, stay: ArrayLike) -> Array:
-    """(N, K + 1): what describes each step that is shown of the episodes, (M, K), and an absorbing indicator;
-    episodes that terminated add `stay` steps, all zeros and 1, or as many of them as are shown of others."""
+    """Return descriptions of the steps shown, (M, K), with an absorbing indicator, (N, K + 1).
+
+    Each episode that terminated adds `stay` absorbing rows, thinned out as much as the steps that are shown.
+    """
     absorbed = int((np.broadcast_to(stay, len(episodes)) * np.array(episodes.terminated)).sum())
-    left = round(absorbed * len(steps) / sum(episodes.lengths))
-    visits = np.zeros((len(steps) + left, steps.shape[1] + 1))
+    added = round(absorbed * len(steps) / sum(episodes.lengths))
+    visits = np.zeros((len(steps) + added, steps.shape[1] + 1))
     visits[: len(steps), :-1] = steps
     visits[len(steps) :, -1] = 1
     return visits
 
 
 def visited(steps: Transitions, mean: Array, std: Array, actions: bool = True) -> Array:
-    """(N, O + A + 1), or (N, O + 1) without actions: a row for each step."""
+    """Return a row for each step, (N, O + A + 1), or (N, O + 1) without actions."""
     scaled = (steps.obs - mean) / std
     columns = [scaled, steps.act] if actions else [scaled]
     living = np.where(steps.absorbing[:, None], 0.0, np.concatenate(columns, axis=1))
     return np.column_stack([living, steps.absorbing])
 
 
-def demonstrated(demos: Episodes, model: Model) -> Array:
-    """mu_D (T, S, A): the share of the demonstrations, all of T steps, that are shown in each state and
-    choosing each action at each time. Raises ValueError where their lengths differ."""
-    if demos.lengths.min() < demos.lengths.max():
-        raise ValueError("in a known model, demonstrations must be equally long")
-    mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
-    for i, (obs, act) in enumerate(zip(demos.obs, demos.act, strict=True)):
-        times = np.arange(len(act)) if demos.times is None else demos.times[i]
-        mu[times, model.states(obs[: len(act)]), act.argmax(axis=1)] += 1 / len(demos)
-    return mu
+def seen_by_both(demos: Episodes, rollouts: Episodes, rng: Rng) -> Array:
+    """Return the observations of N steps of rollouts and of as many demonstrated steps, (2N, O).
+
+    Their spread standardises inputs. That of the demonstrations alone would make outliers of all other states
+    where an expert hardly moves.
+    """
+    visited = rollouts.pairs()[0]
+    return np.concatenate([rng.choice(demos.pairs()[0], len(visited)), visited])
 
 
-def sample(visits: Array, batch: int, rng: np.random.Generator) -> torch.Tensor:
-    """A uniform minibatch of rows."""
+def sample(visits: Array, batch: int, rng: Rng) -> torch.Tensor:
+    """Return a uniform minibatch of rows."""
     return torch.as_tensor(visits[rng.integers(len(visits), size=batch)], dtype=torch.float32)

@@ -80,9 +80,9 @@ def doc_of(module: str, name: str) -> str:
 def quantities(spec: EnvSpec) -> str:
     observed = [
         (inline(q.name), q.unit, f"{scale:.3g}")
-        for q, scale in zip(spec.obs_names, spec.obs_scale, strict=True)
+        for q, scale in zip(spec.observations, spec.obs_scale, strict=True)
     ]
-    done = [(inline(q.name), q.unit) for q in spec.act_names]
+    done = [(inline(q.name), q.unit) for q in spec.actions]
     kind = "One of these choices" if spec.discrete else "Each in [-1, 1]; a unit says what 1 is"
     return (
         table(["Observation", "Unit", "Typical size"], observed)

@@ -1,10 +1,6 @@
-"""Continuous cart-pole: Gymnasium's CartPole physics (Barto, Sutton & Anderson 1983), a force in
-proportion to the action, and the reward of RLLab (Duan et al. 2016), as in the thesis.
-
-For actions of -1 and +1 the dynamics equal those of Gymnasium's `CartPole-v1`.
-"""
-
-from __future__ import annotations
+"""Continuous cart-pole: Gymnasium's CartPole physics (Barto, Sutton & Anderson 1983), a force in proportion
+to the action, and the reward of RLLab (Duan et al. 2016), as in the thesis. For actions of -1 and +1 the
+dynamics equal those of Gymnasium's `CartPole-v1`."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +14,7 @@ import numpy as np
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, namespace, why_ended
 from envs.learners import DDPG, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -27,27 +23,23 @@ HORIZON = 500
 
 @dataclass(frozen=True)
 class Physics:
-    """Of a cart with a pole (`envs.dynamics.Dynamics`). A state is the cart's position [m] and velocity
-    [m/s], the pole's angle [rad] and its rate [rad/s]. A step pays
-    (10 - (1 - cos angle) - 1e-5 force^2) / 10 while alive, and 0 on failing: where |position| > 2.4 m or
-    |angle| > 12 degrees."""
+    """Physics of a cart with a pole (`envs.dynamics.Dynamics`). A state is the cart's position [m] and
+    velocity [m/s], the pole's angle [rad] and its rate [rad/s]. A step pays (10 - (1 - cos angle) - 1e-5
+    force^2) / 10 while alive, and 0 on failing: where |position| > 2.4 m or |angle| > 12 degrees. Units:
+    `gravity` m/s^2, `cart_mass` kg, `pole_mass` kg, `time_step` s."""
 
     gravity: float = 9.8
-    """[m/s^2]"""
     cart_mass: float = 1.0
-    """[kg]"""
     pole_mass: float = 0.1
-    """[kg]"""
     half_length: float = 0.5
-    """Half of the pole's [m]."""
+    """Half of the pole's length [m]."""
     max_force: float = 10.0
-    """At an action of 1 [N]."""
+    """Force at an action of 1 [N]."""
     time_step: float = 0.02
-    """[s]"""
     max_x: float = 2.4
-    """How far from the middle the track ends [m]."""
+    """Distance of the track's ends from its middle [m]."""
     max_angle: float = 12 * 2 * math.pi / 360
-    """How far from upright the pole counts as fallen [rad]."""
+    """Angle from upright beyond which the pole has fallen [rad]."""
     act_size = 1
 
     @property
@@ -94,12 +86,12 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how centred each observation is, and a constant."""
+    """Return the centredness of each observation, and a constant, (B, 5)."""
     return centred(obs, (NOMINAL.max_x, 3.0, NOMINAL.max_angle, 3.5))
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The track, the cart as a box and the pole as a line."""
+    """Return the track, the cart as a box and the pole as a line."""
     inner: Any = env.unwrapped
     x, _, angle, _ = (float(value) for value in inner.state)
     return draw_cart_and_pole(x, angle, inner.physics.max_x, 2 * inner.physics.half_length)
@@ -115,15 +107,12 @@ SPEC = EnvSpec(
     act_names=(Quantity("motor", "10 N"),),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
     rl=SMALL_PPO,
     ddpg_steps={"smoke": 600, "quick": 16_000, "full": 30_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
@@ -137,15 +126,10 @@ SPEC = EnvSpec(
     },
 )
 """A cart on a track of 2.4 m to either side carries a pole of 1 m. The motor pushes the cart with up to 10 N.
-An episode ends, and its last step pays 0, where the cart leaves the track or the pole leans by more than 12
-degrees. Before, a step pays nearly 1, so what counts is how long the pole stands.
+An episode ends where the cart leaves the track or the pole leans by more than 12 degrees, and its last step
+pays 0. Other steps pay nearly 1, so the return is the time that the pole stands.
 
     r = (10 - (1 - cos(angle)) - 0.00001 force^2) / 10
 """
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.dynamics:DynamicsEnv",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

@@ -1,12 +1,9 @@
 """Gymnasium's own `CartPole-v1` (Barto, Sutton & Anderson 1983): push the cart left or right."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
@@ -15,13 +12,12 @@ from envs.balancing import cartpole
 from envs.balancing.cartpole import Physics
 from envs.dynamics import DynamicsBatch, namespace, why_ended
 from envs.learners import DQN, SMALL_PPO
-from envs.spec import EnvSpec, Quantity, Shipped
+from envs.spec import EnvSpec, Quantity, Shipped, register
 
 
 @dataclass(frozen=True)
 class Choices(Physics):
-    """The same, of two choices, 1 for the one that is made: a push to the left, or to the right. Each step
-    pays 1."""
+    """Physics of a cart and pole with two choices: a push to the left, or to the right. Each step pays 1."""
 
     act_size = 2
 
@@ -36,7 +32,7 @@ NOMINAL = Choices()
 
 
 class DiscreteCartPole(CartPoleEnv):
-    """Gymnasium's, with any physics."""
+    """Gymnasium's environment with any physics."""
 
     def __init__(self, physics: Physics = NOMINAL) -> None:
         super().__init__()
@@ -59,13 +55,10 @@ SPEC = EnvSpec(
     act_names=(Quantity("push left"), Quantity("push right")),
     obs_scale=(1.0, 0.5, 0.05, 0.5),
     horizon=cartpole.HORIZON,
-    gamma=0.99,
     time_step=NOMINAL.time_step,
     bar=lambda seeds: 495.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 65_536, "full": 98_304},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=cartpole.phi,
     draw=cartpole.draw,
     why_ended=why_ended,
@@ -79,12 +72,7 @@ SPEC = EnvSpec(
         for name, changed in cartpole.SPEC.variants.items()
     },
 )
-"""The same cart and pole, pushed by 10 N to the left or to the right. A step pays 1. An episode ends where
-the cart leaves the track or the pole leans by more than 12 degrees."""
+"""The cart and pole of `cartpole`, pushed by 10 N to the left or to the right. A step pays 1. An episode ends
+where the cart leaves the track or the pole leans by more than 12 degrees."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.balancing.cartpole_discrete:DiscreteCartPole",
-    max_episode_steps=cartpole.HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.balancing.cartpole_discrete:DiscreteCartPole")

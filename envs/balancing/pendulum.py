@@ -1,7 +1,5 @@
 """The inverted pendulum of Gymnasium's MuJoCo suite (`InvertedPendulum-v5`), actions scaled to [-1, 1]."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,52 +14,50 @@ from numpy.typing import NDArray
 
 from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG, FEW_JOINTS
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Flags, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
 HORIZON = 1000
-MAX_ANGLE = 0.2  # rad, where the environment terminates
+MAX_ANGLE = 0.2  # rad, beyond which the environment terminates
 RAIL = 1.0  # m, half of the rail's length
 TIME_STEP = 0.04  # s
 FALL = "pole fell"
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL
-"""MuJoCo's words for what a step reads: time, position, velocity, where its solver begins, control."""
+"""MuJoCo's names for all that a step reads: time, position, velocity, the solver's start, control."""
 OBS, FORCE = slice(1, 5), -1
 FREE = (0.9, 1.4)
-"""m, rad: where neither joint would be beyond these after a step at its present rate, no force takes it to
-its limit, 1 m and 1.57 rad, within that step, as long as the motor is no stronger and the pole neither
-shorter nor lighter than usual."""
+"""Positions [m, rad] within which both joints are free. If a joint stays within them for a step at its
+present rate, no force takes it to its limit, 1 m or 1.57 rad, in that step. This holds for the usual motor or
+a weaker one, and for a pole at least as long and heavy as usual."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What may change of Gymnasium's model."""
+    """Parameters of Gymnasium's model that variants change."""
 
     pole_length: float = 0.6
     """[m]"""
     pole_density: float = 1000.0
     """[kg/m^3]"""
     gear: float = 100.0
-    """Of the motor [N], whose control is within [-3, 3]."""
+    """Strength of the motor [N], whose control is in [-3, 3]."""
 
     def compile(self, xml: str) -> mujoco.MjModel:
-        """The model that the file describes, so changed."""
-        described = mujoco.MjSpec.from_file(xml)
-        pole = described.geom("cpole")
+        """Return the file's model with these parameters."""
+        spec = mujoco.MjSpec.from_file(xml)
+        pole = spec.geom("cpole")
         pole.fromto[-1], pole.density = self.pole_length, self.pole_density
-        described.actuator("slide").gear[0] = self.gear
-        return described.compile()
+        spec.actuator("slide").gear[0] = self.gear
+        return spec.compile()
 
 
 NOMINAL = Physics()
 
 
 class Pendulum(InvertedPendulumEnv):
-    """Observation (4,): cart position [m], pole angle [rad], and their rates.
-
-    Action (1,) in [-1, 1], a third of Gymnasium's. The episode terminates where |angle| > 0.2 rad.
-    """
+    """Observation (4,): cart position [m], pole angle [rad], and their rates. Action (1,) in [-1, 1]: a third
+    of Gymnasium's. The episode terminates where |angle| > 0.2 rad."""
 
     def __init__(self, physics: Physics = NOMINAL) -> None:
         self.physics = physics
@@ -83,7 +79,7 @@ class Pendulum(InvertedPendulumEnv):
 
 
 class PendulumBatch:
-    """Pendulums in lockstep (`envs.spec.Batch`): one MuJoCo, and for each all that a step reads."""
+    """Pendulums in lockstep (`envs.spec.Batch`), with one MuJoCo environment and a `STATE` for each."""
 
     def __init__(self, count: int, physics: Physics = NOMINAL) -> None:
         self._env = Pendulum(physics)
@@ -98,14 +94,13 @@ class PendulumBatch:
         mujoco.mj_getState(self._env.model, self._env.data, self._states[place], STATE)
         return np.asarray(obs, np.float64)
 
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         model, data, frames = self._env.model, self._env.data, self._env.frame_skip
         states = self._states[places]
         states[:, FORCE] = act[:, 0].astype(np.float32) * self._env.full_action
         before = np.abs(states[:, OBS])
         free = (before[:, :2] + TIME_STEP * before[:, 2:] < self._free).all(axis=1)
-        # No geom touches another, and joints' limits are the only constraints: to look for what there is none
-        # of takes half the time of a step.
+        # Geoms do not touch, and joints' limits are the only constraints. A search for more doubles the time.
         disable = mujoco.mjtDisableBit
         for group, flag in ((free, disable.mjDSBL_CONSTRAINT), (~free, disable.mjDSBL_CONTACT)):
             model.opt.disableflags = flag
@@ -123,25 +118,24 @@ class PendulumBatch:
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how centred each observation is, and a constant."""
+    """Return the centredness of each observation, and a constant, (B, 5)."""
     return centred(obs, (RAIL, MAX_ANGLE, 2.0, 2.0))
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The rail, the cart as a box and the pole as a line."""
-    inner = env.unwrapped
-    assert isinstance(inner, Pendulum)
+    """Return the rail, the cart as a box and the pole as a line."""
+    inner: Any = env.unwrapped
     x, angle = inner.data.qpos
     return draw_cart_and_pole(float(x), float(angle), RAIL, inner.physics.pole_length)
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
-    """Always 'pole fell': the cart cannot leave its rail."""
+    """Return 'pole fell': the cart cannot leave its rail."""
     return FALL
 
 
 THESIS = DDPG(checkpoint_every=2000, check_episodes=5)
-"""The learner of the thesis. Episodes are long, and begin alike."""
+"""Learner of the thesis. Episodes are long, and begin alike."""
 
 SPEC = EnvSpec(
     name="pendulum",
@@ -154,14 +148,11 @@ SPEC = EnvSpec(
     public_bounds=(-3.0, 3.0),
     obs_scale=(0.3, 0.05, 0.5, 0.5),
     horizon=HORIZON,
-    gamma=0.99,
     time_step=TIME_STEP,
     bar=lambda seeds: 1000.0,
-    max_terminated={"smoke": 1.0, "quick": 1.0, "full": 1.0},
     rl_steps={"smoke": 4096, "quick": 30_720, "full": 40_960},
     ddpg_steps={"smoke": 600, "quick": 20_000, "full": 40_000},
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
-    demo_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
     why_ended=why_ended,
@@ -175,12 +166,7 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(gear=-NOMINAL.gear)},
     },
 )
-"""A cart on a rail of 1 m to either side carries a pole of 0.6 m. A step pays 1 while |angle| is at most
-0.2 rad; an episode ends beyond. The cart cannot leave its rail."""
+"""A cart on a rail of 1 m to either side carries a pole of 0.6 m. A step pays 1 while |angle| is at most 0.2
+rad; an episode ends beyond. The cart cannot leave its rail."""
 
-gym.register(
-    SPEC.env_id,
-    entry_point="envs.balancing.pendulum:Pendulum",
-    max_episode_steps=HORIZON,
-    disable_env_checker=True,
-)
+register(SPEC, "envs.balancing.pendulum:Pendulum")

@@ -1,12 +1,10 @@
-"""RLLab's Acrobot (Duan et al. 2016, its `double_pendulum_env`): two links that hang from a hinge, with a
-motor between them; lift the tip to its upright place.
+"""RLLab's Acrobot (Duan et al. 2016, its `double_pendulum_env`): lift the tip of two hanging links to its
+upright place, with a motor between them.
 
 Sizes, masses, torque, starts, reward and horizon are RLLab's. The equations below replace its Box2D
-simulation, in which the motor drives the joint towards an endless speed by the torque asked for; here the
-torque acts. RLLab's reward mirrors the tip from left to right; here it does not.
+simulation. Its motor drives the joint towards an infinite speed by at most the action's torque. Here the
+torque acts. RLLab's reward mirrors the tip from left to right, which is not done here.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,36 +14,34 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never, runge_kutta
+from envs.dynamics import Draws, DynamicsBatch, namespace, never, runge_kutta
 from envs.learners import PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
 HORIZON = 500
-BEYOND = 0.5  # m, that the drawing's ground reaches to each side
+BEYOND = 0.5  # m, half the width of the drawing's ground
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Of two uniform rods (`envs.dynamics.Dynamics`); a state is the angle of each from hanging,
-    anticlockwise [rad], and both rates [rad/s]. Each step pays minus the tip's distance [m] to where both
-    stand upright. It never terminates."""
+    """Physics of two uniform rods (`envs.dynamics.Dynamics`). A state is the angle of each from hanging,
+    anticlockwise [rad], and both rates [rad/s]. Each step pays minus the tip's distance [m] to its upright
+    place. It never terminates. Units: `gravity` m/s^2, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     mass: float = 0.5
-    """Of each link [kg]."""
+    """Mass of each link [kg]."""
     length: float = 1.0
-    """Of each link [m]."""
+    """Length of each link [m]."""
     max_torque: float = 50.0
-    """On the second link, and against the first, at an action of 1 [N m]."""
+    """Torque on the second link, and against the first, at an action of 1 [N m]."""
     max_rate: float = 50 * np.pi
-    """Where rates are cut [rad/s]: as Box2D does, at a quarter of a turn in one of its steps, of 0.01 s."""
+    """Largest rate [rad/s], as in Box2D: a quarter of a turn in one of its steps of 0.01 s."""
     time_step: float = 0.02
-    """[s]"""
     parts: int = 4
-    """Of a time step, for the integration."""
+    """Parts of a time step in the integration."""
     act_size = 1
 
     @property
@@ -62,9 +58,10 @@ class Physics:
         return xp.concatenate([after[:2], xp.clip(after[2:], -self.max_rate, self.max_rate)])
 
     def rates(self, state: Any, torque: Any) -> Any:
-        """The state's derivative, by Lagrange: with mass m, length l and d = first - second,
-        4/3 m l^2 first'' + 1/2 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 3/2 m g l sin(first)
-        1/3 m l^2 second'' + 1/2 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 1/2 m g l sin(second)
+        """Return the state's derivative, by Lagrange. m is mass, l length, d = first - second.
+
+        (4/3) m l^2 first'' + 0.5 m l^2 (cos(d) second'' + sin(d) second'^2) = -torque - 1.5 m g l sin(first).
+        (1/3) m l^2 second'' + 0.5 m l^2 (cos(d) first'' - sin(d) first'^2) = torque - 0.5 m g l sin(second).
         """
         xp = namespace(state)
         first, second, rate, other = state
@@ -76,13 +73,6 @@ class Physics:
         return xp.stack(
             [rate, other, (one / 3 - cos * two) / determinant, (4 / 3 * two - cos * one) / determinant]
         )
-
-    def energy(self, state: Array) -> Array:
-        """Kinetic and potential [J], above the hinge's height."""
-        first, second, rate, other = state
-        size, weight = self.mass * self.length * self.length, self.mass * self.gravity * self.length
-        moving = 2 / 3 * rate * rate + other * other / 6 + np.cos(first - second) / 2 * rate * other
-        return np.asarray(size * moving - weight * (1.5 * np.cos(first) + np.cos(second) / 2))
 
     def observe(self, state: Any) -> Any:
         xp = namespace(state)
@@ -96,7 +86,7 @@ class Physics:
         return xp.asarray(-xp.sqrt(x * x + above * above))
 
     def tip(self, state: Any) -> tuple[Any, Any]:
-        """Where the tip is [m], to the right of the hinge and above it."""
+        """Return the tip's distance to the right of the hinge and above it [m]."""
         xp = namespace(state)
         first, second, _, _ = state
         return (
@@ -115,16 +105,14 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how upright each link is, how still, and a constant."""
+    """Return the uprightness of each link, the stillness of each, and a constant, (B, 5)."""
     still = 1 - np.clip(obs[:, 4:] / 20.0, -1, 1) ** 2
     return np.column_stack([-np.clip(obs[:, [0, 2]], -1, 1), still, np.ones(len(obs))])
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The links as lines, and a line at the hinge's height."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    """Return the links as lines, and a line at the hinge's height."""
+    inner: Any = env.unwrapped
     first, length = float(inner.state[0]), inner.physics.length
     elbow = [length * np.sin(first), -length * np.cos(first)]
     tip = [float(value) for value in inner.physics.tip(inner.state)]
@@ -182,6 +170,4 @@ SPEC = EnvSpec(
 """Two links hang from a fixed hinge; the motor sits between them. Each step pays minus the distance from the
 tip to its upright place. No episode ends before 10 s."""
 
-gym.register(
-    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

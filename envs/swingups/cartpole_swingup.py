@@ -1,11 +1,9 @@
 """RLLab's Cart-Pole Swing Up (Duan et al. 2016): swing a pole up by moving its cart, and hold it there.
 
-Sizes, masses, starts, reward and ending are RLLab's. The equations below replace its Box2D simulation, so
-there is no friction (RLLab's is 2e-6 to 5e-4), and no step's error is corrected by moving bodies. Angles are
-observed as cosine and sine instead of as they are.
+Sizes, masses, starts, reward and ending are RLLab's. The equations below replace its Box2D simulation. They
+omit friction (RLLab's is 2e-6 to 5e-4), and correct no errors of a step by moving bodies. Angles are observed
+as cosine and sine.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,9 +14,9 @@ import gymnasium as gym
 import numpy as np
 
 from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, runge_kutta, why_ended
+from envs.dynamics import Draws, DynamicsBatch, namespace, runge_kutta, why_ended
 from envs.learners import PPO, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -27,26 +25,22 @@ HORIZON = 500
 
 @dataclass(frozen=True)
 class Physics:
-    """Of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`); a state is the cart's position [m]
-    and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s]. Each step pays
-    the angle's cosine after it, and leaving the track -100."""
+    """Physics of a cart with a uniform rod on a hinge (`envs.dynamics.Dynamics`). A state is the cart's
+    position [m] and velocity [m/s], the pole's angle from upright, clockwise [rad], and its rate [rad/s].
+    Each step pays the angle's cosine after it, and leaving the track pays -100. Units: `gravity` m/s^2,
+    `cart_mass` kg, `pole_mass` kg, `pole_length` m, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     cart_mass: float = 1.0
-    """[kg]"""
     pole_mass: float = 0.1
-    """[kg]"""
     pole_length: float = 1.0
-    """[m]"""
     max_force: float = 10.0
-    """At an action of 1 [N]."""
+    """Force at an action of 1 [N]."""
     max_x: float = 3.0
-    """How far from the middle the track ends [m]."""
+    """Distance of the track's ends from its middle [m]."""
     time_step: float = 0.05
-    """[s]"""
     parts: int = 5
-    """Of a time step, for the integration."""
+    """Parts of a time step in the integration."""
     act_size = 1
 
     @property
@@ -62,10 +56,11 @@ class Physics:
         return runge_kutta(partial(self.rates, force=force), state, self.time_step, self.parts)
 
     def rates(self, state: Any, force: Any) -> Any:
-        """The state's derivative, by Lagrange: with the pole's mass m, its centre at c = length / 2, its
-        inertia I about there and the cart's mass M,
-        (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
-        m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
+        """Return the state's derivative, by Lagrange, with the cart's mass M, and the pole's mass m, centre
+        at c = length / 2 and inertia I about it.
+
+            (M + m) x'' + m c (cos(angle) angle'' - sin(angle) angle'^2) = force
+            m c cos(angle) x'' + (I + m c^2) angle'' = m g c sin(angle)
         """
         xp = namespace(state)
         _, velocity, angle, rate = state
@@ -78,15 +73,6 @@ class Physics:
         acceleration = (inertia * push - moment * cos * fall) / determinant
         turning = (total * fall - moment * cos * push) / determinant
         return xp.stack([velocity, acceleration, rate, turning])
-
-    def energy(self, state: Array) -> Array:
-        """Kinetic and potential [J], above the hinge's height."""
-        _, velocity, angle, rate = state
-        moment = self.pole_mass * self.pole_length / 2
-        inertia = self.pole_mass * self.pole_length * self.pole_length / 3
-        moving = (self.cart_mass + self.pole_mass) * velocity * velocity + inertia * rate * rate
-        both = moment * np.cos(angle) * velocity * rate
-        return np.asarray(moving / 2 + both + moment * self.gravity * np.cos(angle))
 
     def observe(self, state: Any) -> Any:
         xp = namespace(state)
@@ -109,7 +95,7 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 5): how upright the pole is, how centred the cart, how still both, and a constant."""
+    """Return how upright the pole is, how centred the cart, how still both, and a constant, (B, 5)."""
     upright = np.clip(obs[:, 2], -1, 1)
     limits = (NOMINAL.max_x, 5.0, 10.0)
     inside = 1 - np.clip(obs[:, [0, 1, 4]] / np.array(limits), -1, 1) ** 2
@@ -117,10 +103,8 @@ def phi(obs: Array, act: Array) -> Array:
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The track, the cart as a box and the pole as a line."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    """Return the track, the cart as a box and the pole as a line."""
+    inner: Any = env.unwrapped
     x, _, angle, _ = (float(value) for value in inner.state)
     return draw_cart_and_pole(x, angle, inner.physics.max_x, inner.physics.pole_length)
 
@@ -152,11 +136,7 @@ SPEC = EnvSpec(
     kwargs={"physics": NOMINAL},
     batch=partial(DynamicsBatch, physics=NOMINAL),
     shipped=Shipped(
-        steps=1_000_000,
-        bar=455.0,
-        terminated=0.01,
-        checkpoint_every=10_000,
-        rl=PPO(final_learning_rate=5e-5),
+        steps=1_000_000, bar=455.0, terminated=0.01, checkpoint_every=10_000, rl=PPO(final_learning_rate=5e-5)
     ),
     rl=replace(SMALL_PPO, copies=64, epochs=6, checkpoint_every=40_960),
     variants={
@@ -169,6 +149,4 @@ SPEC = EnvSpec(
 """The pole starts near hanging. Each step pays the cosine of its angle, 1 upright and -1 hanging; an episode
 ends, at a price of 100, where the cart leaves the track."""
 
-gym.register(
-    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

@@ -1,7 +1,5 @@
 """Gymnasium's `Pendulum-v1`: swing a pendulum up with a weak motor, and hold it upright."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,9 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from envs.dynamics import Draws, DynamicsBatch, DynamicsEnv, namespace, never
+from envs.dynamics import Draws, DynamicsBatch, namespace, never
 from envs.learners import DDPG, SMALL_PPO
-from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -21,22 +19,18 @@ HORIZON = 200
 
 @dataclass(frozen=True)
 class Physics:
-    """Of a rod on a motor (`envs.dynamics.Dynamics`); a state is its angle from upright [rad] and its rate
-    [rad/s]. What it pays is Gymnasium's, per step: -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and
-    the torque before it."""
+    """Physics of a rod on a motor (`envs.dynamics.Dynamics`). A state is its angle from upright [rad] and its
+    rate [rad/s]. A step pays -(angle^2 + 0.1 rate^2 + 0.001 torque^2) of the state and the torque before it,
+    as in Gymnasium. Units: `gravity` m/s^2, `mass` kg, `length` m, `time_step` s."""
 
     gravity: float = 10.0
-    """[m/s^2]"""
     mass: float = 1.0
-    """[kg]"""
     length: float = 1.0
-    """[m]"""
     max_torque: float = 2.0
-    """At an action of 1 [N m]."""
+    """Torque at an action of 1 [N m]."""
     max_rate: float = 8.0
-    """Where the rate is cut [rad/s]."""
+    """Largest rate [rad/s]."""
     time_step: float = 0.05
-    """[s]"""
     act_size = 1
 
     @property
@@ -65,7 +59,7 @@ class Physics:
         return namespace(state).asarray(-(off * off + 0.1 * (rate * rate) + 0.001 * (torque * torque)))
 
     def _torque(self, act: Any) -> Any:
-        """In 32 bits, as Gymnasium has it."""
+        """Return the torque in 32 bits, as in Gymnasium."""
         return self.max_torque * act[0].astype(np.float32)
 
     def fails(self, state: Any) -> Any:
@@ -79,16 +73,14 @@ NOMINAL = Physics()
 
 
 def phi(obs: Array, act: Array) -> Array:
-    """(B, 4): how upright it is, how still, both, and a constant."""
+    """Return uprightness, stillness, their product, and a constant, (B, 4)."""
     upright, still = np.clip(obs[:, 0], -1, 1), 1 - np.clip(obs[:, 2] / NOMINAL.max_rate, -1, 1) ** 2
     return np.stack([upright, still, upright * still, np.ones(len(obs))], axis=1)
 
 
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """The rod as a line, and the point that it turns about."""
-    inner = env.unwrapped
-    assert isinstance(inner, DynamicsEnv)
-    assert isinstance(inner.physics, Physics)
+    """Return the rod as a line, and the point that it turns about."""
+    inner: Any = env.unwrapped
     angle, length = float(inner.state[0]), inner.physics.length
     tip = [-length * np.sin(angle), length * np.cos(angle)]
     return {
@@ -128,12 +120,11 @@ SPEC = EnvSpec(
         "flipped": {"physics": Physics(max_torque=-NOMINAL.max_torque)},
     },
 )
-"""The motor is too weak to lift the pendulum at once: it must swing to and fro first. It starts anywhere, and
-never ends before 10 s. A step pays, of the angle from upright [rad], the rate [rad/s] and the torque [N m]
+"""The motor is too weak to lift the pendulum at once, so it must swing to and fro first. It starts anywhere.
+No episode ends before 10 s. A step pays for the angle from upright [rad], the rate [rad/s] and the torque [N
+m]
 
     r = -(angle^2 + 0.1 rate^2 + 0.001 torque^2)
 """
 
-gym.register(
-    SPEC.env_id, entry_point="envs.dynamics:DynamicsEnv", max_episode_steps=HORIZON, disable_env_checker=True
-)
+register(SPEC, "envs.dynamics:DynamicsEnv")

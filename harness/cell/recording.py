@@ -24,7 +24,7 @@ from harness.show.recordings import Advantage, Episode
 from harness.show.recordings import record as recording
 from harness.show.scenes import scene
 from methods.base import Array, Policy, Reward
-from methods.tabular import greedy, value_iteration
+from methods.tabular.model import greedy, value_iteration
 
 NO_NUMBERS = "It records episodes that were scored before."
 

@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from envs import EnvSpec
-from envs.spec import Tabular
+from envs.models import Tabular
 from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
 from methods.network import standardiser
-from methods.tabular import action_values, greedy, policy_value, value_iteration
+from methods.tabular.model import action_values, greedy, policy_value, value_iteration
 
 LEAST_WEIGHT = 0.01
 """The discount at which a replay ends."""

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from harness.judge.results import CONTROL_METHODS
-from methods.base import Array, Episodes, Learned, Policy, RandomActions, Reward, default_absorbing
+from methods.base import Array, Episodes, Learned, Policy, RandomActions, Reward
 from methods.network import mlp, standardiser
-from methods.rewards import Constant, NetworkReward
+from methods.rewards import Constant, NetworkReward, default_absorbing
 
 
 @dataclass(frozen=True)

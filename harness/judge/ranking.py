@@ -13,7 +13,8 @@ from envs import EnvSpec
 from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
 from harness.learn.simulator import Simulator
-from methods.base import Array, Policy, Reward, roughened
+from methods.base import Array, Policy, Reward
+from methods.stochastic import roughened
 
 POLICIES = 20
 """Number of policies that a reward must rank."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from envs.spec import Model, Tabular
+from envs.models import Model, Tabular
 from harness.learn.rl import Solution
 from methods.base import Array, Payment, Policy, Reward, StochasticPolicy, Transitions
-from methods.tabular import TabularPolicy, value_iteration
+from methods.tabular.model import TabularPolicy, value_iteration
 
 TIE = 1e-7
 """Values that differ by less, relative to the largest, are equal."""

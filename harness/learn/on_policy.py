@@ -160,7 +160,7 @@ def _transitions(spec: EnvSpec, seen: Steps) -> Transitions:
     terminated = np.asarray(seen.terminated).ravel()
     act = _executed(spec, np.asarray(seen.act)).reshape(-1, spec.act_size)
     obs, after = (np.asarray(o, np.float64).reshape(-1, spec.obs_size) for o in (seen.obs, seen.next_obs))
-    return Transitions(obs, act, after, np.zeros_like(terminated), terminated)
+    return Transitions.own(obs, act, after, np.zeros_like(terminated), terminated)
 
 
 def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:

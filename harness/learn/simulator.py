@@ -30,7 +30,7 @@ class Trajectory:
         """Return its steps."""
         into = np.zeros(len(self.act), bool)
         into[-1] = self.terminated
-        return Transitions(self.obs[:-1], self.act, self.obs[1:], np.zeros_like(into), into)
+        return Transitions.own(self.obs[:-1], self.act, self.obs[1:], np.zeros_like(into), into)
 
 
 class Simulator:

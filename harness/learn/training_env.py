@@ -26,8 +26,8 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
 
 from envs import EnvSpec
+from envs.checks import LARGEST
 from envs.copies import Copies
-from envs.spec import LARGEST
 from harness.learn.seeds import training_seeds
 from methods.base import ABSORBING_STEPS, Array, Episodes, Payment, Reward, Transitions
 from methods.rewards import Constant, fast
@@ -94,7 +94,7 @@ class TrainingEnv(VecEnv):
         rewards = self.raw_rewards(steps, true)
         if self.absorbs and not isinstance(self.reward, Reward) and steps.next_absorbing.any():
             one = np.zeros(1, bool)
-            there = Transitions(steps.obs[:1], steps.act[:1], steps.obs[:1], ~one, ~one)
+            there = Transitions.own(steps.obs[:1], steps.act[:1], steps.obs[:1], ~one, ~one)
             forever = float(self.raw_rewards(there, np.zeros(1))[0]) / (1 - self.spec.gamma)
             rewards = rewards + self.spec.gamma * forever * steps.next_absorbing
         return rewards
@@ -157,7 +157,7 @@ class TrainingEnv(VecEnv):
         if alive.any():
             stepped = self.batch.step(np.flatnonzero(alive).tolist(), act[alive])
             next_obs[alive], true[alive], terminated[alive], cut[alive] = stepped
-        self.latest = Transitions(self.obs, act, next_obs, ~alive, terminated | ~alive), true
+        self.latest = Transitions.own(self.obs, act, next_obs, ~alive, terminated | ~alive), true
         self.obs = next_obs
         self._age += 1
         return terminated, alive & ~terminated & (cut | (self._age == self.spec.horizon))
@@ -269,7 +269,7 @@ class Replay(NStepReplayBuffer):
     def steps(self) -> Transitions:
         """Return its own steps, the oldest first."""
         columns: list[Any] = [self._obs, self._act, self._next_obs, self._absorbing, self._next_absorbing]
-        return Transitions(*(c[self._order].reshape(-1, *c.shape[2:]) for c in columns))
+        return Transitions.own(*(c[self._order].reshape(-1, *c.shape[2:]) for c in columns))
 
     @property
     def _order(self) -> NDArray[np.int64]:

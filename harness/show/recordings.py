@@ -204,7 +204,7 @@ def _series(spec: EnvSpec, episode: Episode) -> dict[str, tuple[Series, str]]:
         found.append((Series("learned_return", ["so far"], so_far(learned), [BLUE], half), "R* so far"))
     acts = {"policy": trajectory.act, "expert": episode.expert, "f(s)": episode.f}
     there = {who: values for who, values in acts.items() if values is not None}
-    names = [str(quantity) for quantity in spec.act_names]
+    names = [str(quantity) for quantity in spec.actions]
     if len(names) <= FEW:
         colours = [_ACTORS[who] for who in there]
         for i, name in enumerate(names):
@@ -218,7 +218,7 @@ def _series(spec: EnvSpec, episode: Episode) -> dict[str, tuple[Series, str]]:
         if len(names) > FEW:
             names, precision = ["smallest", "largest"], precision[:, [0, -1]]
         found.append((Series("precision", names, precision, half=half), "Eigenvalues of L Lᵀ + I"))
-    names = [str(quantity) for quantity in spec.obs_names]
+    names = [str(quantity) for quantity in spec.observations]
     found.append((Series("observation", names, trajectory.obs, half=half), "Observations"))
     return {series.part: (series, heading) for series, heading in found}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.spec import Model, Tabular
+from envs.models import Model, Tabular
 from methods.base import (
     Array,
     Episodes,
@@ -20,7 +20,7 @@ from methods.base import (
 )
 from methods.network import Network
 from methods.stochastic import SquashedGaussian
-from methods.tabular import greedy, value_iteration
+from methods.tabular.model import greedy, value_iteration
 
 
 class _Account:
@@ -64,7 +64,7 @@ class _Account:
         if act.shape != (count, self.act_size):
             raise ValueError(f"actions must have the shape ({count}, {self.act_size}), not {act.shape}")
         if not (np.isfinite(act).all() if self.discrete else (np.abs(act) <= 1).all()):
-            raise ValueError("actions must be finite and, where they are no choices, lie in [-1, 1]")
+            raise ValueError("actions must be finite and, unless they are choices, lie in [-1, 1]")
         return np.eye(self.act_size)[act.argmax(axis=1)] if self.discrete else act
 
     def solved(self, reward: Any, rng: np.random.Generator) -> Policy:
@@ -168,7 +168,7 @@ class FakeAgent:
         if isinstance(reward, Reward):
             paid = reward(obs, act, obs) - reward.absorbing
         else:
-            paid = reward(Transitions(obs, act, obs, living, living))
+            paid = reward(Transitions.own(obs, act, obs, living, living))
         if np.shape(paid) != (5,) or not np.isfinite(paid).all():
             raise FloatingPointError("the reward must give one finite number for each step")
 

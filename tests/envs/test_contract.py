@@ -11,7 +11,8 @@ from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 
 from envs import EnvSpec, Shape, from_gymnasium
 from envs.learners import DDPG, DQN
-from envs.spec import Quantity, scaled
+from envs.scaled import scaled
+from envs.spec import Quantity
 from harness.registry import SPECS, all_specs
 from harness.testing import ContractError, check_env
 from harness.testing.contract import Check
@@ -132,7 +133,8 @@ def test_random_actions_are_uniform(spec: EnvSpec) -> None:
 @pytest.mark.parametrize(("spec", "name"), VARIANTS, ids=lambda value: getattr(value, "name", value))
 def test_a_variant_is_the_task_with_other_dynamics(spec: EnvSpec, name: str) -> None:
     variant = spec.variant(name)
-    for field in ("obs_size", "act_size", "obs_names", "act_names", "obs_scale", "horizon", "rl", "rl_steps"):
+    shared = ("obs_size", "act_size", "observations", "actions", "obs_scale", "horizon", "rl", "rl_steps")
+    for field in shared:
         assert getattr(variant, field) == getattr(spec, field)
     assert (variant.batch is None) == (spec.batch is None)
     assert variant.shipped is None
@@ -184,7 +186,7 @@ def test_a_spec_that_contradicts_itself_is_refused(spec: EnvSpec, wrong: dict) -
 
 
 def test_a_spec_that_contradicts_its_environment_is_refused(spec: EnvSpec) -> None:
-    one_more = {"obs_scale": (*spec.obs_scale, 1.0), "obs_names": (*spec.obs_names, Quantity("more"))}
+    one_more = {"obs_scale": (*spec.obs_scale, 1.0), "obs_names": (*spec.observations, Quantity("more"))}
     liar = dataclasses.replace(spec, obs_size=spec.obs_size + 1, **one_more)
     with pytest.raises(ValueError, match="contradict"):
         liar.make()
@@ -225,13 +227,13 @@ def test_wrapped_and_variant_environments_are_checked_too() -> None:
 
 
 def test_every_number_has_a_name(spec: EnvSpec) -> None:
-    for names, size in ((spec.obs_names, spec.obs_size), (spec.act_names, spec.act_size)):
+    for names, size in ((spec.observations, spec.obs_size), (spec.actions, spec.act_size)):
         assert len({quantity.name for quantity in names}) == size
     if spec.name.startswith("derived"):
-        assert [quantity.name for quantity in spec.obs_names] == ["obs 0", "obs 1", "obs 2"]
-        assert spec.act_names == (Quantity("act 0"),)
+        assert [quantity.name for quantity in spec.observations] == ["obs 0", "obs 1", "obs 2"]
+        assert spec.actions == (Quantity("act 0"),)
     else:
-        assert not any(quantity.name.startswith(("obs ", "act ")) for quantity in spec.obs_names)
+        assert not any(quantity.name.startswith(("obs ", "act ")) for quantity in spec.observations)
 
 
 def test_what_gymnasium_tells_of_a_task_is_taken_from_it() -> None:

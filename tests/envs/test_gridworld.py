@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from envs.gridworld import ACTIONS, SPEC, WORLD, GridWorld, ObjectWorld, grid, objectworld, transitions
-from envs.spec import Model, Tabular
+from envs.models import Model, Tabular
 
 RIGHT, UP, LEFT, DOWN, STAY = range(5)
 

@@ -39,7 +39,7 @@ def test_what_is_observed_is_what_its_name_says(spec: EnvSpec) -> None:
     """Of joints that are observed as they are."""
     env = model_of(spec)
     obs, _ = env.reset(seed=0)
-    names = [quantity.name for quantity in spec.obs_names]
+    names = [quantity.name for quantity in spec.observations]
     for i in range(env.model.njnt):
         name = env.model.joint(i).name
         if name in names:

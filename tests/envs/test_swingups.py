@@ -17,6 +17,20 @@ LAGRANGE += [made_with["physics"] for made_with in acrobot.SPEC.variants.values(
 Written = cartpole_swingup.Physics | acrobot.Physics
 
 
+def energy(physics: Written, state: np.ndarray) -> float:
+    """Return kinetic and potential energy [J], relative to the hinge."""
+    if isinstance(physics, acrobot.Physics):
+        first, second, rate, other = state
+        size, weight = physics.mass * physics.length**2, physics.mass * physics.gravity * physics.length
+        moving = 2 / 3 * rate * rate + other * other / 6 + np.cos(first - second) / 2 * rate * other
+        return float(size * moving - weight * (1.5 * np.cos(first) + np.cos(second) / 2))
+    _, velocity, angle, rate = state
+    moment = physics.pole_mass * physics.pole_length / 2
+    inertia = physics.pole_mass * physics.pole_length**2 / 3
+    moving = (physics.cart_mass + physics.pole_mass) * velocity**2 / 2 + inertia * rate**2 / 2
+    return float(moving + moment * np.cos(angle) * (velocity * rate + physics.gravity))
+
+
 @pytest.mark.parametrize("gravity", [10.0, 14.0])
 def test_swingup_is_gymnasiums_pendulum(gravity: float) -> None:
     ours, theirs = DynamicsEnv(swingup.Physics(gravity=gravity)), gym.make("Pendulum-v1", g=gravity)
@@ -36,10 +50,10 @@ def test_energy_stays_without_a_push(physics: Written) -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
         state = rng.uniform([-1, -2, -3, -5], [1, 2, 3, 5])
-        before = physics.energy(state)
+        before = energy(physics, state)
         for _ in range(100):
             state = physics.advance(state, IDLE)
-        assert physics.energy(state) == pytest.approx(before, abs=1e-4 * (1 + abs(before)))
+        assert energy(physics, state) == pytest.approx(before, abs=1e-4 * (1 + abs(before)))
 
 
 @pytest.mark.parametrize("physics", LAGRANGE, ids=repr)
@@ -50,7 +64,7 @@ def test_power_is_force_times_velocity(physics: Written) -> None:
         state, push = rng.uniform([-1, -2, -3, -5], [1, 2, 3, 5]), np.array(rng.uniform(-5, 5))
         moving = partial(physics.rates, **{"force" if slides else "torque": push})
         after, before = (runge_kutta(moving, state, seconds, 1) for seconds in (step, -step))
-        power = (physics.energy(after) - physics.energy(before)) / (2 * step)
+        power = (energy(physics, after) - energy(physics, before)) / (2 * step)
         velocity = state[1] if slides else state[3] - state[2]
         assert power == pytest.approx(float(push * velocity), abs=1e-4)
 

@@ -12,7 +12,7 @@ from gymnasium.wrappers import RescaleAction
 
 from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
-from envs.spec import scaled
+from envs.scaled import scaled
 from harness import demonstrations as demos
 from harness.action_units import Units, _same
 from harness.arguments import parser
@@ -242,7 +242,7 @@ def test_inspect_says_what_bounds_it_takes_and_why(
     assert "bounds      [-2, 2] there, the task's own\n" in out
     assert "actions     motor [2 N m]" in out
     assert "-0.5 to 1.5 there, -0.25 to 0.75, mean 0.25 in [-1, 1]\n" in out
-    assert f"observed    {SWINGUP.obs_names[0]} " in out
+    assert f"observed    {SWINGUP.observations[0]} " in out
     assert "observed 0" not in out
     assert main(["demos", "inspect", str(file), "--env", "swingup", "--action-bounds=-4,4"]) == 0
     assert "bounds      [-4, 4] there, as --action-bounds says\n" in capsys.readouterr().out

@@ -95,7 +95,7 @@ def test_it_says_what_it_is(folder: Path) -> None:
         "dynamics": "nominal",
     }
     assert facts["learned"] == "pi_star"
-    assert facts["actions"] == [str(name) for name in SPECS["cartpole"].act_names]
+    assert facts["actions"] == [str(name) for name in SPECS["cartpole"].actions]
     assert "Box(-1.0, 1.0, (1,), float32)" in facts["action_space"]
     assert facts["policy"]["class"] == "methods.network:Network"
     assert {"torch", "numpy", "irl-bench"} <= facts["computed_with"].keys()

@@ -29,7 +29,7 @@ def test_an_end_pays_less_than_a_fall(seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     game = Game(reward_steps=400)
     discriminator = game.discriminator(mlp(4, *game.layers, 1, generator=generator), generator)
-    discriminator.tell(shown, rows(falling, 500), rng)
+    discriminator.learn(shown, rows(falling, 500), rng)
     with torch.no_grad():
         logits = discriminator.logit(torch.as_tensor(rows(falling, 1), dtype=torch.float32))[:, 0]
     assert logits[-1] < logits[:-1].mean()

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from envs.spec import Model, Tabular
-from methods.airl import AIRL, Logit, Shaped, as_transitions, described, known, log_density
+from envs.models import Model, Tabular
+from methods.airl import AIRL, Logit, Shaped, as_transitions, described, log_density
 from methods.base import ABSORBING_STEPS, Array, Episodes, StochasticPolicy
 from methods.network import mlp
 from methods.rewards import MeanReward, NetworkReward
-from methods.tabular import (
+from methods.tabular.airl import TabularAIRL
+from methods.tabular.model import (
     greedy,
     policy_value,
     soft_policy,
@@ -51,7 +52,7 @@ def regret(model: Model, r: Array) -> float:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_reward_of_states_is_the_true_one_up_to_a_constant(seed: int) -> None:
     model = leading(seed)
-    g, _ = known(AIRL(actions=False), shown_in(model), model, GAMMA, HORIZON)
+    g, _ = TabularAIRL(actions=False).reward_and_potential(shown_in(model), model, GAMMA, HORIZON)
     assert np.ptp(g[:, 0] - REWARD) < 0.2
     assert regret(leading(seed + 10), np.broadcast_to(g, (STATES, ACTIONS))) < 0.01
 
@@ -59,7 +60,7 @@ def test_a_reward_of_states_is_the_true_one_up_to_a_constant(seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_one_of_states_and_actions_is_the_advantage_and_is_of_no_use_elsewhere(seed: int) -> None:
     model, (v, q) = leading(seed), soft_value_iteration(leading(seed).P, REWARD, GAMMA)
-    g, h = known(AIRL(), shown_in(model), model, GAMMA, HORIZON)
+    g, h = TabularAIRL().reward_and_potential(shown_in(model), model, GAMMA, HORIZON)
     f = g + GAMMA * model.P @ h - h[:, None]
     assert (shown_in(model) * np.abs(f - (q - v[:, None]))).sum() < 0.01
     assert regret(model, g) < 0.01

@@ -3,7 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from methods.base import Episodes, Transitions, default_absorbing, roughened, seen_by_both
+from methods.base import Episodes, Transitions
+from methods.rewards import default_absorbing
+from methods.stochastic import roughened
+from methods.visits import seen_by_both
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -67,7 +70,7 @@ def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) 
 def test_steps_are_not_demonstrated_unless_they_say_so() -> None:
     no = np.zeros(4, bool)
     steps = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3)), no, no
-    assert Transitions(*steps).demonstrated.tolist() == [False] * 4
+    assert Transitions.own(*steps).demonstrated.tolist() == [False] * 4
     assert Transitions(*steps, ~no).demonstrated.tolist() == [True] * 4
 
 

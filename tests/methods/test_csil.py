@@ -11,9 +11,10 @@ from envs.gridworld import objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
 from methods.base import Array, Episodes
-from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel, known_reward
+from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel
 from methods.settings import settings_for
-from methods.tabular import soft_policy, soft_value_iteration
+from methods.tabular.csil import coherent_reward
+from methods.tabular.model import soft_policy, soft_value_iteration
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 METHOD = CSIL(steps=200, places=100, rollouts=5)
@@ -33,7 +34,7 @@ def fitted(noise: float = 0.0, count: int = 500) -> GaussianProcess:
 def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -> None:
     tabular = objectworld(4, 3, 2, 0.3, np.random.default_rng(0))
     counts = np.random.default_rng(1).integers(0, 6, tabular.P.shape[:2])
-    reward = known_reward(counts, tabular.model)
+    reward = coherent_reward(counts, tabular.model)
     states, actions = counts.shape
     obs = np.repeat(tabular.obs, actions, axis=0)
     r = reward(obs, np.tile(np.eye(actions), (states, 1)), obs).reshape(states, actions)

@@ -12,8 +12,9 @@ import torch
 
 from envs.gridworld import grid
 from methods.base import ABSORBING_STEPS, Array, Episodes
-from methods.f_irl import FIRL, forward_divergence, trajectory, weigh
-from methods.tabular import (
+from methods.f_irl import FIRL, trajectory, weigh
+from methods.tabular.f_irl import forward_divergence
+from methods.tabular.model import (
     finite_soft_value_iteration,
     greedy,
     policy_value,

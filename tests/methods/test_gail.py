@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs.spec import Tabular
+from envs.models import Tabular
 from methods.base import Array, Episodes, Transitions
 from methods.gail import GAIL
 from methods.rewards import MeanReward, NetworkReward
-from methods.tabular import greedy, policy_value, value_iteration
+from methods.tabular.model import greedy, policy_value, value_iteration
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 STATES, ACTIONS, GAMMA = 16, 4, 0.9
@@ -23,7 +23,7 @@ def constant(*action: float) -> Callable[[Array], Array]:
 def steps(act: Array) -> Transitions:
     """Of these actions (N, 2), anywhere."""
     obs = np.random.default_rng(5).uniform(-1, 1, (len(act), 3))
-    return Transitions(obs, act, obs, *np.zeros((2, len(act)), bool))
+    return Transitions.own(obs, act, obs, *np.zeros((2, len(act)), bool))
 
 
 @pytest.fixture

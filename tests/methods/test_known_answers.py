@@ -15,7 +15,7 @@ from methods.base import Array, Episodes, Learned, Policy
 from methods.bc import BehaviourCloning
 from methods.shaped import Shaped, ShapedReward
 from methods.shaped_ml import ShapedML, inverse_lqr
-from methods.tabular import advantage, greedy, policy_value, value_iteration
+from methods.tabular.model import action_values, greedy, policy_value, value_iteration
 
 
 class Regulator:
@@ -209,7 +209,7 @@ def test_figure_4_1_a_greedy_policy_is_optimal_under_the_shaped_reward() -> None
     P[-1] = np.eye(size**2)[-1]
     r = np.append(np.full(size**2 - 1, -1.0), 0.0)
     v, _ = value_iteration(P, r, gamma)
-    shaped = advantage(P, r, v, gamma)
+    shaped = action_values(P, r, v, gamma) - v[:, None]
     np.testing.assert_allclose(policy_value(P, r, greedy(shaped), gamma), v, atol=1e-6)
     unshaped = greedy(np.tile(r[:, None], 4))
     assert (policy_value(P, r, unshaped, gamma) < v - 10).mean() > 0.5

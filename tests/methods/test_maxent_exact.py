@@ -10,10 +10,17 @@ import pytest
 from scipy.special import logsumexp
 
 from envs.gridworld import SPEC, WORLD, grid, objectworld
-from envs.spec import Tabular
+from envs.models import Tabular
 from methods.base import Array, Episodes, Policy
-from methods.maxent import MaxEnt, demonstrated, log_likelihood
-from methods.tabular import finite_soft_value_iteration, policy_value, state_visitations, value_iteration
+from methods.maxent import MaxEnt
+from methods.tabular.maxent import log_likelihood
+from methods.tabular.model import (
+    demonstrated,
+    finite_soft_value_iteration,
+    policy_value,
+    state_visitations,
+    value_iteration,
+)
 
 MakeWorld = Callable[..., Any]
 HORIZON = 6

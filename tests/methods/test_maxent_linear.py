@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from envs.gridworld import objectworld
-from envs.spec import Model
+from envs.models import Model
 from methods.base import Array, Episodes, Policy, Reward
-from methods.maxent import MaxEnt, demonstrated, log_likelihood
+from methods.maxent import MaxEnt
 from methods.maxent_linear import MaxEntLinear, moments
-from methods.tabular import finite_soft_value_iteration, value_iteration
+from methods.tabular.maxent import log_likelihood
+from methods.tabular.model import demonstrated, finite_soft_value_iteration, value_iteration
 
 HORIZON, GAMMA = 12, 0.9
 TABULAR = objectworld(6, 5, 2, 0.2, np.random.default_rng(3))

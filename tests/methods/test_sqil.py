@@ -7,8 +7,9 @@ import numpy as np
 
 from envs.gridworld import objectworld
 from methods.base import Episodes, Transitions
-from methods.sqil import SQIL, imitate, soft_q
-from methods.tabular import discounted_visitations, soft_policy, value_iteration
+from methods.sqil import SQIL, imitate
+from methods.tabular.model import discounted_visitations, soft_policy, value_iteration
+from methods.tabular.sqil import soft_q
 
 
 def test_demonstrated_steps_pay_one_whoever_ends() -> None:

@@ -47,7 +47,7 @@ def test_steps_of_an_agent_are_described_as_those_of_episodes_are() -> None:
     absorbing = np.array([False] * 4 + [True] * 2)
     there = np.full((2, 3), 7.0), np.full((2, 2), 0.5)
     obs, act = np.concatenate([obs, there[0]]), np.concatenate([act, there[1]])
-    steps = Transitions(obs, act, obs, absorbing, absorbing)
+    steps = Transitions.own(obs, act, obs, absorbing, absorbing)
     for actions in (True, False):
         rows = visitations(episodes, 2, MEAN, STD, actions)
         np.testing.assert_array_equal(visited(steps, MEAN, STD, actions), rows)

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from envs import EnvSpec
 from envs.balancing import cartpole
-from envs.spec import Tabular
+from envs.models import Tabular
 from harness.judge.advantage import (
     Comparison,
     compare,
@@ -32,7 +32,7 @@ from methods.base import Array, Reward
 from methods.rewards import Constant
 from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML
-from methods.tabular import action_values, greedy, soft_policy, soft_value_iteration, value_iteration
+from methods.tabular.model import action_values, greedy, soft_policy, soft_value_iteration, value_iteration
 from tests.harness.rewards import Seek
 
 SEEDS = range(40)

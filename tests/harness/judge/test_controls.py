@@ -10,7 +10,8 @@ import pytest
 from harness.judge.controls import control_reward
 from harness.judge.results import CONTROLS
 from harness.registry import SPECS
-from methods.base import Array, Episodes, Learned, Reward, default_absorbing
+from methods.base import Array, Episodes, Learned, Reward
+from methods.rewards import default_absorbing
 from tests.harness.rewards import Nothing
 
 ZERO = Nothing()

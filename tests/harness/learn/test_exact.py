@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from envs.gridworld import SPEC, WORLD, objectworld
-from envs.spec import Tabular
+from envs.models import Tabular
 from harness.judge.results import Conditions
 from harness.learn.exact import ExactSolver, expected_rewards
 from harness.registry import SPECS
@@ -18,7 +18,7 @@ from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import expert_for
 from methods.base import Array, Policy, Reward
 from methods.rewards import Constant
-from methods.tabular import policy_value, value_iteration
+from methods.tabular.model import policy_value, value_iteration
 
 GAMMA = 0.95
 

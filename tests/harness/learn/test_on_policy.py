@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from envs.driving import highway
+from envs.driving.environment import drive, look
 from envs.learners import PPO
 from harness.learn import ppo
 from harness.learn.on_policy import REWARD_SIZE, OnPolicy, dynamics_of
@@ -71,8 +71,8 @@ def test_steps_of_compiled_traffic_are_those_of_the_batch() -> None:
     ended = np.asarray(seen.terminated | seen.cut)
     going = np.arange(copies)  # those whose first episode lasts
     for time in range(spec.horizon):
-        np.testing.assert_allclose(np.asarray(seen.obs)[time, going], highway.look(states[going]), atol=1e-5)
-        after, paid, terminated = highway.drive(states, going, act[time, going])
+        np.testing.assert_allclose(np.asarray(seen.obs)[time, going], look(states[going]), atol=1e-5)
+        after, paid, terminated = drive(states, going, act[time, going])
         np.testing.assert_allclose(np.asarray(seen.next_obs)[time, going], after, atol=1e-5)
         np.testing.assert_allclose(np.asarray(seen.true)[time, going], paid, atol=1e-6)
         assert np.array_equal(np.asarray(seen.terminated)[time, going], terminated)
@@ -110,7 +110,7 @@ def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
     env = TrainingEnv(fragile, protocol, np.random.default_rng(0), 1)
     env.reward = lambda steps: np.where(steps.absorbing, -2.0, 1.0)
     ends = np.array([False, True])
-    steps = Transitions(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
+    steps = Transitions.own(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
     beyond = forever * fragile.gamma * -2.0 / (1 - fragile.gamma)
     np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
 

@@ -14,7 +14,7 @@ import pytest
 
 from envs import EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, Learner
-from envs.spec import Model, Tabular
+from envs.models import Model, Tabular
 from harness.learn.exact import ExactSolver
 from harness.learn.rl import Agent
 from harness.learn.simulator import Simulator, Trajectory

@@ -1,49 +1,46 @@
 """Exact solutions of a Markov decision process whose model is known.
 
-P: (S, A, S), probability of each next state given state and action, without terminal states. r: rewards,
-(S,) or (S, A), paid when the action is taken. policy: (S, A) probabilities of each action. gamma: discount.
-Raise ValueError for rewards that do not fit P or are not finite, a discount or a horizon out of range.
+`P` (S, A, S): probability of each next state, given state and action, without terminal states. `r`: rewards
+of actions, (S,) or (S, A). `policy` (S, A): probability of each action. `gamma`: discount. All functions
+raise ValueError for rewards that do not fit `P` or are not finite, and for discounts and horizons out of
+range.
 
 Soft values are those of maximum causal entropy (Ziebart, Bagnell & Dey 2010): return plus the entropy of the
-actions, in nats. A temperature t is the reward divided by t: t V(r / t).
+actions, in nats. At a temperature t the soft value is t V(r / t).
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from methods.base import Array
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
+from envs.models import Model
+from methods.base import Array, Episodes, Unsuitable, World
 
 
 @dataclass(frozen=True)
 class Table:
-    """obs (S, O): how each state is known, by the nearest observation; values (S, A)."""
+    """A value for each state and action, `values` (S, A). States are known by the nearest of `obs` (S, O)."""
 
     obs: Array
     values: Array
 
     def at(self, obs: Array) -> Array:
-        """(B, A): the values of the states that are observed, (B, O)."""
-        return self.values[self._tree.query(obs)[1]]
+        """Return the values (B, A) of the states at observations (B, O)."""
+        return np.asarray(self.values[self._tree.query(obs)[1]])
 
     @cached_property
-    def _tree(self) -> KDTree:
-        from scipy.spatial import KDTree  # half a second, which other tasks do without
+    def _tree(self) -> Any:
+        from scipy.spatial import KDTree  # takes half a second, which other tasks do not need
 
         return KDTree(self.obs)
 
 
 @dataclass(frozen=True)
 class TabularPolicy(Table):
-    """values: what it does in each state."""
+    """A policy; `values` are its actions."""
 
     def __call__(self, obs: Array, /) -> Array:
         return self.at(obs)
@@ -51,41 +48,52 @@ class TabularPolicy(Table):
 
 @dataclass(frozen=True)
 class TabularReward(Table):
-    """values: what each action pays in each state, of which none is absorbing."""
+    """A reward without absorbing states; `values` are the rewards."""
 
     absorbing: float = 0.0
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        paid: Array = (self.at(obs) * act).sum(axis=1)
-        return paid
+        return np.asarray((self.at(obs) * act).sum(axis=1))
+
+
+def known_model(world: World) -> Model:
+    """Return the world's model. Raises Unsuitable where it is not known."""
+    if world.model is None:
+        raise Unsuitable("a tabular method needs a task whose model is known")
+    return world.model
+
+
+def demonstrated(demos: Episodes, model: Model) -> Array:
+    """Return mu_D (T, S, A): the share of the demonstrations that show each state and choice at each time.
+    Raises ValueError unless all demonstrations have T steps."""
+    if demos.lengths.min() < demos.lengths.max():
+        raise ValueError("in a known model, demonstrations must be equally long")
+    mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
+    for i, (obs, act) in enumerate(zip(demos.obs, demos.act, strict=True)):
+        times = np.arange(len(act)) if demos.times is None else demos.times[i]
+        mu[times, model.states(obs[: len(act)]), act.argmax(axis=1)] += 1 / len(demos)
+    return mu
 
 
 def action_values(P: Array, r: Array, v: Array, gamma: float) -> Array:
-    """(S, A): r + gamma E[v(s')]."""
+    """Return r + gamma E[v(s')], (S, A), of values v (S,)."""
     if r.shape not in (P.shape[:1], P.shape[:2]) or not np.isfinite(r).all():
         raise ValueError(f"rewards must be finite, of shape (S,) or (S, A) of P {P.shape}, not {r.shape}")
-    q: Array = r.reshape(len(P), -1) + gamma * (P @ v)
-    return q
-
-
-def advantage(P: Array, r: Array, v: Array, gamma: float) -> Array:
-    """(S, A): r + gamma E[v(s')] - v(s), the advantage of each action over values v (S,), and equally the
-    expected reward when v is the potential that shapes it (Ng, Harada & Russell 1999)."""
-    return action_values(P, r, v, gamma) - v[:, None]
+    return np.asarray(r.reshape(len(P), -1) + gamma * (P @ v))
 
 
 def value_iteration(P: Array, r: Array, gamma: float, tol: float = 1e-9) -> tuple[Array, Array]:
-    """V (S,) and Q (S, A) of the best policy, to within `tol` or the rounding of floats."""
+    """Return V (S,) and Q (S, A) of the best policy, to within `tol` or rounding."""
     return _fixed_point(P, r, gamma, tol, lambda q: np.max(q, axis=1))
 
 
 def soft_value_iteration(P: Array, r: Array, gamma: float, tol: float = 1e-9) -> tuple[Array, Array]:
-    """Soft V (S,) and Q (S, A), to within `tol` or rounding; `soft_policy(Q)` is their policy."""
+    """Return soft V (S,) and Q (S, A), to within `tol` or rounding. Their policy is `soft_policy(Q)`."""
     return _fixed_point(P, r, gamma, tol, _soft_maximum)
 
 
 def finite_soft_value_iteration(P: Array, r: Array, horizon: int, gamma: float = 1.0) -> tuple[Array, Array]:
-    """Soft V (T, S) and policies (T, S, A) at times 0 to T-1, of T = `horizon` actions and nothing after."""
+    """Return soft V (T, S) and policies (T, S, A) at times 0 to T-1, for T = `horizon` actions in all."""
     _check_horizon(horizon)
     if not 0 <= gamma <= 1:
         raise ValueError(f"gamma must lie in [0, 1], not {gamma}")
@@ -99,28 +107,27 @@ def finite_soft_value_iteration(P: Array, r: Array, horizon: int, gamma: float =
 
 
 def greedy(q: Array) -> Array:
-    """The policy (S, A) that takes the first of the best actions by q (S, A)."""
-    policy: Array = np.eye(q.shape[1])[q.argmax(axis=1)]
-    return policy
+    """Return the policy (S, A) of the best actions by q (S, A). Ties go to the first."""
+    return np.asarray(np.eye(q.shape[1])[q.argmax(axis=1)])
 
 
 def soft_policy(q: Array) -> Array:
-    """The policy (S, A) in proportion to exp(q), q (S, A)."""
-    policy: Array = np.exp(q - _soft_maximum(q)[:, None])
-    return policy
+    """Return the policy (S, A) in proportion to exp(q), q (S, A)."""
+    return np.asarray(np.exp(q - _soft_maximum(q)[:, None]))
 
 
 def policy_value(P: Array, r: Array, policy: Array, gamma: float) -> Array:
-    """V (S,): the expected discounted return of a policy, without entropy."""
+    """Return the expected discounted return of a policy, without entropy, V (S,)."""
     _check_discount(gamma)
     rewards = (policy * action_values(P, r, np.zeros(len(P)), gamma)).sum(axis=1)
     return np.linalg.solve(np.eye(len(P)) - gamma * _state_chain(P, policy), rewards)
 
 
 def state_visitations(P: Array, policy: Array, start: Array, horizon: int) -> Array:
-    """(T, S): the distribution over states at times 0 to T-1, from `start` (S,); it sums to T = `horizon`.
+    """Return the distribution over states at times 0 to T-1, (T, S). It sums to T = `horizon`.
 
-    policy: (S, A), or (T, S, A) where it depends on time. start: also (T, S), what comes in at each time.
+    `policy`: (S, A), or (T, S, A) where it depends on time. `start`: (S,), or (T, S) where probability enters
+    at each time.
     """
     _check_horizon(horizon)
     policies = np.broadcast_to(policy, (horizon, *P.shape[:2]))
@@ -132,7 +139,7 @@ def state_visitations(P: Array, policy: Array, start: Array, horizon: int) -> Ar
 
 
 def discounted_visitations(P: Array, policy: Array, start: Array, gamma: float) -> Array:
-    """(S,): the expected visits to each state, at time t worth gamma^t; they sum to 1 / (1 - gamma)."""
+    """Return expected visits (S,), with weight gamma^t at time t. They sum to 1 / (1 - gamma)."""
     _check_discount(gamma)
     visits = np.linalg.solve(np.eye(len(P)) - gamma * _state_chain(P, policy).T, start)
     return np.asarray(visits, np.float64)
@@ -141,9 +148,11 @@ def discounted_visitations(P: Array, policy: Array, start: Array, gamma: float) 
 def _fixed_point(
     P: Array, r: Array, gamma: float, tol: float, maximum: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """V and Q with V = maximum(Q), iterated from 0. Iteration contracts by gamma, which bounds its error by
-    gamma / (1 - gamma) times the last change, and bounds that change even where rounding keeps it up.
-    P is taken as sparse, which grids of any size are."""
+    """Return V and Q with V = maximum(Q), iterated from 0.
+
+    Iteration contracts by gamma. This bounds its error by gamma / (1 - gamma) times the last change, and
+    bounds that change even where rounding keeps it up. P is used as a sparse matrix, which suits grids.
+    """
     from scipy import sparse
 
     _check_discount(gamma)
@@ -161,15 +170,13 @@ def _fixed_point(
 
 
 def _soft_maximum(q: Array) -> Array:
-    """(S,): log sum_a exp q(s, a)."""
-    v: Array = np.logaddexp.reduce(q, axis=1)
-    return v
+    """Return log sum_a exp q(s, a), (S,)."""
+    return np.asarray(np.logaddexp.reduce(q, axis=1))
 
 
 def _state_chain(P: Array, policy: Array) -> Array:
-    """(S, S): probability of each next state, given the state."""
-    chain: Array = (policy[:, None] @ P)[:, 0]
-    return chain
+    """Return the probability of each next state, given the state, (S, S)."""
+    return np.asarray((policy[:, None] @ P)[:, 0])
 
 
 def _check_discount(gamma: float) -> None:
