@@ -16,11 +16,12 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from envs import EnvSpec
+from harness.cell.experts import source_for
+from harness.cell.shared import Shared
 from harness.judge.results import ALL_SHOWN, Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import BUILT_IN, SPECS
-from harness.run.experts import Shared, demonstrations_for, expert_for
 from harness.run.stages import Task, fit
 from harness.show.maps import maps
 from harness.show.recordings import Episode, record
@@ -65,15 +66,15 @@ def main(names: list[str]) -> None:
 
 def of_expert(spec: EnvSpec) -> bytes:
     """Its first evaluation episode."""
-    expert = expert_for(spec.name, 0, CONDITIONS).policy
+    expert = source_for(spec.name, 0, CONDITIONS).expert.policy
     return played(spec, "reference", "expert", expert, expert, None)
 
 
 def shaped() -> bytes:
     """The same of what `shaped` learns on the highway, with its R*."""
-    spec, expert = SPECS["highway"], expert_for("highway", 0, CONDITIONS).policy
+    spec, expert = SPECS["highway"], source_for("highway", 0, CONDITIONS).expert.policy
     task = Task(Cell("highway", "shaped", 0), CONDITIONS, Shared({}))
-    made = fit(task, demonstrations_for("highway", 0, ALL_SHOWN, CONDITIONS))
+    made = fit(task, source_for("highway", 0, CONDITIONS).demonstrations(ALL_SHOWN))
     assert made.policy is not None
     assert isinstance(made.reward, ShapedReward)
     return played(spec, "shaped", "pi_star", made.policy, expert, made.reward)

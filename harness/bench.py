@@ -20,6 +20,7 @@ from highway_env.envs.highway_env import HighwayEnvFast
 
 from envs import EnvSpec
 from envs.driving.highway import BLOCK, CONFIG, HORIZON, drive, first_states
+from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import Agent
@@ -27,7 +28,6 @@ from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import METHODS, SPECS, VARIANTS, Library
 from harness.run.engines import Engine
-from harness.run.experts import expert_for
 from harness.run.grid import Grid
 from harness.run.isolated import Isolated
 from methods.base import Policy
@@ -100,7 +100,7 @@ def bench() -> Iterator[Measure]:
         bar=100,
     )
     for env, bar in (("cartpole", 10.0), ("pendulum", 3.0), ("highway", None)):
-        spec, policy = SPECS[env], expert_for(env, 0, CONDITIONS).policy
+        spec, policy = SPECS[env], source_for(env, 0, CONDITIONS).expert.policy
         yield compare(
             f"{env}, {EPISODES} episodes of a policy, against one after the other",
             partial(_together, spec, policy),
@@ -193,7 +193,7 @@ def _solve(env: str, seed: int, library: Library) -> tuple[float, float]:
     started = time.process_time()
     found = Agent(spec, "absorbing", rng, library).solve(None, spec.rl_steps["full"])
     seconds = time.process_time() - started
-    played, expert = evaluation_seeds(seed, EPISODES), expert_for(env, seed, CONDITIONS)
+    played, expert = evaluation_seeds(seed, EPISODES), source_for(env, seed, CONDITIONS).expert
     policies: list[Policy] = [lambda obs: spec.random_actions(len(obs), rng), expert.policy, found.policy]
     least, most, reached = (evaluate(spec, policy, played).returns.mean() for policy in policies)
     return seconds, float((reached - least) / (most - least))

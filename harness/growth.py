@@ -14,12 +14,12 @@ from typing import TypeVar
 import psutil
 
 from harness.bench import CONDITIONS, Measure, command, compute
+from harness.cell.experts import source_for
 from harness.judge.results import Cell, Conditions, Shown
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ENVS, SPECS
 from harness.run.engines import Inline
-from harness.run.experts import demonstrations_for
 from harness.run.isolated import Isolated
 from methods.shaped import Shaped
 
@@ -99,7 +99,7 @@ def apart(work: Callable[[A], T], argument: A) -> T:
 def _fit(count: int) -> float:
     """Seconds of the fit alone."""
     spec = SPECS["cartpole"]
-    demos = demonstrations_for("cartpole", 0, Shown(count), CONDITIONS)
+    demos = source_for("cartpole", 0, CONDITIONS).demonstrations(Shown(count))
     world = TaskWorld(spec, "absorbing", "sbx")
     started = time.perf_counter()
     Shaped().fit(demos, world, rng_for(0, "growth"))

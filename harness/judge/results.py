@@ -216,7 +216,7 @@ class Row:
     """Environment steps of the episodes by which RL's checkpoints were judged, besides."""
     rl_solves: Count = 0
     expert: Text = ""
-    """Whose demonstrations (`harness.run.experts.Expert.name`)."""
+    """Whose demonstrations (`harness.cell.experts.Expert.column`)."""
     pairs: Count = 0
     """Pairs of observation and action that were shown; 0 where none were, or it is not known."""
     source: Text = ""

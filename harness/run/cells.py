@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
+from harness.cell.shared import Shared
+from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
@@ -15,13 +16,9 @@ from harness.judge.results import (
     CellResult,
     Conditions,
     PolicyName,
-    name_of,
 )
-from harness.run import given, plugins, without_expert
+from harness.run import plugins
 from harness.run.artifacts import KIND, artifact
-from harness.run.cache import as_bytes
-from harness.run.experts import Shared
-from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
 from harness.run.phases import returned
 from harness.run.stages import Made, Task, missed_bar, policies, row, score, solves
@@ -42,9 +39,6 @@ def run_cell(
     told = _Told(tell)
     task = Task(cell, conditions, Shared(inputs), tell=told)
     made = policies(task)
-    nobody = cell.method == REFERENCE and conditions.experts == "none"
-    if nobody:
-        made = [Made("expert", None), *made[1:]]
     watched = watched_policies(task, made)
     scored = {
         one.name: told.scored(one.name, score(task, watched.get(one.name, one.policy), one.reward))
@@ -55,10 +49,7 @@ def run_cell(
     below = any(missed)
     learned, lost = learned_file(task, made)
     artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
-    from_file = conditions.demonstrations and cell.method not in UNSHOWN
     rows = [row(task, one, scored) for one in made]
-    if nobody:
-        rows[0] = without_expert.in_its_place(rows[0], conditions)
     tried = [solve for one in made for solve in solves(task, one, scored)]
     recordings, troubles = dict[str, bytes](), list[str]()
     for one in made:
@@ -72,9 +63,7 @@ def run_cell(
         missed.append(f"{cell.name}: its own settings ask for {its}: not compared like with like")
     result = CellResult(
         cell,
-        rows=[
-            replace(r, expert=given.source_of(conditions.demonstrations)) if from_file else r for r in rows
-        ],
+        rows=rows,
         curves={name: curve for one in made for name, curve in one.curves.items()},
         endings={name: its.endings for name, its in scored.items()},
         warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost, *troubles],
@@ -108,14 +97,8 @@ class _Told:
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> dict[str, bytes]:
     """What these cells, of one environment and seed, share."""
-    env, seed, said = cells[0].env, cells[0].seed, conditions.demonstrations
     shown = sorted({cell.shown for cell in cells if cell.method not in UNSHOWN})
-    if not said:
-        return shared_by(env, seed, shown, conditions)
-    theirs = {name_of(one): as_bytes(given.shown(said, env, seed, one)) for one in shown}
-    if conditions.experts == "none":
-        return without_expert.prepare(env, seed, conditions) | theirs
-    return shared_by(env, seed, (), conditions) | theirs
+    return shared_by(cells[0].env, cells[0].seed, shown, conditions)
 
 
 def learned_file(task: Task, made: Sequence[Made]) -> tuple[bytes, list[str]]:

@@ -17,6 +17,8 @@ from typing import Any, cast
 import numpy as np
 
 from envs import EnvSpec
+from harness.cell.experts import task_for
+from harness.cell.shared import Shared
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import Evaluation, evaluate, totals
@@ -48,7 +50,6 @@ from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, load_method
 from harness.run.codec import printable
-from harness.run.experts import Shared, task_for
 from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
@@ -163,13 +164,16 @@ def policies(task: Task) -> list[Made]:
 
 
 def reference(task: Task) -> list[Made]:
-    """The expert and a random policy."""
+    """Return the expert, or what scores 1 in its place, and a random policy."""
     expert = task.shared.expert
+    random = Made("random", random_policy(task))
+    if expert.returns:
+        return [Made("expert", None, columns={"status": "ok", **dict(expert.returns)}), random]
     took = {"fit_seconds": expert.seconds, "env_steps": expert.env_steps}
     took |= {"check_steps": expert.check_steps, "rl_solves": 1}
     return [
-        Made("expert", expert.policy, columns=took, curves={"expert": expert.curve}),
-        Made("random", random_policy(task)),
+        Made("expert", expert.policy, columns=took, curves={"expert": list(expert.curve)}),
+        random,
     ]
 
 
@@ -334,10 +338,10 @@ def score(task: Task, policy: Policy, reward: Reward | None) -> Evaluation:
 def row(task: Task, made: Made, scored: Mapping[PolicyName, Evaluation]) -> Row:
     """Of scores.csv."""
     its = scored.get(made.name)
-    columns = {"expert": task.shared.expert.name, **task.noted, **made.columns}
+    columns: dict[str, Any] = {"status": "ok" if its else "skipped"}
+    columns |= {"expert": task.shared.expert.column(task.cell.method), **task.noted, **made.columns}
     columns |= its.columns() if its else {}
     columns |= {"solved": solved_by(task, its, scored)} if its and made.name == "pi_R" else {}
-    columns["status"] = "ok" if its else "skipped"
     return row_of(task.cell, made.name, task.conditions.protocol, **columns)
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import RescaleAction
+from harness.action_units import Units, _same
 
 from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
 from envs.spec import scaled
 from harness import demonstrations as demos
-from harness.action_units import Units, _same
 from harness.arguments import parser
 from harness.cli import main
 from harness.exchange import bounds

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from harness.action_units import SCALED
 
 from harness import demonstrations as demos
-from harness.action_units import SCALED
 from harness.cli import main
 from harness.judge.results import Conditions, Shown
 from harness.registry import BadInput
@@ -47,7 +47,7 @@ def test_what_is_written_comes_back_bit_by_bit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spec", [SWINGUP, CHOICES], ids=lambda spec: spec.name)
 def test_an_experts_demonstrations_are_those_that_a_run_shows(tmp_path: Path, spec: Any) -> None:
-    from harness.run.experts import demonstrations_for
+    from harness.cell.experts import source_for
 
     command = [
         "demos",
@@ -62,7 +62,7 @@ def test_an_experts_demonstrations_are_those_that_a_run_shows(tmp_path: Path, sp
         str(tmp_path / "d.npz"),
     ]
     assert main(command) == 0
-    shown = demonstrations_for(spec.name, 1, Shown(3), Conditions("full", "absorbing", "sbx"))
+    shown = source_for(spec.name, 1, Conditions("full", "absorbing", "sbx")).demonstrations(Shown(3))
     assert same(demos.read(tmp_path / "d.npz", spec).episodes, shown)
 
 

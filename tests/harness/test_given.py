@@ -9,12 +9,12 @@ import pytest
 
 from harness import commands
 from harness import demonstrations as demos
+from harness.cell.shared import Shared
 from harness.cli import main
 from harness.judge.leaderboard import scored_rows
 from harness.judge.results import Cell, Conditions, Shown
 from harness.run import experts, given
 from harness.run.cells import prepare, run_cell
-from harness.run.experts import Shared
 from tests.harness.made_demonstrations import SWINGUP, made, same
 
 pytestmark = pytest.mark.usefixtures("own_cache")

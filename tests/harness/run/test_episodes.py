@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
 from harness.learn.seeds import evaluation_seeds
@@ -19,7 +20,6 @@ from harness.run import stages
 from harness.run.cells import prepare, run_cell
 from harness.run.compared import write_compared
 from harness.run.episodes import LEAST_WEIGHT, advantages, play
-from harness.run.experts import Shared
 from harness.run.watched import Watched, chosen
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant

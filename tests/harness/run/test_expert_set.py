@@ -8,11 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from envs import EnvSpec
-from envs.spec import Shipped
-from harness import expert_training
-from harness.cli import main
 from harness.expert_training import (
     CANDIDATES,
     Candidate,
@@ -22,14 +17,19 @@ from harness.expert_training import (
     meets_bar,
     train_all,
 )
+
+from envs import EnvSpec
+from envs.spec import Shipped
+from harness import expert_training
+from harness.cell.experts import source_for
+from harness.cell.shipped import shipped
+from harness.cli import main
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.learn.seeds import held_out_seeds, tuning_seeds
 from harness.registry import SPECS, BadInput, all_specs
 from harness.run import expert_set, keys
 from harness.run.cache import load
 from harness.run.environment import CACHE_VARIABLE, numeric
-from harness.run.expert_set import shipped
-from harness.run.experts import expert_for
 from harness.run.files import sha256
 from harness.run.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
 from harness.run.opening import open_for_report, open_for_run
@@ -130,7 +130,7 @@ def test_a_task_without_shipped_experts_trains_its_own(
     with pytest.raises(BadInput, match="no experts of cartpole are installed"):
         shipped("cartpole", 0)
     conditions = dataclasses.replace(CONDITIONS, rl="sb3")
-    assert expert_for("cartpole", 2, conditions).name == "trained:2"
+    assert source_for("cartpole", 2, conditions).expert.name == "trained:2"
 
 
 def result(method: str, seed: int = 0) -> CellResult:

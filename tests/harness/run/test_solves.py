@@ -14,14 +14,17 @@ import pytest
 
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
+from harness.cell.experts import Expert, Trained, task_for
+from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Request, Solve
 from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
-from harness.run import experts, stages
+from harness.run import stages
+from harness.run.cache import Kept
 from harness.run.codec import checksum, decode, encode
-from harness.run.experts import Expert, Shared
+from harness.run.environment import CACHE_VARIABLE
 from harness.run.request import merged, stored_request, write_request
 from harness.run.stages import JUDGING_EPISODES, Task
 from methods.base import Array, Learned, Policy, Reward
@@ -208,15 +211,19 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
         task = Task(cell, conditions, Shared({}))
         assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
         assert (task.place is task.spec) == (dynamics == NOMINAL)
-        assert experts.task_for("cartpole", conditions).rl == rl
+        assert task_for("cartpole", conditions).rl == rl
 
 
-def test_what_experts_of_another_learner_show_is_kept_apart() -> None:
-    trained = Expert("trained:0", Push(0.5), [], 0.0, 0, 0)
-    own, ddpg = (dataclasses.replace(SMOKE, learner=learner) for learner in ("own", "ddpg"))
-    assert experts._asked(trained, own, 5) != experts._asked(trained, ddpg, 5)
-    shipped = dataclasses.replace(trained, name="a:0")
-    assert experts._asked(shipped, own, 5) == experts._asked(shipped, ddpg, 5)
+def test_what_experts_of_another_learner_show_is_kept_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    content = Kept({"x": np.zeros(1)}, {})
+    for learner in ("own", "ddpg"):
+        source = Trained("cartpole", 0, dataclasses.replace(SMOKE, learner=learner, experts="trained"))
+        vars(source)["expert"] = Expert("trained:0", Push(0.5))
+        assert source.kept("demonstrations", 5, lambda: content) is content
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))

@@ -1,0 +1,1 @@
+"""What measures the project itself, and trains the experts that are shipped."""
