@@ -102,18 +102,18 @@ def check_new(path: Path) -> None:
 
 def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demonstrations:
     """Return a recording's episodes as the task's. Raises ValueError for what does not fit."""
-    arrays, lengths = recording.arrays, recording.arrays["lengths"]
+    arrays, lengths, env = recording.arrays, recording.arrays["lengths"], spec.make()
     if lengths.max() > spec.horizon:
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
     obs = _numbers(arrays["obs"], spec.obs_size, "observations")
-    units = units_of(recording, spec, bounds)
+    units = units_of(recording, spec, env, bounds)
     act = (
         _choices(arrays["act"], lengths, spec, units.first)
         if spec.discrete
         else _scaled(arrays["act"], spec, units)
     )
-    _check_possible(obs, lengths, spec)
+    _check_possible(obs, lengths, spec, env.observation_space)
     full = lengths == spec.horizon
     if unended := [i for i in recording.unended if not full[i]]:
         raise ValueError(
@@ -134,9 +134,8 @@ def _rewards(rewards: NDArray[Any], lengths: NDArray[Any]) -> Array:
     return values
 
 
-def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec) -> None:
+def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:
     """Raise ValueError for observations that the task's space does not have."""
-    space = spec.make().observation_space
     assert isinstance(space, gym.spaces.Box)
     low, high = (end.astype(np.float64) for end in (space.low, space.high))
     beyond = SLACK * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
