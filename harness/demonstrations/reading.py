@@ -28,12 +28,12 @@ LARGEST_RETURN = 1e100
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """What a file holds, for a task.
+    """Demonstrations of a file, as a task has them.
 
-    episodes: actions in [-1, 1], or choices. rewards: (T,) an episode; None where the file has none. form:
-    of the file. guessed: how many episodes end at the horizon and count as cut there, though the file calls
-    them terminal. cut: how many neither terminated nor last until the horizon. units: of actions in the
-    file.
+    `episodes`: actions in [-1, 1], or choices. `rewards`: (T,) an episode; None where the file has none.
+    `form`: name of the file's form. `guessed`: number of episodes that end at the horizon and count as cut
+    there, though the file calls them terminal. `cut`: number of those that neither terminated nor last until
+    the horizon. `units`: units of actions in the file.
     """
 
     episodes: Episodes
@@ -70,8 +70,8 @@ class Demonstrations:
 def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrations:
     """Return what the file or folder holds, for the task.
 
-    bounds: the lowest and the highest actions there; default: as the file says, or else the task's own. An
-    episode that the form may call terminal and that is as long as the horizon counts as cut there. Raises
+    bounds: the lowest and the highest actions there; default: by the file, or else the task's own. An
+    episode as long as the horizon counts as cut there where the form may call such an end terminal. Raises
     BadInput for any other file, and for what does not fit the task.
     """
     try:
