@@ -14,15 +14,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from envs import EnvSpec, from_gymnasium
-    from envs.learners import DDPG, DQN, PPO, SAC, TD3
-    from envs.spec import Quantity, Shape
-    from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
-    from harness.frames import Frames, add_plugins, load, run
-    from harness.testing import ContractError, check_env, check_method
-    from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
-    from methods.network import Network
-    from methods.rewards import LinearReward, MeanReward, NetworkReward, StateReward
+    pass
 
 _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),

@@ -16,14 +16,15 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from envs import EnvSpec
+from harness.cell.experts import source_for
 from harness.cell.fitting import fit
 from harness.cell.inputs import Inputs
 from harness.cell.run import prepare
+from harness.cell.shared import Shared
 from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import BUILT_IN, SPECS
-from harness.run.experts import Shared, expert_for
 from harness.show.maps import maps
 from harness.show.recordings import Episode, record
 from harness.show.scenes import scene
@@ -67,13 +68,13 @@ def main(names: list[str]) -> None:
 
 def of_expert(spec: EnvSpec) -> bytes:
     """Its first evaluation episode."""
-    expert = expert_for(spec.name, 0, CONDITIONS).policy
+    expert = source_for(spec.name, 0, CONDITIONS).expert.policy
     return played(spec, "reference", "expert", expert, expert, None)
 
 
 def shaped() -> bytes:
     """The same of what `shaped` learns on the highway, with its R*."""
-    spec, expert = SPECS["highway"], expert_for("highway", 0, CONDITIONS).policy
+    spec, expert = SPECS["highway"], source_for("highway", 0, CONDITIONS).expert.policy
     cell = Cell("highway", "shaped", 0)
     star = fit(Inputs(cell, CONDITIONS, Shared(prepare([cell], CONDITIONS)))).star
     assert star is not None

@@ -273,7 +273,7 @@ def _train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> i
 
     with as_in_cells():
         with importing():
-            from harness.expert_training import train_for_runs  # in that environment
+            from harness.benchmarks.expert_files import train_for_runs  # in that environment
 
         train_for_runs(envs, seeds, budget)
     return 0
@@ -302,9 +302,8 @@ def _experts(args: argparse.Namespace) -> int:
     if args.what == "train":
         _refuse(args, ("budget", "seeds"), f"experts of {envs[0]} are trained as those that are shipped were")
     with importing():
-        from harness import expert_training
+        from harness.benchmarks import expert_files
         from harness.commands import cores, handle_signals
-        from harness.run import expert_set
         from harness.run.scratch import base
 
     base()
@@ -313,6 +312,6 @@ def _experts(args: argparse.Namespace) -> int:
         raise BadInput(f"there are no experts of {none[0]} to train or check: its model is known")
     envs = tuple(env for env in envs if SPECS[env].shipped)
     if args.what == "check":
-        return int(not expert_training.check(envs, args.dir or expert_set.folder()))
-    expert_training.train_all(envs, args.dir or Path("results/experts"), args.workers or cores())
+        return int(not expert_files.check(envs, args.dir or expert_files.folder()))
+    expert_files.train_all(envs, args.dir or Path("results/experts"), args.workers or cores())
     return 0

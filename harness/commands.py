@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from harness import outcome
+from harness.cell.given import store
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
 from harness.registry import (
     ASKING,
@@ -33,7 +34,6 @@ from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write
-from harness.run.given import keep
 from harness.run.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
 from harness.run.processes import let_cells_sleep
 from harness.run.progress import progress_for, say, tell
@@ -42,7 +42,7 @@ from harness.run.signals import stop_cleanly
 from harness.run.store import LOG, RunDirectory
 
 if TYPE_CHECKING:
-    from harness.demonstrations import Found
+    from harness.demonstrations.reading import Demonstrations
 
 LEFT_OUT = "left out, computed again if asked for"
 
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plan:
         return _plan(args, request, engine, beside)
     if given:
-        keep(str(given), given.episodes, given.rewards)
+        store(str(given), given.episodes, given.rewards)
     with (
         outcome.for_programs(args.json_progress) as programs,
         open_for_run(args.out, request, engine.variables) as run,
@@ -177,13 +177,14 @@ def _check_without_expert(args: argparse.Namespace, methods: Sequence[str]) -> N
         raise BadInput(f"{asking[0]} asks the expert while it learns; leave out --experts none")
 
 
-def _given(args: argparse.Namespace, envs: Sequence[str]) -> Found:
+def _given(args: argparse.Namespace, envs: Sequence[str]) -> Demonstrations:
     """The demonstrations of a file. Raises BadInput for those that cannot be shown."""
-    from harness import demonstrations, exchange
+    from harness import exchange
+    from harness.demonstrations.reading import read
 
     if len(envs) != 1 or args.demonstrator != "expert":
         raise BadInput("--demos-from is for one environment, and leaves out --demonstrator")
-    found = demonstrations.read(args.demos_from, SPECS[envs[0]], exchange.bounds(args.action_bounds))
+    found = read(args.demos_from, SPECS[envs[0]], exchange.bounds(args.action_bounds))
     if args.experts == "none" and found.returns is None:
         raise BadInput(
             f"{args.demos_from} tells no rewards, so nothing would score 1; leave out --experts none"

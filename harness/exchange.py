@@ -4,6 +4,7 @@ side. Each returns the exit code (`harness.cli`)."""
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from harness import outcome
-from harness.registry import ENVS, SPECS, BadInput, choose
+from harness.arguments import installed_version
+from harness.judge.results import Conditions
+from harness.registry import ENVS, SPECS, BadInput, Demonstrator, choose
 from harness.run import baseline, keys, plugins
 from harness.run.files import new_folder
 from harness.run.opening import open_to_verify
@@ -22,33 +25,64 @@ from methods.base import Array
 
 
 def demos(args: argparse.Namespace) -> int:
-    """Writes, reads or describes demonstrations."""
-    from harness import demonstrations
+    """Write, read or describe demonstrations."""
+    from harness.demonstrations.description import described
+    from harness.demonstrations.reading import read, write
 
-    env = _one_env(args)
+    spec = SPECS[_one_env(args)]
     if args.what == "export":
-        if not keys.experts_version(env) and not SPECS[env].tabular:
-            tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
-        demonstrations.export(args.to, env, args.seed, args.demos, args.demonstrator)
-        say(f"{args.to}: {demonstrations.read(args.to, SPECS[env])}")
+        export_demonstrations(args.to, spec.name, args.seed, args.demos, args.demonstrator)
+        say(f"{args.to}: {read(args.to, spec)}")
         return 0
-    found = demonstrations.read(args.path, SPECS[env], bounds(args.action_bounds))
+    demonstrations = read(args.path, spec, bounds(args.action_bounds))
     if args.what == "import":
-        demonstrations.write(args.to, found.episodes, found.rewards)
-        say(f"{args.to}: {found}")
+        write(args.to, demonstrations.episodes, demonstrations.rewards)
+        say(f"{args.to}: {demonstrations}")
         return 0
-    for line in demonstrations.described(found, SPECS[env]):
+    for line in described(demonstrations, spec):
         say(line)
     return 0
 
 
-def bounds(pairs: Sequence[tuple[float, float]] | None) -> tuple[Array, Array] | None:
-    """Return the lowest and the highest action, of each component or of all, as `--action-bounds` gives
+def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Demonstrator) -> None:
+    """Write what a run of that seed shows: an `.npz`, or a folder of Minari where the name ends in something
+    else. Raises BadInput where that is there already, or Minari is missing."""
+    from harness.cell.experts import played_for
+    from harness.demonstrations import minari
+    from harness.demonstrations.reading import check_new, write
+    from harness.demonstrations.recording import extra
+    from harness.demonstrations.units import first_choice
+    from harness.learn.world import without_rewards
+
+    check_new(path)
+    if path.suffix != ".npz":
+        extra("minari")
+    spec = SPECS[env]
+    if not keys.experts_version(env) and not spec.tabular:
+        tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
+    played = played_for(env, seed, Conditions("full", "absorbing", "sbx")).play(count, kind)
+    episodes, rewards = without_rewards(played), [one.rewards for one in played]
+    if path.suffix == ".npz":
+        write(path, episodes, rewards)
+        return
+    facts = {
+        "author": "irl-bench",
+        "algorithm_name": kind,
+        "description": f"What a run of seed {seed} shows of {env}'s {kind} in irl-bench "
+        f"{installed_version()}, with actions in [-1, 1] or choices.",
+    }
+    name = f"irl-bench/{re.sub(r'[^-_a-zA-Z0-9]', '_', env)}/{kind}-v0"
+    minari.write(
+        path, name, spec, episodes, rewards, first_choice(spec.make()) if spec.discrete else 0, **facts
+    )
+
+
+def bounds(pairs: Sequence[tuple[float, float]] | None) -> Array | None:
+    """Return the lowest and the highest actions, (2, A) or (2, 1) for all, as `--action-bounds` gives
     them."""
     if pairs is None:
         return None
-    low, high = np.array(pairs, np.float64).T
-    return low, high
+    return np.array(pairs, np.float64).T
 
 
 def _one_env(args: argparse.Namespace) -> str:

@@ -1,8 +1,8 @@
-"""What was learned leaves the house: policies for Stable-Baselines3's tools, rewards for any RL library.
+"""Export of what was learned: policies for Stable-Baselines3's tools, rewards for any RL library.
 
-FOLDER/learned.json          what it is: architecture, spaces, what absorption pays, key, versions
+FOLDER/learned.json          architecture, spaces, what absorption pays, key, versions
 FOLDER/policy.safetensors    the arrays of the policy
-FOLDER/reward.safetensors    those of R*, where there is one
+FOLDER/reward.safetensors    the arrays of R*, where there is one
 
 Nothing is pickled. Outputs are those of the run, bit for bit.
 """
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec
 from envs.checks import number
-from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
+from harness.judge.results import NOMINAL, REFERENCE, CellResult, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
@@ -39,8 +39,8 @@ PARTS = ("policy", "reward")
 
 @dataclass(frozen=True)
 class Exported:
-    """A policy, R* (None: the method learns none, or it was not kept), the task that they are of, and what
-    learned.json says."""
+    """A policy, R* (None: the method learns none, or it was not kept), their task, and what learned.json
+    says."""
 
     policy: ExportedPolicy
     reward: Reward | None
@@ -55,7 +55,7 @@ class ExportedPolicy:
         self.policy, self.spec = policy, spec
 
     def __call__(self, obs: Array) -> Array:
-        """(B, A) in [-1, 1], or by choices, for observations (B, O)."""
+        """Return actions (B, A) in [-1, 1], or choices, for observations (B, O)."""
         return self.policy(obs)
 
     def predict(
@@ -65,8 +65,8 @@ class ExportedPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
-        """What the environment's `step` takes, for one observation (O,) or a batch (B, O), and the state as
-        it was. It is deterministic, whatever is asked."""
+        """Return what the environment's `step` takes, for one observation (O,) or a batch (B, O), and the
+        state as it was. Actions are deterministic, whatever is asked."""
         obs = np.asarray(observation, np.float64)
         chosen = self.policy(obs.reshape(-1, self.spec.obs_size))
         native = np.array([self.spec.native(act) for act in chosen])
@@ -77,8 +77,8 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
     """An environment that pays R*, for any RL library. The true reward is `info["true_reward"]`.
 
     folder: of `export`. offset: pay R* less what absorption pays, so that the end of an episode, after which
-    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*, or
-    the environment's observations or actions are not those that it is of; `make` gives one whose are.
+    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*, or the
+    environment has other observations or actions than its task; `make` gives one that has the same.
     """
 
     def __init__(self, env: gym.Env[Any, Any], folder: Path | str | Exported, offset: bool = True) -> None:
@@ -87,13 +87,11 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         exported = folder if isinstance(folder, Exported) else load_learned(folder)
         if exported.reward is None:
             raise BadInput(f"there is no reward in it: {exported.facts['why_no_reward']}")
-        theirs = exported.spec.make()
-        if (env.observation_space.shape, env.action_space) != (
-            theirs.observation_space.shape,
-            theirs.action_space,
-        ):
+        own = exported.spec.make()
+        spaces = own.observation_space.shape, own.action_space
+        if (env.observation_space.shape, env.action_space) != spaces:
             raise BadInput(
-                f"R* is of {theirs.observation_space} and {theirs.action_space}, the environment has "
+                f"R* is of {own.observation_space} and {own.action_space}, the environment has "
                 f"{env.observation_space} and {env.action_space}; "
                 f"irl_bench.make({exported.spec.name!r}) has those"
             )
@@ -125,60 +123,58 @@ def export(
     policy: PolicyName = "pi_star",
     to: Path | str | None = None,
 ) -> Path:
-    """Writes what a run's cell learned into a folder, and returns that; of several cells that were shown
-    more or less, the first.
+    """Write what a run's cell learned into a folder, and return that; of several cells that were shown more
+    or less, the first.
 
     policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
     directory, env = Path(directory), plugins.task_or_name(env)
+    result, learned = _learned(directory, env, method, seed)
+    cell, reward = result.cell, learned.get("reward")
+    if learned.get(policy) is None:
+        raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
+    facts, files = _facts(result, policy, reward), dict[str, bytes]()
+    for name, thing in zip(PARTS, (learned[policy], reward), strict=True):
+        arrays, facts[name] = to_arrays(thing, name)
+        if thing is not None:
+            files[f"{name}.safetensors"] = as_bytes(Kept(arrays, {}))
+    facts["files"] = {name: sha256_of(data) for name, data in files.items()}
+    to = Path(to or f"{cell.name}__{policy}")
+    with new_folder(to) as folder:
+        for name, data in files.items():
+            write_atomic(folder / name, data)
+        write_atomic(folder / FACTS, json.dumps({"sha256": checksum(facts), **facts}, indent=1) + "\n")
+    return to
+
+
+def _learned(directory: Path, env: str, method: str, seed: int) -> tuple[CellResult, dict[str, Any]]:
+    """Return a run's cell, in the dynamics of its own task, and what it learned, by name."""
     with open_to_verify(directory) as run:
         results, unusable = run.load()
         beside, damaged = run.beside()
     asked = (env, method, seed, NOMINAL)
     cells = [cell for cell in results if (cell.env, cell.method, cell.seed, cell.dynamics) == asked]
     if not cells:
-        if any((cell.env, cell.method) == (env, method) for cell in (result.cell for result in beside)):
+        if any((one.cell.env, one.cell.method) == (env, method) for one in beside):
             raise BadInput(f"{env} {method} in {directory} is of a baseline; export it from the run it is of")
         seeds = sorted({cell.seed for cell in results if (cell.env, cell.method) == (env, method)})
         known = sorted({f"{cell.env} {cell.method}" for cell in results})
         has = f"seeds {', '.join(map(str, seeds))}" if seeds else ", ".join(known)[:300] or "no cell"
         unread = [f"; {file}: {why}" for file, why in (unusable | damaged).items()]
         raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}{''.join(unread[:1])}")
-    cell = cells[0]
     if env not in ENVS:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
-    if not results[cell].artifacts:
-        failed = [row.reason for row in results[cell].rows if row.status == "failed"]
-        earlier = ["an earlier version ran it with --record none"]
-        unrecorded = earlier if run.request.conditions.record == "none" else []
-        why = "; ".join([*failed[:1], *results[cell].warnings] or unrecorded or ["it learned nothing"])
-        raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
-    learned = read_artifact(directory / artifact_of(cell), results[cell])
-    if learned.get(policy) is None:
-        raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
-    to = Path(to or f"{cell.name}__{policy}")
-    reward = learned.get("reward")
-    parts = dict(zip(PARTS, (learned[policy], reward), strict=True))
-    facts = _facts(cell, policy, reward, results[cell].key, results[cell].origin)
-    if reward is None:
-        lost = f"{cell.name}: reward {NOT_KEPT}"
-        unkept = [warning for warning in results[cell].warnings if warning.startswith(lost)]
-        facts["why_no_reward"] = unkept[0] if unkept else "the method learns none"
-    facts["files"] = {}
-    with new_folder(to) as folder:
-        for name, thing in parts.items():
-            arrays, facts[name] = to_arrays(thing, name)
-            if thing is not None:
-                data = as_bytes(Kept(arrays, {}))
-                write_atomic(folder / f"{name}.safetensors", data)
-                facts["files"][f"{name}.safetensors"] = sha256_of(data)
-        write_atomic(folder / FACTS, json.dumps({"sha256": checksum(facts), **facts}, indent=1) + "\n")
-    return to
+    result = results[cells[0]]
+    if not result.artifacts:
+        failed = [row.reason for row in result.rows if row.status == "failed"]
+        why = "; ".join([*failed[:1], *result.warnings]) or "it learned nothing"
+        raise BadInput(f"{directory} kept nothing of {result.cell.name}: {why}", page="commands")
+    return result, read_artifact(directory / artifact_of(result.cell), result)
 
 
 def load_learned(folder: Path | str) -> Exported:
-    """What `export` wrote. Raises BadInput where that is none, or damaged, or of a task that is not known."""
+    """Return what `export` wrote. Raises BadInput where that is damaged, or of a task that is not known."""
     folder = Path(folder)
     try:
         facts = json.loads(read(folder / FACTS))
@@ -190,27 +186,27 @@ def load_learned(folder: Path | str) -> Exported:
         if isinstance(facts["env"], str) and env not in ENVS:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
         spec = SPECS[env]
-        found = {}
-        for name in PARTS:
-            arrays = {} if facts[name] is None else _arrays(folder, f"{name}.safetensors", facts)
-            found[name] = from_arrays(arrays, facts[name])
-        if not callable(found["policy"]) or not (found["reward"] is None or callable(found["reward"])):
+        policy, reward = (_part(folder, name, facts) for name in PARTS)
+        if not callable(policy) or not (reward is None or callable(reward)):
             raise ValueError("it is neither a policy nor a reward")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"{folder} holds nothing that was exported: {printable(repr(error)[:200])}") from error
-    return Exported(ExportedPolicy(found["policy"], spec), found["reward"], spec, facts)
+    return Exported(ExportedPolicy(policy, spec), reward, spec, facts)
 
 
-def _arrays(folder: Path, name: str, facts: Mapping[str, Any]) -> Mapping[str, NDArray[Any]]:
-    """Raises OSError or ValueError where the file is not the one that the facts are of."""
+def _part(folder: Path, part: str, facts: Mapping[str, Any]) -> Any:
+    """Return the policy or the reward. Raises OSError or ValueError where its file is another one's."""
+    if facts[part] is None:
+        return None
+    name = f"{part}.safetensors"
     data = read(folder / name, LARGEST_OF_CELL)
     if "files" in facts and facts["files"][name] != sha256_of(data):
         raise ValueError(f"{name} is not the one that was exported with it")
-    return from_bytes(data).arrays
+    return from_arrays(from_bytes(data).arrays, facts[part])
 
 
 def make(env: str) -> gym.Env[Any, Any]:
-    """The environment that policies of the task are for. Raises BadInput for an unknown one."""
+    """Return the environment that policies of the task are for. Raises BadInput for an unknown one."""
     env = plugins.task_or_name(env)
     if choose("env", env, ENVS) != (env,):
         raise BadInput(f"one env is needed, not {env!r:.80}")
@@ -218,12 +214,11 @@ def make(env: str) -> gym.Env[Any, Any]:
     return SPECS[env].make()
 
 
-def _facts(
-    cell: Cell, policy: str, reward: Reward | None, key: str, origin: Mapping[str, str]
-) -> dict[str, Any]:
-    spec = SPECS[cell.env]
+def _facts(result: CellResult, policy: str, reward: Reward | None) -> dict[str, Any]:
+    """Return what learned.json says besides the parts."""
+    cell, spec = result.cell, SPECS[result.cell.env]
     env = spec.make()
-    return {
+    facts = {
         "format": FORMAT,
         "env": cell.env,
         "gymnasium_id": spec.env_id,
@@ -234,6 +229,11 @@ def _facts(
         "observations": [str(quantity) for quantity in spec.observations],
         "actions": [str(quantity) for quantity in spec.actions],
         "absorbing": None if reward is None or cell.method == REFERENCE else float(reward.absorbing),
-        "key": key,
-        "computed_with": dict(origin),
+        "key": result.key,
+        "computed_with": dict(result.origin),
     }
+    if reward is None:
+        lost = f"{cell.name}: reward {NOT_KEPT}"
+        unkept = [warning for warning in result.warnings if warning.startswith(lost)]
+        facts["why_no_reward"] = unkept[0] if unkept else "the method learns none"
+    return facts

@@ -1,0 +1,1 @@
+"""One unit of work: what a cell is shown and compared with."""

@@ -11,11 +11,12 @@ from functools import cached_property
 import numpy as np
 
 from envs import EnvSpec
+from harness.cell.experts import task_for
+from harness.cell.shared import Shared
 from harness.judge.results import NOMINAL, Cell, Conditions, takes_one_solve
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ASKING
-from harness.run.experts import Shared, task_for
 
 Seconds = Mapping[str, float]
 """Wall time by stage."""

@@ -35,17 +35,21 @@ class Retrained:
 
 
 def reference(inputs: Inputs) -> Retrained:
-    """Return the expert and the random policy, which nothing is learned for."""
+    """Return the expert, or the demonstrations that score 1 in its place, and the random policy."""
     expert = inputs.shared.expert
-    columns = {
+    random = Candidate("random", random_policy(inputs))
+    if expert.returns:
+        return Retrained(
+            [Candidate("expert", None, columns={"status": "ok", **dict(expert.returns)}), random]
+        )
+    took = {
         "fit_seconds": expert.seconds,
         "env_steps": expert.env_steps,
         "check_steps": expert.check_steps,
         "rl_solves": 1,
     }
-    policy = None if inputs.conditions.experts == "none" else expert.policy
-    best = Candidate("expert", policy, columns=columns, curves={"expert": expert.curve} if policy else {})
-    return Retrained([best, Candidate("random", random_policy(inputs))])
+    curves = {"expert": list(expert.curve)}
+    return Retrained([Candidate("expert", expert.policy, columns=took, curves=curves), random])
 
 
 def retrain(inputs: Inputs, fitted: Fitted) -> Retrained:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from harness.cell.fitting import fit, fit_control
 from harness.cell.inputs import Inputs, Seconds, added
 from harness.cell.retraining import Retrained, reference, retrain
 from harness.cell.scoring import Scored, means, score
+from harness.cell.shared import Shared
+from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
-from harness.judge.results import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, name_of
-from harness.run import given, plugins, without_expert
+from harness.judge.results import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
+from harness.run import plugins
 from harness.run.artifacts import KIND, artifact
-from harness.run.cache import as_bytes
-from harness.run.experts import Shared
-from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
 from methods.base import Policy, Reward
 
@@ -25,14 +23,8 @@ Files = dict[str, bytes]
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> Files:
     """Return what these cells, of one environment and seed, share, by name."""
-    env, seed, said = cells[0].env, cells[0].seed, conditions.demonstrations
     shown = sorted({cell.shown for cell in cells if cell.method not in UNSHOWN})
-    if not said:
-        return shared_by(env, seed, shown, conditions)
-    theirs = {name_of(one): as_bytes(given.shown(said, env, seed, one)) for one in shown}
-    if conditions.experts == "none":
-        return without_expert.prepare(env, seed, conditions) | theirs
-    return shared_by(env, seed, (), conditions) | theirs
+    return shared_by(cells[0].env, cells[0].seed, shown, conditions)
 
 
 def run_cell(
@@ -54,7 +46,7 @@ def run_cell(
     warnings += [*filter(None, [scored.below_bar, _effort(inputs)]), *unstored, *unrecorded]
     result = CellResult(
         cell,
-        rows=[_named(inputs, row) for row in scored.rows],
+        rows=list(scored.rows),
         curves={name: curve for one in scored.candidates for name, curve in one.curves.items()},
         endings={name: evaluation.endings for name, evaluation in scored.evaluations.items()},
         warnings=warnings,
@@ -115,14 +107,3 @@ def _effort(inputs: Inputs) -> str:
         return ""
     asked = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"
     return f"{cell.name}: its own settings ask for {asked}: not compared like with like"
-
-
-def _named(inputs: Inputs, row: Row) -> Row:
-    """Return the row with the name of whoever demonstrated, and the returns of demonstrations of a file in
-    place of an expert's."""
-    conditions = inputs.conditions
-    if row.policy == "expert" and conditions.experts == "none":
-        row = without_expert.in_its_place(row, conditions)
-    if conditions.demonstrations and inputs.cell.method not in UNSHOWN:
-        return replace(row, expert=given.source_of(conditions.demonstrations))
-    return row

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from harness.cell.fitting import Candidate, random_policy
 from harness.cell.inputs import Inputs, Seconds, added
@@ -113,11 +114,11 @@ def _solved(result: Evaluation, evaluations: Evaluations, columns: Mapping[str, 
 
 def _row(inputs: Inputs, candidate: Candidate, evaluations: Evaluations, columns: Mapping[str, float]) -> Row:
     result = evaluations.get(candidate.name)
-    values = {"expert": inputs.shared.expert.name, **columns, **candidate.columns}
+    values: dict[str, Any] = {"status": "ok" if result else "skipped"}
+    values |= {"expert": inputs.shared.expert.column(inputs.cell.method), **columns, **candidate.columns}
     values |= result.columns() if result else {}
     if result and candidate.name == "pi_R":
         values["solved"] = _solved(result, evaluations, columns)
-    values["status"] = "ok" if result else "skipped"
     return row_of(inputs.cell, candidate.name, inputs.conditions.protocol, **values)
 
 

@@ -212,7 +212,7 @@ class Row:
     """Environment steps of the episodes that check RL's checkpoints, besides."""
     rl_solves: Count = 0
     expert: Text = ""
-    """The demonstrator's name (`harness.run.experts.Expert.name`)."""
+    """The demonstrator's name (`harness.cell.experts.Expert.column`)."""
     pairs: Count = 0
     """Shown pairs of observation and action; 0 where there are none, or it is unknown."""
     source: Text = ""

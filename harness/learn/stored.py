@@ -1,7 +1,7 @@
-"""Policies and rewards as arrays and a description of what they are, without pickle; and back.
+"""Policies, rewards and experts as arrays and a description of what they are, without pickle.
 
-What can be stored is built of frozen dataclasses, arrays, tuples, numbers, text and None. A registered
-environment is stored as its name.
+They are built of frozen dataclasses, arrays, tuples, numbers, text and None. A registered environment is
+stored as its name.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from harness.registry import ENVS, SPECS
 
-ROOMS = ("envs", "methods", "harness.learn", "harness.judge")
-"""Whose dataclasses are stored and loaded: importing one of their modules does nothing else."""
+PACKAGES = ("envs", "methods", "harness.learn", "harness.judge", "harness.cell")
+"""Packages whose dataclasses are stored and loaded: importing one of their modules does nothing else."""
 
 
 def to_arrays(thing: object, name: str) -> tuple[dict[str, NDArray[Any]], Any]:
-    """The arrays in it, by names that begin with `name`, and what JSON can hold of the rest. Raises TypeError
-    for what cannot be stored."""
+    """Return the arrays in it, by names that begin with `name`, and what JSON can hold of the rest. Raises
+    TypeError for what cannot be stored."""
     arrays: dict[str, NDArray[Any]] = {}
     return arrays, _described(thing, name, arrays)
 
 
 def from_arrays(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
-    """The inverse of `to_arrays`. Raises ValueError for anything that it did not write."""
+    """Return what `to_arrays` was given. Raises ValueError for anything that it did not write."""
     try:
         return _built(arrays, described)
     except (LookupError, TypeError, AttributeError, ImportError, RecursionError, ArithmeticError) as error:
@@ -46,13 +46,13 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
         return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
     if isinstance(thing, EnvSpec):
         known = SPECS[thing.name] if thing.name in ENVS else None
-        # Of whatever learner: what is stored asks none.
+        # What is stored asks no learner, so a task with another one is the same.
         if known is None or dataclasses.replace(thing, rl=known.rl, rl_steps=known.rl_steps) != known:
             raise TypeError(f"{thing.name} is no registered environment")
         return {"env": thing.name}
     kind = type(thing)
     if not dataclasses.is_dataclass(kind) or not _is_ours(kind.__module__):
-        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(ROOMS)}")
+        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(PACKAGES)}")
     fields = {field.name: getattr(thing, field.name) for field in dataclasses.fields(kind) if field.init}
     parts = {key: _described(value, f"{name}.{key}", arrays) for key, value in fields.items()}
     return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": parts}
@@ -63,8 +63,8 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
         case None | bool() | int() | float() | str():
             return described
         case {"array": str(name)}:
-            found = arrays[name]
-            return found.astype(np.float64) if found.dtype == np.float32 else found
+            array = arrays[name]
+            return array.astype(np.float64) if array.dtype == np.float32 else array
         case {"tuple": list(items)}:
             return tuple(_built(arrays, item) for item in items)
         case {"env": str(name)}:
@@ -73,14 +73,14 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
             module, _, attribute = target.partition(":")
             kind = getattr(importlib.import_module(module), attribute) if _is_ours(module) else None
             if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
-                raise ValueError(f"{target!r} is no dataclass of {', '.join(ROOMS)}")
+                raise ValueError(f"{target!r} is no dataclass of {', '.join(PACKAGES)}")
             return kind(**{key: _built(arrays, value) for key, value in fields.items()})
     raise ValueError(f"{str(described)[:40]!r} is nothing that was stored here")
 
 
 def compact(array: NDArray[Any]) -> NDArray[Any]:
-    """It in 32 bits where that loses nothing, as in what was fitted in 32 bits. Raises TypeError for what
-    cannot be stored."""
+    """Return the array in 32 bits where that loses nothing, as in what was fitted in 32 bits. Raises
+    TypeError for what cannot be stored."""
     if array.dtype != np.float64:
         if array.dtype.kind not in "biu" or not array.dtype.isnative:
             raise TypeError(f"an array of {array.dtype} cannot be stored")
@@ -91,4 +91,4 @@ def compact(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _is_ours(module: str) -> bool:
-    return f"{module}.".startswith(tuple(f"{room}." for room in ROOMS))
+    return f"{module}.".startswith(tuple(f"{room}." for room in PACKAGES))

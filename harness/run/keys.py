@@ -27,10 +27,10 @@ RUNNING = (
     *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.cell.run"),
 )
 """Modules that feed, start, compute and store cells."""
-EXPERTS_MODULE = "harness.run.experts"
+EXPERTS_MODULE = "harness.cell.shared"
 """The module that makes what cells share."""
 CLONE = "bc"
-"""Name of the method that replaces an absent expert (`harness.run.without_expert`)."""
+"""Name of the method that replaces an absent expert (`harness.cell.experts.NoExpert`)."""
 SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
 """Modules that score policies, and choose the episodes."""
 DECLARATION = "NO_NUMBERS"
@@ -75,15 +75,14 @@ def program() -> dict[str, bytes]:
     files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _counts(file)]
     files += [ROOT / PUBLIC] * (ROOT / PUBLIC).is_file()
     files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
-    files += [file for folder in EXPERTS if (file := ROOT / folder / "SHA256SUMS").is_file()]
     names = {file.relative_to(ROOT).as_posix(): file for file in files}
     return {name: file.read_bytes() for name, file in names.items()}
 
 
 def expert_files(env: str) -> dict[str, bytes]:
-    """A task's shipped experts by path below `ROOT`, in order."""
-    beginnings = tuple(f"{folder}/{env}__" for folder in EXPERTS)
-    return {name: data for name, data in program().items() if name.startswith(beginnings)}
+    """Return the file of a task's shipped experts by its path below `ROOT`; empty where it has none."""
+    names = [f"{folder}/{env}.safetensors" for folder in EXPERTS]
+    return {name: program()[name] for name in names if name in program()}
 
 
 def experts_version(env: str) -> str:

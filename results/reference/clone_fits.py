@@ -12,13 +12,13 @@ import sys
 import time
 
 import numpy as np
+from harness.run.experts import expert_for
 
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld
 from harness.registry import SPECS
-from harness.run.experts import expert_for
 from methods.base import Episodes
 from methods.bc import BehaviourCloning
 from methods.shaped import Shaped

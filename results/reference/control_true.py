@@ -12,13 +12,13 @@ import sys
 import time
 
 import numpy as np
+from harness.run.experts import expert_for
 
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
-from harness.run.experts import expert_for
 
 SEEDS = range(100, 120)
 CONDITIONS = Conditions("full", "absorbing", "sbx")

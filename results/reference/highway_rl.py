@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from harness.run.experts import expert_for
 
 from envs.learners import PPO
 from harness.judge.controls import control_reward
@@ -21,7 +22,6 @@ from harness.judge.results import Conditions
 from harness.learn.rl import Agent
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.registry import SPECS
-from harness.run.experts import expert_for
 
 SPEC = SPECS["highway"]
 OWN = cast(PPO, SPEC.rl)

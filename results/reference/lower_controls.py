@@ -8,6 +8,7 @@ import csv
 import sys
 
 import numpy as np
+from harness.run.experts import demonstrations_for, expert_for
 
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
@@ -15,7 +16,6 @@ from harness.judge.results import ALL_SHOWN, LOWER_CONTROLS, Conditions
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
-from harness.run.experts import demonstrations_for, expert_for
 from methods.base import Episodes, Learned, Policy
 
 SEEDS = range(100, 120)

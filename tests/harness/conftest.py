@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from harness import apart, cli, commands, demonstration_forms
+from harness import cli, commands
+from harness.demonstrations import apart
 from harness.run import engines, isolated
 from harness.run.environment import CACHE_VARIABLE
 from harness.schedule import grid
@@ -41,7 +42,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
 @pytest.fixture
 def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files of demonstrations are read in this process, hundreds in the time that another takes to start."""
-    monkeypatch.setattr(apart, "raw", demonstration_forms.raw)
+    monkeypatch.setattr(apart, "recording_in", apart.recording_here)
 
 
 @pytest.fixture

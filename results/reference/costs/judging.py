@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from harness.run.experts import expert_for
+
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS
-from harness.run.experts import expert_for
 from methods.base import Policy
 
 BUDGET = "full"

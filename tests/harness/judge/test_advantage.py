@@ -14,6 +14,7 @@ from scipy import linalg
 from envs import EnvSpec
 from envs.balancing import cartpole
 from envs.models import Tabular
+from harness.cell.shipped import shipped_policies
 from harness.judge.advantage import (
     Comparison,
     compare,
@@ -27,7 +28,6 @@ from harness.learn.seeds import rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
-from harness.run.expert_set import shipped_policies
 from methods.base import Array, Reward
 from methods.rewards import Constant
 from methods.shaped import Shaped

@@ -11,11 +11,11 @@ import pytest
 
 from envs.gridworld import SPEC, WORLD, objectworld
 from envs.models import Tabular
+from harness.cell.experts import source_for
 from harness.judge.results import Conditions
 from harness.learn.exact import ExactSolver, expected_rewards
 from harness.registry import SPECS
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.experts import expert_for
 from methods.base import Array, Policy, Reward
 from methods.rewards import Constant
 from methods.tabular.model import policy_value, value_iteration
@@ -133,7 +133,8 @@ def test_a_solution_takes_no_steps_and_holds_no_reward() -> None:
 def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     one, other = (
-        expert_for("gridworld", 0, Conditions(budget, "absorbing", "sb3")) for budget in ("smoke", "full")
+        source_for("gridworld", 0, Conditions(budget, "absorbing", "sb3")).expert
+        for budget in ("smoke", "full")
     )
     assert not (tmp_path / "cache").exists()
     assert SPECS["gridworld"].gamma == GAMMA

@@ -16,6 +16,7 @@ import pytest
 
 from harness import commands
 from harness.arguments import parser
+from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
 from harness.cli import main
 from harness.judge.command_line import command_of
@@ -41,7 +42,6 @@ from harness.learn.seeds import rng_for
 from harness.registry import BadInput
 from harness.run.artifacts import read_artifact
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.experts import demonstrations_for
 from harness.run.opening import open_for_report, open_for_run
 from harness.run.request import REQUEST, existing, merged, write_request
 from harness.run.store import CELL_FILE
@@ -174,7 +174,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("cache")
 def test_demonstrators_show_what_they_are_called() -> None:
     def shown(*asked: object) -> Episodes:
-        return demonstrations_for("cartpole", 1, Shown(*asked), SMOKE)  # type: ignore[arg-type]
+        return source_for("cartpole", 1, SMOKE).demonstrations(Shown(*asked))  # type: ignore[arg-type]
 
     expert, medium, noisy = (shown(6, 1, who) for who in ("expert", "medium", "noisy"))
     assert medium.lengths.mean() < 0.8 * expert.lengths.mean()
@@ -192,7 +192,7 @@ def test_demonstrators_show_what_they_are_called() -> None:
         assert np.array_equal(obs, all_of_it[times])
     trained = dataclasses.replace(SMOKE, experts="trained")
     with pytest.raises(BadInput, match="shipped"):
-        demonstrations_for("cartpole", 1, Shown(2, 1, "medium"), trained)
+        source_for("cartpole", 1, trained).demonstrations(Shown(2, 1, "medium"))
 
 
 def test_what_goes_on_from_what() -> None:

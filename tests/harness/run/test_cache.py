@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from harness.cell import experts
+from harness.cell import shared as shared_module
+from harness.cell.experts import source_for
+from harness.cell.shared import Shared, prepare
 from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run import cache, experts, packages
+from harness.run import cache, packages
 from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
-from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
 from harness.run.keys import experts_version, program
 
 CARTPOLE = SPECS["cartpole"]
@@ -133,11 +136,13 @@ def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
 def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     conditions = Conditions("smoke", "absorbing", "sb3", experts="trained")
     asked = ("cartpole", 3, conditions)
-    one, demos = expert_for(*asked), demonstrations_for(*asked[:2], Shown(4), conditions)
+    one, demos = source_for(*asked).expert, source_for(*asked[:2], conditions).demonstrations(Shown(4))
     shared = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     before = len(list(folder.iterdir()))
-    for name in ("solver_for", "replay", "ranked", "Simulator"):
+    for name in ("solver_for", "Simulator"):
         monkeypatch.setattr(experts, name, lambda *_: never())
+    for name in ("replay", "ranked"):
+        monkeypatch.setattr(shared_module, name, lambda *_: never())
     again = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
     for other in (shared, again):
         its = other.expert
@@ -158,13 +163,14 @@ def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.M
 
 def test_where_no_reward_is_retrained_nothing_is_made_to_measure_one() -> None:
     conditions = Conditions("smoke", "absorbing", "sbx", retrain=False)
-    assert set(prepare("cartpole", 0, [], conditions)) == {experts.EXPERT}
+    assert set(prepare("cartpole", 0, [], conditions)) == {shared_module.EXPERT}
 
 
 def test_demonstrations_come_back_as_they_were_drawn() -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
-    first, again = (demonstrations_for("cartpole", 2, Shown(6), conditions) for _ in range(2))
-    drawn = Simulator(CARTPOLE).run(expert_for("cartpole", 2, conditions).policy, demonstration_seeds(2, 6))
+    first, again = (source_for("cartpole", 2, conditions).demonstrations(Shown(6)) for _ in range(2))
+    expert = source_for("cartpole", 2, conditions).expert
+    drawn = Simulator(CARTPOLE).run(expert.policy, demonstration_seeds(2, 6))
     for demos in (first, again):
         assert demos.terminated == tuple(e.terminated for e in drawn)
         for obs, act, episode in zip(demos.obs, demos.act, drawn, strict=True):
@@ -174,7 +180,7 @@ def test_demonstrations_come_back_as_they_were_drawn() -> None:
 
 def test_run_seeds_take_the_shipped_experts_in_turn() -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
-    names = [expert_for("cartpole", seed, conditions).name for seed in range(7)]
+    names = [source_for("cartpole", seed, conditions).expert.name for seed in range(7)]
     version = experts_version("cartpole")
     assert names == [f"{version}:{seed % 5}" for seed in range(7)]
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness.cell import scoring
+from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
 from harness.judge.evaluation import evaluate, totals
 from harness.judge.results import (
@@ -26,7 +27,6 @@ from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
 from harness.run.artifacts import learned_in, read_artifact
-from harness.run.experts import demonstrations_for, expert_for
 from harness.run.phases import phase_of
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
@@ -80,7 +80,7 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
         scored = evaluate(SPECS["cartpole"], learned[row.policy], seeds, learned["reward"])
         assert scored.columns() == {name: getattr(row, name) for name in scored.columns()}
         assert "own_return" in scored.columns()
-        demos = demonstrations_for("cartpole", 1, cell.shown, SMOKE)
+        demos = source_for("cartpole", 1, SMOKE).demonstrations(cell.shown)
         shown = totals(learned["reward"], list(zip(demos.obs, demos.act, strict=True)))
         assert row.own_return_shown == pytest.approx(np.mean(shown))
     told: list[int] = []
@@ -127,7 +127,7 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert (random.env_steps, random.check_steps, random.rl_solves) == (0, 0, 0)
     assert result.below_bar
     assert random.length_mean < 100
-    assert result.curves["expert"] == expert_for("cartpole", 0, SMOKE).curve
+    assert result.curves["expert"] == list(source_for("cartpole", 0, SMOKE).expert.curve)
     assert set(result.endings) == {"expert", "random"}
     (warning,) = result.warnings
     assert "misses its bar" in warning

@@ -14,6 +14,7 @@ from harness.cell import fitting
 from harness.cell.inputs import Inputs
 from harness.cell.recording import LEAST_WEIGHT, advantages, play
 from harness.cell.run import prepare, run_cell
+from harness.cell.shared import Shared
 from harness.cell.watched import Watched, chosen
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
@@ -21,7 +22,6 @@ from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS, Record
 from harness.run.compared import write_compared
-from harness.run.experts import Shared
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 

@@ -223,7 +223,7 @@ def test_what_a_file_says_and_declares_to_draw_changes_no_key(
     ("file", "old", "new"),
     [
         ("methods/fourier.py", b"count)) / width\n", b"count)) / width * 2\n"),
-        ("harness/run/experts.py", b"seeds(seed, shown", b"seeds(seed + 1, shown"),
+        ("harness/cell/experts.py", b"seeds(self.seed, demos", b"seeds(self.seed + 1, demos"),
         ("harness/registry.py", b'ASKING = ("dagger",)', b"ASKING = ()"),
     ],
 )

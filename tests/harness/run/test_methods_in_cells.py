@@ -13,6 +13,7 @@ import pytest
 
 from envs import EnvSpec
 from harness.cell import fitting, retraining
+from harness.cell.experts import source_for
 from harness.judge.results import (
     LONGEST_TEXT,
     MOST_CURVES,
@@ -27,7 +28,6 @@ from harness.learn.seeds import demonstration_seeds, evaluation_seeds
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS, load_method
 from harness.run.codec import decode, encode
-from harness.run.experts import expert_for
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
@@ -180,14 +180,14 @@ def test_demonstrations_are_the_experts_and_of_no_evaluation_episode(
     assert shown == starts(demonstration_seeds(3, count))
     assert not any(start in shown for start in starts(evaluation_seeds(3, 1000)))
     obs, act = spy.demos.pairs()
-    np.testing.assert_allclose(expert_for("cartpole", 3, SMOKE).policy(obs), act)
+    np.testing.assert_allclose(source_for("cartpole", 3, SMOKE).expert.policy(obs), act)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_every_solve_of_a_cell_is_under_its_protocol(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str
 ) -> None:
-    expert_for("cartpole", 1, SMOKE)  # whatever it takes
+    assert source_for("cartpole", 1, SMOKE).expert  # whatever it takes
     asked: list[tuple[str, str]] = []
 
     def solver(

@@ -15,8 +15,10 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
+from harness.cell.experts import Expert, Trained, task_for
 from harness.cell.inputs import Inputs
 from harness.cell.retraining import JUDGING_EPISODES
+from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
 from harness.judge.results import (
     NOMINAL,
@@ -31,9 +33,9 @@ from harness.judge.results import (
 from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
-from harness.run import experts
+from harness.run.cache import Kept
 from harness.run.codec import checksum, decode, encode
-from harness.run.experts import Expert, Shared
+from harness.run.environment import CACHE_VARIABLE
 from harness.run.request import merged, stored_request, write_request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
@@ -221,15 +223,19 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
         task = Inputs(cell, conditions, Shared({}))
         assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
         assert (task.place is task.spec) == (dynamics == NOMINAL)
-        assert experts.task_for("cartpole", conditions).rl == rl
+        assert task_for("cartpole", conditions).rl == rl
 
 
-def test_what_experts_of_another_learner_show_is_kept_apart() -> None:
-    trained = Expert("trained:0", Push(0.5), [], 0.0, 0, 0)
-    own, ddpg = (dataclasses.replace(SMOKE, learner=learner) for learner in ("own", "ddpg"))
-    assert experts._asked(trained, own, 5) != experts._asked(trained, ddpg, 5)
-    shipped = dataclasses.replace(trained, name="a:0")
-    assert experts._asked(shipped, own, 5) == experts._asked(shipped, ddpg, 5)
+def test_what_experts_of_another_learner_show_is_kept_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    content = Kept({"x": np.zeros(1)}, {})
+    for learner in ("own", "ddpg"):
+        source = Trained("cartpole", 0, dataclasses.replace(SMOKE, learner=learner, experts="trained"))
+        vars(source)["expert"] = Expert("trained:0", Push(0.5))
+        assert source.kept("demonstrations", 5, lambda: content) is content
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))

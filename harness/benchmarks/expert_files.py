@@ -1,0 +1,163 @@
+"""Folder of shipped experts (`harness.cell.shipped`): agents are trained until enough meet their bar, and
+measured."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
+
+from pebble.concurrent import process as in_a_process
+
+from envs import EnvSpec
+from envs.spec import Shipped
+from harness.benchmarks.expert_training import Candidate, Measured, is_good, measure, meets_bar, train
+from harness.cell.experts import source_for
+from harness.cell.shipped import ShippedExpert, from_file, to_file
+from harness.judge.results import Conditions
+from harness.learn.seeds import held_out_seeds, rng_for
+from harness.registry import SPECS, BadInput
+from harness.run.files import LARGEST_OF_CELL, read, sha256, write_atomic
+from harness.run.keys import EXPERTS, ROOT
+from harness.run.marked import open_marked
+from harness.run.processes import NAME, fresh_processes
+from harness.run.progress import say, tell
+from harness.run.sums import SUMS, as_lines
+from methods.base import Policy
+
+MOST_TRIED = 20
+"""Agents that are trained for a task's experts, at most."""
+CANDIDATES, KIND = "candidates.csv", ".safetensors"
+HEADER = ",".join(Candidate._fields) + "\n"
+JUDGED = 100
+"""Episodes on which an expert that is not shipped is measured."""
+Training = Future[tuple[Candidate, ShippedExpert]]
+Agents = dict[int, tuple[Candidate, ShippedExpert]]
+"""Agents of a task by their seeds."""
+
+
+def folder() -> Path:
+    """Return where the shipped experts are."""
+    return next((ROOT / name for name in EXPERTS if (ROOT / name).is_dir()), ROOT / EXPERTS[0])
+
+
+def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
+    """Train agents of each task until enough meet its bar, and write those to `out`, task by task. Tasks
+    whose file is there already are left alone.
+
+    Raises BadInput where too few meet the bar, where `out` holds anything else, or where another process has
+    it.
+    """
+    with (
+        open_marked(out, CANDIDATES, HEADER.encode(), "experts", _is_list, rf"{SUMS}|\w+\{KIND}"),
+        fresh_processes("harness.run.preload") as context,
+    ):
+        launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
+        for env in envs:
+            if not _is_whole(out / f"{env}{KIND}", env):
+                _write_task(out, env, _trained(env, workers, launch))
+        files = sorted(path.name for path in out.glob(f"*{KIND}") if path.stem in SPECS)
+        write_atomic(out / SUMS, as_lines((sha256(out / name), name) for name in (CANDIDATES, *files)))
+
+
+def _trained(env: str, workers: int, launch: Callable[[str, int], Training]) -> Agents:
+    """Return agents, trained side by side and in the order of their seeds until enough meet the bar."""
+    agents, running, waiting = Agents(), dict[Training, int](), [*range(MOST_TRIED)]
+    while True:
+        missing = _shipped(env).experts - sum(is_good(one) for one, _ in agents.values())
+        while waiting and len(running) < min(workers, missing):
+            seed = waiting.pop(0)
+            running[launch(env, seed)] = seed
+        if not running:
+            return agents
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            seed = running.pop(future)
+            agents[seed] = future.result()
+            one = agents[seed][0]
+            reached = Measured(one.mean_return, one.terminated)
+            say(f"{env}, agent {seed}: {reached}, medium {one.medium_return:.1f}")
+
+
+def _write_task(out: Path, env: str, agents: Agents) -> None:
+    """Write all agents into the list, and the first that meet the bar, by their seeds, as experts."""
+    count = _shipped(env).experts
+    good = [seed for seed in sorted(agents) if is_good(agents[seed][0])][:count]
+    numbers = {seed: str(number) for number, seed in enumerate(good) if len(good) == count}
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(
+        agents[seed][0]._replace(number=numbers.get(seed, "")) for seed in sorted(agents)
+    )
+    listed = read(out / CANDIDATES).decode().splitlines(keepends=True)[1:]
+    others = [line for line in listed if not line.startswith(f"{env},")]
+    lines = [*others, *text.getvalue().splitlines(keepends=True)]
+    write_atomic(out / CANDIDATES, "".join([HEADER, *sorted(lines, key=lambda line: line.split(",")[0])]))
+    if not numbers:
+        raise BadInput(f"{env}: {len(good)} of {len(agents)} agents meet the bar, {count} are needed")
+    write_atomic(out / f"{env}{KIND}", to_file(env, [agents[seed][1] for seed in good]))
+
+
+def train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> None:
+    """Train the experts that runs with this budget use in tasks without shipped ones, as far as the cache
+    lacks them. Say what they reach on episodes that nothing else uses."""
+    conditions, held_out = Conditions(budget, "absorbing", "sbx"), held_out_seeds(JUDGED)
+    for env in envs:
+        spec = SPECS[env]
+        random = measure(spec, _random(spec), held_out).mean_return
+        for seed in seeds:
+            expert = source_for(env, seed, conditions).expert
+            reached = f"{measure(spec, expert.policy, held_out)}, a random policy {random:.2f}"
+            say(f"{env}, seed {seed}: {reached}; {expert.env_steps:,} steps of RL in {expert.seconds:.0f} s")
+
+
+def _random(spec: EnvSpec) -> Policy:
+    rng = rng_for(0, spec.name, "held out")
+    return lambda obs: spec.random_actions(len(obs), rng)
+
+
+def check(envs: tuple[str, ...], where: Path) -> bool:
+    """Say what each expert in a folder reaches on episodes that nothing else uses. Returns whether all meet
+    their bar. Raises BadInput where a task has none there, or they are damaged."""
+    experts = {env: _experts(where / f"{env}{KIND}", env) for env in envs}
+    missed = []
+    for env in envs:
+        spec, seeds = SPECS[env], held_out_seeds(_shipped(env).episodes)
+        for number, one in enumerate(experts[env]):
+            for kind, policy in (("expert", one.expert), ("medium", one.medium)):
+                measured, name = measure(spec, policy, seeds), f"{env} {kind}{number}"
+                good = kind == "medium" or meets_bar(spec, measured)
+                missed += [] if good else [name]
+                say(f"{name}: {measured}{'' if good else ' MISSED'}")
+    if missed:
+        tell(f"MISSED: {', '.join(missed)}: below the bar of their task")
+    return not missed
+
+
+def _experts(path: Path, env: str) -> list[ShippedExpert]:
+    try:
+        return from_file(read(path, LARGEST_OF_CELL), env)
+    except FileNotFoundError as error:
+        raise BadInput(f"{path.parent} holds no experts of {env}") from error
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path} is damaged: {error}") from error
+
+
+def _is_whole(path: Path, env: str) -> bool:
+    """Return whether all experts of a task are there."""
+    try:
+        return len(_experts(path, env)) == _shipped(env).experts
+    except BadInput:
+        return False
+
+
+def _shipped(env: str) -> Shipped:
+    """Return how a task's experts are made. Raises BadInput where it has none."""
+    if (shipped := SPECS[env].shipped) is None:
+        raise BadInput(f"{env} has no experts that are shipped")
+    return shipped
+
+
+def _is_list(data: bytes) -> bool:
+    """Return whether that may be what `candidates.csv` holds."""
+    return data.isascii() and data.startswith(HEADER.encode())

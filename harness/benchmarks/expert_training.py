@@ -1,0 +1,171 @@
+"""Training of one agent for the shipped experts, its checkpoints, and the bar that an expert must reach."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from envs import EnvSpec
+from harness.cell.shipped import ShippedExpert
+from harness.judge.evaluation import evaluate
+from harness.judge.results import thinned
+from harness.learn.rl import Agent, Solution, disturbed
+from harness.learn.seeds import rng_for, tuning_seeds
+from harness.registry import SPECS
+from harness.run.keys import origin
+from methods.base import Policy
+from methods.network import Network
+
+MORE = 4
+"""Further tuning episodes, as a multiple of the task's, that must end as seldom early: the best of several
+flatters."""
+FEWER = 5
+"""Checkpoints of one training are compared by this fraction of those episodes."""
+NEAR, MOST_NEAR = 0.01, 12
+"""Checkpoints whose returns differ by less, relative to the range from random to best, are near-ties; of
+more than this number, some at equal distances are compared."""
+MEDIUM, MEDIUM_TRIED, MEDIUM_OFF = 0.5, 10, 0.15
+"""Share of that range that a medium expert should have, checkpoints that are measured for it, and the largest
+distance from that share: an agent that learns at a stroke has none."""
+MARGIN = 0.5
+"""Share of the early endings that the bar allows on tuning episodes: others may have more."""
+MOST_CHECKS = 200
+"""Points that are kept of a training's curve."""
+
+
+class Candidate(NamedTuple):
+    """A line of candidates.csv: an agent trained for `env` from `seed`, judged on tuning episodes.
+
+    `number`: of the expert that it became, or ''. `terminated`: share of episodes that ended early.
+    `confirmed`: that share of `MORE` times as many, 1 where something else rules the agent out.
+    """
+
+    env: str
+    seed: int
+    number: str
+    mean_return: float
+    terminated: float
+    confirmed: float
+    noisy_return: float
+    medium_return: float
+    random_return: float
+    env_steps: int
+    check_steps: int
+    seconds: float
+
+
+class Measured(NamedTuple):
+    """An expert's mean true return and share of episodes that ended early."""
+
+    mean_return: float
+    terminated: float
+
+    def __str__(self) -> str:
+        return f"mean return {self.mean_return:.2f}, {self.terminated:.1%} ended early"
+
+
+def measure(spec: EnvSpec, policy: Policy, seeds: range) -> Measured:
+    """Return what a policy reaches on the episodes of these seeds."""
+    scored = evaluate(spec, policy, seeds)
+    early = (len(seeds) - scored.endings.get("time limit", 0)) / len(seeds)
+    return Measured(float(scored.returns.mean()), early)
+
+
+def meets_bar(spec: EnvSpec, measured: Measured, margin: float = 1.0) -> bool:
+    """Return whether an expert does what a shipped one must do. margin: share of the early endings
+    allowed."""
+    assert spec.shipped is not None
+    allowed = spec.shipped.terminated
+    ended_early = round(measured.terminated, 9)  # 10 of 1,000 are 1 %, and no more
+    return measured.mean_return >= spec.shipped.bar and (allowed is None or ended_early <= margin * allowed)
+
+
+def is_good(one: Candidate) -> bool:
+    """Return whether an agent may become an expert, by its tuning episodes, and has a medium checkpoint."""
+    share = (one.medium_return - one.random_return) / (one.mean_return - one.random_return)
+    spec, shares = SPECS[one.env], (one.terminated, one.confirmed)
+    both = all(meets_bar(spec, Measured(one.mean_return, early), MARGIN) for early in shares)
+    return both and abs(share - MEDIUM) <= MEDIUM_OFF
+
+
+def confirm(spec: EnvSpec, policy: Policy, judged: Measured) -> float:
+    """Return the share of further tuning episodes that end early, where it matters and those before do not
+    rule the policy out."""
+    assert spec.shipped is not None
+    if not meets_bar(spec, judged, MARGIN):
+        return 1.0
+    if spec.shipped.terminated is None:
+        return judged.terminated
+    episodes = spec.shipped.episodes
+    return measure(spec, policy, tuning_seeds((1 + MORE) * episodes)[episodes:]).terminated
+
+
+def train(env: str, seed: int) -> tuple[Candidate, ShippedExpert]:
+    """Return an agent trained on the true reward, judged on tuning episodes, and its policies."""
+    spec, started = SPECS[env], time.perf_counter()
+    assert spec.shipped is not None
+    settings = spec.shipped.rl or spec.rl
+    if every := spec.shipped.checkpoint_every:
+        settings = dataclasses.replace(settings, checkpoint_every=every)
+    learner = Agent(spec, "absorbing", rng_for(seed, env, "shipped expert"), "sbx", settings)
+    solution = learner.solve(None, spec.shipped.steps)
+    few, rng = tuning_seeds(spec.shipped.episodes // FEWER), rng_for(seed, env, "random")
+    random_return = measure(spec, lambda obs: spec.random_actions(len(obs), rng), few).mean_return
+    ties, noisy = _near_ties(spec, solution, random_return, settings.noise)
+    for chosen in ties:
+        judged = measure(spec, solution.checkpoints[chosen], tuning_seeds(spec.shipped.episodes))
+        confirmed = confirm(spec, solution.checkpoints[chosen], judged)
+        if meets_bar(spec, judged._replace(terminated=confirmed), MARGIN):
+            break
+    half = random_return + MEDIUM * (judged.mean_return - random_return)
+    medium, medium_return = _nearest(spec, solution, half)
+    candidate = Candidate(
+        *(env, seed, "", *judged, confirmed, noisy[chosen], medium_return, random_return),
+        env_steps=solution.env_steps,
+        check_steps=solution.check_steps,
+        seconds=round(time.perf_counter() - started, 1),
+    )
+    facts = {
+        **candidate._asdict(),
+        "settings": dataclasses.asdict(settings),
+        "curve": thinned(solution.true_curve, MOST_CHECKS),
+        "origin": origin(),
+        "checkpoint": solution.true_curve[chosen][0],
+        "medium_checkpoint": solution.true_curve[medium][0],
+    }
+    expert, half_way = solution.checkpoints[chosen], solution.checkpoints[medium]
+    assert isinstance(expert, Network)
+    assert isinstance(half_way, Network)
+    return candidate, ShippedExpert(expert, half_way, facts)
+
+
+def _near_ties(
+    spec: EnvSpec, solution: Solution, random_return: float, noise: float
+) -> tuple[list[int], dict[int, float]]:
+    """Return the checkpoints among the best, those first that meet the bar and bear noise best, and their
+    returns with noise on their actions."""
+    assert spec.shipped is not None
+    few = tuning_seeds(spec.shipped.episodes // FEWER)
+    checked = np.array([value for _, value in solution.true_curve])
+    scale = checked.max() - random_return
+    near = np.flatnonzero(checked >= checked.max() - NEAR * scale)
+    plain = {i: measure(spec, solution.checkpoints[i], few) for i in thinned(near.tolist(), MOST_NEAR)}
+    best = max(one.mean_return for one in plain.values())
+    ties = [i for i, one in plain.items() if one.mean_return >= best - NEAR * scale]
+    policies = {i: disturbed(solution.checkpoints[i], spec, noise) for i in ties}
+    noisy = {i: measure(spec, policy, few).mean_return for i, policy in policies.items()}
+    return sorted(ties, key=lambda i: (meets_bar(spec, plain[i], MARGIN), noisy[i], i), reverse=True), noisy
+
+
+def _nearest(spec: EnvSpec, solution: Solution, wanted: float) -> tuple[int, float]:
+    """Return the checkpoint whose return is nearest to that, and its return."""
+    assert spec.shipped is not None
+    few = tuning_seeds(spec.shipped.episodes // FEWER)
+    checked = np.array([value for _, value in solution.true_curve])
+    near = np.abs(checked - wanted).argsort(kind="stable")[:MEDIUM_TRIED]
+    returns = {int(i): measure(spec, solution.checkpoints[i], few).mean_return for i in near}
+    nearest = min(returns, key=lambda i: abs(returns[i] - wanted))
+    return nearest, returns[nearest]

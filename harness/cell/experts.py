@@ -1,0 +1,271 @@
+"""Sources of the expert and the demonstrations of a task and run seed: one type with four cases.
+
+`Shipped`: one of the shipped experts is played. `Trained`: an expert is trained, or solved where the model
+is known, and played. `FromFile`: demonstrations are a file's, beside a shipped or trained expert.
+`NoExpert`: they are a file's, and what they return scores 1.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import EnvSpec
+from harness.cell import given
+from harness.cell.shipped import ShippedExpert, shipped_experts
+from harness.demonstrations.arrays import from_arrays as episodes_from
+from harness.demonstrations.arrays import split, to_arrays
+from harness.judge.results import ALL_SHOWN, UNSHOWN, Conditions, Shown
+from harness.learn.learned import check_learned
+from harness.learn.rl import disturbed
+from harness.learn.seeds import demonstration_seeds, rng_for
+from harness.learn.simulator import Simulator, Trajectory
+from harness.learn.stored import from_arrays
+from harness.learn.stored import to_arrays as stored_arrays
+from harness.learn.world import TaskWorld, solver_for, without_rewards
+from harness.registry import SPECS, BadInput, Demonstrator, load_method
+from harness.run.cache import Kept, kept
+from harness.run.keys import experts_version
+from harness.run.plugins import settings_for
+from methods.base import Episodes, Policy
+
+NOISE = 0.3
+"""Standard deviation of the noise on a noisy demonstrator's actions, in [-1, 1]."""
+STAND_IN = "bc"
+"""Method whose clone of the demonstrations replaces an absent expert where rewards are compared."""
+
+
+@dataclass(frozen=True)
+class Expert:
+    """An expert, and what its training took.
+
+    `name`: 'VERSION:NUMBER' of a shipped one, 'trained:SEED' of one trained for this run seed alone, 'exact'
+    where the model is known, 'file:DIGEST' of a clone that stands in. `curve`: (environment steps, mean true
+    return) at checkpoints. `shown`: name of the demonstrations where they are a file's, or ''. `returns`:
+    columns of scores.csv of what scores 1, where that is not what the policy returns.
+    """
+
+    name: str
+    policy: Policy
+    curve: tuple[tuple[float, float], ...] = ()
+    seconds: float = 0.0
+    env_steps: int = 0
+    check_steps: int = 0
+    shown: str = ""
+    returns: tuple[tuple[str, float], ...] = ()
+
+    def column(self, method: str) -> str:
+        """Return the column `expert` of a method's rows."""
+        return self.name if method in UNSHOWN else self.shown or self.name
+
+
+def to_kept(expert: Expert) -> Kept:
+    """Return an expert as arrays and facts."""
+    return Kept(*stored_arrays(expert, "expert"))
+
+
+def from_kept(content: Kept) -> Expert:
+    """Return the expert of such arrays and facts."""
+    expert: Expert = from_arrays(content.arrays, content.facts)
+    return expert
+
+
+@dataclass(frozen=True)
+class Source(ABC):
+    """The expert and the demonstrations of a task and run seed."""
+
+    env: str
+    seed: int
+    conditions: Conditions
+
+    @property
+    def spec(self) -> EnvSpec:
+        """The task, with the learner of the conditions."""
+        return task_for(self.env, self.conditions)
+
+    @cached_property
+    @abstractmethod
+    def expert(self) -> Expert:
+        """The expert, or what stands in for it."""
+
+    @abstractmethod
+    def demonstrations(self, shown: Shown) -> Episodes:
+        """Return what is shown to every method."""
+
+    def thinned(self, episodes: Episodes, shown: Shown) -> Episodes:
+        """Return the steps that are shown."""
+        if shown.every == 1:
+            return episodes
+        return episodes.every(shown.every, rng_for(self.seed, self.env, "steps shown"))
+
+    def kept(self, name: str, asked: object, compute: Callable[[], Kept]) -> Kept:
+        """Return what `compute` makes with the expert, by the cache where that knows it. asked: what JSON can
+        hold."""
+        if self.expert.returns:
+            return compute()
+        made_with = [self.conditions.rl, self.conditions.learner, self.conditions.budget]
+        return kept(f"{name}{self.seed}", self.env, [self.expert.name, *made_with, asked], compute)
+
+
+class Played(Source):
+    """An expert that is played to demonstrate."""
+
+    def demonstrations(self, shown: Shown) -> Episodes:
+        shown = replace(shown, demos=shown.demos or self.spec.demo_episodes[self.conditions.budget])
+
+        def draw() -> Kept:
+            demos = without_rewards(self.play(shown.demos, shown.demonstrator))
+            return Kept(to_arrays(self.thinned(demos, shown)), {})
+
+        return episodes_from(self.kept("demonstrations", astuple(shown), draw).arrays)
+
+    def play(self, demos: int, kind: Demonstrator) -> list[Trajectory]:
+        """Return the first episodes of a demonstrator, with their true rewards. Raises BadInput for a
+        medium one that was not shipped."""
+        policy = self.medium() if kind == "medium" else self.expert.policy
+        if kind == "noisy":
+            policy = disturbed(policy, self.spec, NOISE, rng_for(self.seed, self.env, "noise"))
+        return Simulator(self.spec).run(policy, demonstration_seeds(self.seed, demos))
+
+    def medium(self) -> Policy:
+        """Return the checkpoint of the expert's training with about half its return."""
+        raise BadInput("medium demonstrators are shipped ones; leave out --experts trained")
+
+
+class Shipped(Played):
+    """One of a task's shipped experts, of number `seed` modulo their count."""
+
+    @cached_property
+    def shipped(self) -> tuple[int, ShippedExpert]:
+        """The number of the expert, and the expert with its medium checkpoint."""
+        experts = shipped_experts(self.env)
+        number = self.seed % len(experts)
+        return number, experts[number]
+
+    @cached_property
+    def expert(self) -> Expert:
+        number, shipped = self.shipped
+        facts = {key: shipped.facts[key] for key in ("seconds", "env_steps", "check_steps")}
+        return Expert(
+            f"{experts_version(self.env)}:{number}", shipped.expert, _curve(shipped.facts["curve"]), **facts
+        )
+
+    def medium(self) -> Policy:
+        return self.shipped[1].medium
+
+
+class Trained(Played):
+    """An expert that is trained for this run seed alone, which takes minutes, or is in the cache. Where the
+    model is known, it is solved."""
+
+    @cached_property
+    def expert(self) -> Expert:
+        if self.spec.tabular:  # which is faster than reading it
+            return self._train()
+        asked = [self.conditions.rl, self.spec.rl_steps[self.conditions.budget], asdict(self.spec.rl)]
+        content = kept(f"expert{self.seed}", self.env, asked, lambda: to_kept(self._train()))
+        return from_kept(content)
+
+    def _train(self) -> Expert:
+        started = time.perf_counter()
+        rng = rng_for(self.seed, self.env, "expert")
+        solver = solver_for(self.spec, "absorbing", rng, self.conditions.rl)
+        solution = solver.solve(None, self.spec.rl_steps[self.conditions.budget])
+        seconds = time.perf_counter() - started
+        name = "exact" if self.spec.tabular else f"trained:{self.seed}"
+        steps = solution.env_steps, solution.check_steps
+        return Expert(name, solution.policy, _curve(solution.curve), seconds, *steps)
+
+
+class FromFile(Source):
+    """Demonstrations of a file, beside an expert that scores 1."""
+
+    @cached_property
+    def expert(self) -> Expert:
+        return replace(played_for(self.env, self.seed, self.conditions).expert, shown=self.name)
+
+    @property
+    def name(self) -> str:
+        """Name of the file's demonstrations in the column `expert`."""
+        return f"file:{self.conditions.demonstrations.partition(':')[0]}"
+
+    def demonstrations(self, shown: Shown) -> Episodes:
+        """Return as many episodes as are asked for, drawn by the run's seed, or all. Raises ValueError where
+        there are fewer, or they are gone from the cache."""
+        episodes = episodes_from(given.stored(self.conditions.demonstrations))
+        count = len(episodes)
+        if shown.demos > count:
+            raise ValueError(f"{shown.demos} demonstrations are asked for, and there are {count}")
+        if shown.demos:
+            order = rng_for(self.seed, self.env, "demonstrations given").permutation(count)
+            numbers = np.sort(order[: shown.demos])
+            obs, act, terminated = (
+                tuple(column[i] for i in numbers)
+                for column in (episodes.obs, episodes.act, episodes.terminated)
+            )
+            episodes = Episodes(obs, act, terminated)
+        return self.thinned(episodes, shown)
+
+
+class NoExpert(FromFile):
+    """Demonstrations of a file without an expert. What they return scores 1; where rewards are compared, in
+    states that the expert visits, a clone stands in for it."""
+
+    @cached_property
+    def expert(self) -> Expert:
+        spec, conditions = self.spec, self.conditions
+        demos = self.demonstrations(ALL_SHOWN)
+        world = TaskWorld(
+            spec, conditions.protocol, conditions.rl, solve_steps=spec.rl_steps[conditions.budget]
+        )
+        method = load_method(STAND_IN)(**settings_for(STAND_IN, self.env, conditions.budget))
+        learned = method.fit(demos, world, rng_for(self.seed, self.env, STAND_IN, "fit"))
+        check_learned(learned, spec, demos)
+        returns = _returns(given.stored(conditions.demonstrations), spec.gamma)
+        return Expert(self.name, learned.policy, returns=returns)
+
+
+def source_for(env: str, seed: int, conditions: Conditions) -> Source:
+    """Return where a run seed's expert and demonstrations come from under the conditions."""
+    if conditions.experts == "none":
+        return NoExpert(env, seed, conditions)
+    if conditions.demonstrations:
+        return FromFile(env, seed, conditions)
+    return played_for(env, seed, conditions)
+
+
+def played_for(env: str, seed: int, conditions: Conditions) -> Played:
+    """Return a run seed's expert: a shipped one, unless the task has none or conditions say 'trained'."""
+    known = conditions.experts == "shipped" and not SPECS[env].tabular and experts_version(env)
+    return Shipped(env, seed, conditions) if known else Trained(env, seed, conditions)
+
+
+def task_for(env: str, conditions: Conditions) -> EnvSpec:
+    """Return a task with the learner that the conditions say."""
+    return SPECS[env].by_ddpg() if conditions.learner == "ddpg" else SPECS[env]
+
+
+def _curve(points: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(steps), float(value)) for steps, value in points)
+
+
+def _returns(arrays: Mapping[str, NDArray[Any]], gamma: float) -> tuple[tuple[str, float], ...]:
+    """Return what demonstrations return, by the file's rewards, and how long they last, as columns of
+    scores.csv."""
+    paid = split(arrays["rewards"], arrays["lengths"])
+    measures = {
+        "return": [rewards.sum() for rewards in paid],
+        "discounted": [rewards @ gamma ** np.arange(len(rewards)) for rewards in paid],
+        "length": [len(rewards) for rewards in paid],
+    }
+    columns: dict[str, float] = {"episodes": len(paid)}
+    for name, values in measures.items():
+        columns |= {f"{name}_mean": float(np.mean(values)), f"{name}_std": float(np.std(values))}
+    return tuple(columns.items())

@@ -1,0 +1,191 @@
+"""Demonstrations of a file for a task: read, checked and scaled; and written."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import EnvSpec
+from harness.demonstrations import apart, npz
+from harness.demonstrations.arrays import from_arrays, split, to_arrays
+from harness.demonstrations.recording import Bounds, Recording
+from harness.demonstrations.units import OPTION, SLACK, Units, units_of
+from harness.registry import BadInput
+from harness.run.files import write_atomic
+from methods.base import Array, Episodes
+
+LARGEST_RETURN = 1e100
+"""Largest sum of the sizes of an episode's rewards."""
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Demonstrations of a file, as a task has them.
+
+    `episodes`: actions in [-1, 1], or choices. `rewards`: (T,) an episode; None where the file has none.
+    `form`: name of the file's form. `guessed`: number of episodes that end at the horizon and count as cut
+    there, though the file calls them terminal. `cut`: number of those that neither terminated nor last until
+    the horizon. `units`: units of actions in the file.
+    """
+
+    episodes: Episodes
+    rewards: tuple[Array, ...] | None
+    form: str
+    guessed: int = 0
+    cut: int = 0
+    units: Units | None = None
+
+    @property
+    def returns(self) -> Array | None:
+        """Returns of the episodes by the file's rewards, (N,)."""
+        return None if self.rewards is None else np.array([rewards.sum() for rewards in self.rewards])
+
+    @property
+    def digest(self) -> str:
+        """Digest of observations, actions and endings, whatever the file's form."""
+        digest = hashlib.sha256()
+        for obs, act in zip(self.episodes.obs, self.episodes.act, strict=True):
+            digest.update(f"{obs.shape} {act.shape}".encode() + obs.tobytes() + act.tobytes())
+        digest.update(bytes(self.episodes.terminated))
+        return digest.hexdigest()[:16]
+
+    def __str__(self) -> str:
+        """Return the content in a line, without the file's form, which does not matter."""
+        paid = ""
+        if self.rewards is not None and self.returns is not None:
+            digest = hashlib.sha256(np.concatenate(self.rewards).tobytes()).hexdigest()[:8]
+            paid = f", return {self.returns.mean():.6g} by rewards {digest}"
+        episodes, steps = len(self.episodes), int(self.episodes.lengths.sum())
+        return f"{self.digest}: {episodes} episodes, {steps} steps{paid}"
+
+
+def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrations:
+    """Return what the file or folder holds, for the task.
+
+    bounds: the lowest and the highest actions there; default: by the file, or else the task's own. An
+    episode as long as the horizon counts as cut there where the form may call such an end terminal. Raises
+    BadInput for any other file, and for what does not fit the task.
+    """
+    try:
+        return fitted(apart.recording_in(path), spec, bounds)
+    except (ValueError, MemoryError) as error:
+        reason = str(error) or "it takes more memory than there is"
+        raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}", "demonstrations") from error
+
+
+def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:
+    """Write an `.npz` of this project. Raises BadInput for another name, or where it is there already, and
+    ValueError for episodes with steps that are not shown."""
+    check_new(path)
+    if path.suffix != ".npz":
+        raise BadInput(f"{path}: give a name that ends in .npz")
+    if not episodes.whole:
+        raise ValueError("only episodes whose every step is shown can be written")
+    write_atomic(path, npz.to_bytes(to_arrays(episodes, rewards)))
+
+
+def check_new(path: Path) -> None:
+    """Raise BadInput where something is at `path`, or it lies in no folder."""
+    if os.path.lexists(path):
+        raise BadInput(f"{path} is there already; give another name")
+    if not path.parent.is_dir() and os.path.lexists(path.parent):
+        raise BadInput(f"{path}: {path.parent} is no folder")
+
+
+def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demonstrations:
+    """Return a recording's episodes as the task's. Raises ValueError for what does not fit."""
+    arrays, lengths, env = recording.arrays, recording.arrays["lengths"], spec.make()
+    if lengths.max() > spec.horizon:
+        longest = int(lengths.argmax())
+        raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
+    obs = _numbers(arrays["obs"], spec.obs_size, "observations")
+    units = units_of(recording, spec, env, bounds)
+    act = (
+        _choices(arrays["act"], lengths, spec, units.first)
+        if spec.discrete
+        else _scaled(arrays["act"], spec, units)
+    )
+    _check_possible(obs, lengths, spec, env.observation_space)
+    full = lengths == spec.horizon
+    if unended := [i for i in recording.unended if not full[i]]:
+        raise ValueError(
+            f"episode {unended[0]} neither terminated nor was cut where it ends, before the horizon"
+        )
+    guessed = arrays["terminated"] & full & recording.calls_all_ends_terminal
+    terminated = arrays["terminated"] & ~guessed
+    episodes = from_arrays({"obs": obs, "act": act, "lengths": lengths, "terminated": terminated})
+    rewards = None if "rewards" not in arrays else split(_rewards(arrays["rewards"], lengths), lengths)
+    cut = int((~terminated & ~full).sum())
+    return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units)
+
+
+def _rewards(rewards: NDArray[Any], lengths: NDArray[Any]) -> Array:
+    values = _numbers(rewards[:, None], 1, "rewards")[:, 0]
+    if np.abs(values).max() > LARGEST_RETURN / lengths.max():
+        raise ValueError(f"it has rewards that sum to more than {LARGEST_RETURN:g}")
+    return values
+
+
+def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:
+    """Raise ValueError for observations that the task's space does not have."""
+    assert isinstance(space, gym.spaces.Box)
+    low, high = (end.astype(np.float64) for end in (space.low, space.high))
+    beyond = SLACK * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    if (outside := (obs < low - beyond) | (obs > high + beyond)).any():
+        row, entry = np.argwhere(outside)[0]
+        raise ValueError(
+            f"episode {_episode(row, lengths + 1)} observes {obs[row, entry]:.6g} as "
+            f"{spec.obs_names[entry].name}, which lies in [{low[entry]:g}, {high[entry]:g}]"
+        )
+
+
+def _episode(row: int, counts: NDArray[Any]) -> int:
+    """Return the episode that a row belongs to. counts: (N,) rows of each."""
+    return int(np.searchsorted(np.cumsum(counts), row, side="right"))
+
+
+def _numbers(rows: NDArray[Any], size: int, name: str) -> Array:
+    if rows.ndim != 2 or rows.shape[1] != size:
+        raise ValueError(f"it has {name} {rows.dtype} {rows.shape}; ({len(rows)}, {size}) are needed")
+    values = np.array(rows, np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError(f"it has {name} that are not finite")
+    return values
+
+
+def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> Array:
+    """Return actions (T, A) of the file in [-1, 1]. Raises ValueError for some outside of its bounds."""
+    act = _numbers(rows, spec.act_size, "actions")
+    excess = units.excess(rows)
+    if outside := int((excess > 0).any(axis=1).sum()):
+        entry = excess.max(axis=0).argmax()
+        raise ValueError(
+            f"{outside} of {len(excess)} actions ({100 * outside / len(excess):.2g} %) are outside of "
+            f"{units}, by {excess.max():.6g} at most, in {spec.act_names[entry].name}; if the environment "
+            f"clipped them, clip them in the file, and only if all are in other units, give {OPTION}"
+        )
+    return units.scaled(act)
+
+
+def _choices(rows: NDArray[Any], lengths: NDArray[Any], spec: EnvSpec, first: int) -> Array:
+    """Return choices (T, A) of the file, numbers (T,) or rows of one 1 among 0s. Raises ValueError for
+    others."""
+    if rows.ndim == 1:
+        last = first + spec.act_size - 1
+        if rows.dtype.kind not in "iu" or not first <= rows.min() <= rows.max() <= last:
+            raise ValueError(f"its choices must be whole numbers from {first} to {last}")
+        return np.asarray(np.eye(spec.act_size)[rows.astype(np.int64) - first])
+    act = _numbers(rows, spec.act_size, "actions")
+    odd = ~((act == 0) | (act == 1)).all(axis=1) | (act.sum(axis=1) != 1)
+    if odd.any():
+        number = _episode(int(odd.argmax()), lengths)
+        raise ValueError(f"episode {number} has actions that are no choice: one 1 among 0s is needed")
+    return act
