@@ -21,7 +21,6 @@ from gymnasium.wrappers import TimeLimit
 from envs import EnvSpec, Shape, from_gymnasium
 from envs.copies import Copies, alone, try_out
 from envs.scaled import scaled
-from harness.demonstrations import read
 from harness.demonstrations.reading import read
 from harness.exported import Exported, ExportedPolicy, LearnedReward
 from harness.learn.simulator import Simulator, drawings
