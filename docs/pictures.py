@@ -22,12 +22,12 @@ from harness.cell.run import prepare
 from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
+from harness.recordings.episode import Episode, record
+from harness.recordings.maps import maps
+from harness.recordings.scenes import scene
+from harness.recordings.viewer import HERE, export
 from harness.registry import BUILT_IN, SPECS
 from harness.run.experts import Shared, expert_for
-from harness.show.maps import maps
-from harness.show.recordings import Episode, record
-from harness.show.scenes import scene
-from harness.show.view import HERE, export
 from methods.base import Policy
 from methods.shaped import ShapedReward
 

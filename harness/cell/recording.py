@@ -19,10 +19,10 @@ from harness.judge.numbers import as_text
 from harness.judge.results import LARGEST, recording_of
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
-from harness.show.maps import maps
-from harness.show.recordings import Advantage, Episode
-from harness.show.recordings import record as recording
-from harness.show.scenes import scene
+from harness.recordings.episode import Advantage, Episode
+from harness.recordings.episode import record as recording
+from harness.recordings.maps import maps
+from harness.recordings.scenes import scene
 from methods.base import Array, Policy, Reward
 from methods.tabular import greedy, value_iteration
 

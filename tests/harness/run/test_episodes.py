@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness.run.compared import write_compared
 from rerun.chunk import RrdReader
 
 from harness.cell import fitting
@@ -20,7 +21,6 @@ from harness.judge.results import Cell, CellResult, Conditions, compared_in, fil
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS, Record
-from harness.run.compared import write_compared
 from harness.run.experts import Shared
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from harness.show.maps import SIDE, maps
 
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.show.maps import SIDE, maps
 from methods.base import Array
 
 

@@ -8,6 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from gymnasium.envs.mujoco import MujocoEnv
+from harness.show.comparison import Ghost, identity_of
+from harness.show.comparison import record as record_compared
+from harness.show.recordings import Advantage, Episode, record
+from harness.show.scenes import LONG, Flat, Solid, scene
 from rerun.chunk import RrdReader
 
 from envs.point_maze import TARGET
@@ -16,10 +20,6 @@ from harness.judge.results import Cell
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS
 from harness.run.files import write_atomic
-from harness.show.comparison import Ghost, identity_of
-from harness.show.comparison import record as record_compared
-from harness.show.recordings import Advantage, Episode, record
-from harness.show.scenes import LONG, Flat, Solid, scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 SPEC = SPECS["cartpole"]

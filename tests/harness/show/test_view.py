@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from harness.show.recordings import Episode, record
+from harness.show.scenes import scene
 from PIL import Image
 
 from harness.cli import main
@@ -18,8 +20,6 @@ from harness.judge.results import Cell
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS, BadInput
 from harness.show import view
-from harness.show.recordings import Episode, record
-from harness.show.scenes import scene
 from tests.harness.show.conftest import CHROMIUM
 
 NAMES = (
