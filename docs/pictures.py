@@ -11,13 +11,13 @@ import threading
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from envs import EnvSpec
 from harness.cell.fitting import fit
 from harness.cell.inputs import Inputs
+from harness.cell.recording import above_absorption, shaped_parts
 from harness.cell.run import prepare
 from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
@@ -88,22 +88,18 @@ def played(
     """One evaluation episode, recorded."""
     seed = evaluation_seeds(0, 1)[0]
     (trajectory,) = Simulator(spec, 1).run(policy, [seed])
-    obs, act = trajectory.obs, trajectory.act
-    told = Episode(
+    obs = trajectory.obs
+    f, precision = shaped_parts(reward, obs[:-1])
+    episode = Episode(
         trajectory,
-        scene=None if spec.name == "gridworld" else scene(spec, seed, act),
+        scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
+        learned=None if reward is None else above_absorption(reward, trajectory),
         expert=None if reward is None else expert(obs[:-1]),
+        f=f,
+        precision=precision,
         maps=maps(spec, policy, reward, obs),
     )
-    if reward is not None:
-        size = spec.act_size
-        flat = reward.chol(obs[:-1]).reshape(-1, size, size)
-        values = 1 + np.square(np.linalg.svd(flat, compute_uv=False))[:, ::-1]
-        learned = reward(obs[:-1], act, obs[1:]) - reward.absorbing
-        told = Episode(
-            trajectory, told.scene, learned, told.expert, reward.f(obs[:-1]), values, maps=told.maps
-        )
-    return record(spec, Cell(spec.name, method, 0), name, "first", told)
+    return record(spec, Cell(spec.name, method, 0), name, "first", episode)
 
 
 def picture(address: str) -> bytes:

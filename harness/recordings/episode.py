@@ -1,11 +1,11 @@
-"""Recordings of single episodes on the timeline `step`, from 0 to T.
+"""Recordings of single episodes, on the timeline `step` from 0 to T.
 
-scene                           the scene
-signal                          one component for each plot (`Plot`)
-advantage                       under both rewards, each in units of its largest
-map/true, map/learned           both rewards over two axes of the state, with the episode's path
-ending                          the reason, at step T
-episode                         the facts, as a table
+`scene`: the scene.
+`signal`: one component for each `Plot`.
+`advantage`: under both rewards, each in units of its largest.
+`map/true`, `map/learned`: both rewards over two axes of the state, with the episode's path.
+`ending`: the reason, at step T.
+`episode`: the facts, as a table.
 """
 
 from __future__ import annotations
@@ -25,19 +25,7 @@ from envs import EnvSpec
 from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Trajectory
-from harness.recordings.blueprint import (
-    BLUE,
-    GREEN,
-    GREY,
-    LONG,
-    ORANGE,
-    Colour,
-    layout,
-    rrd_file,
-    send_columns,
-    send_table,
-    so_far,
-)
+from harness.recordings import common
 from harness.recordings.maps import Maps
 from harness.recordings.scenes import Scene
 
@@ -45,7 +33,7 @@ FEW = 3
 """Most entries of an action that have a plot each. Of more entries each actor has one plot."""
 _MARGIN = 0.08  # of the plotted range
 _LEGEND = 6  # most lines in a legend; the viewer shows other names at the pointer
-_COLOURS = {"policy": BLUE, "expert": GREEN, "f(s)": ORANGE}
+_COLOURS = {"policy": common.BLUE, "expert": common.GREEN, "f(s)": common.ORANGE}
 
 
 @dataclass(frozen=True)
@@ -64,9 +52,9 @@ class Advantage:
 class Episode:
     """An episode of T steps with everything that is recorded of it. None stands for what does not exist.
 
-    learned: (T,), R*(s, a) less what absorption pays. expert: (T, A), its actions in the same states.
-    f: (T, A), f(s) of a shaped reward. precision: (T, A), the ascending eigenvalues of its L Lᵀ + I.
-    facts: further lines of the table.
+    `learned`: (T,), R*(s, a) less what absorption pays. `expert`: (T, A), its actions in the same states.
+    `f`: (T, A), f(s) of a shaped reward. `precision`: (T, A), the ascending eigenvalues of its L Lᵀ + I.
+    `facts`: further lines of the table.
     """
 
     trajectory: Trajectory
@@ -96,7 +84,7 @@ class Plot:
     title: str
     names: Sequence[str]
     values: Array
-    colours: Sequence[Colour] = ()
+    colours: Sequence[common.Colour] = ()
 
     def view(self) -> rrb.TimeSeriesView:
         """Return the view. A single line is shown with zero, because its noise would look eventful."""
@@ -138,26 +126,26 @@ def record(spec: EnvSpec, cell: Cell, policy: str, which: str, episode: Episode)
         if episode.advantage:
             _send_advantage(stream, episode.advantage)
 
-    return rrd_file(spec.name, f"{cell.name}__{policy}.{which}", _layout(spec, episode, plots), send)
+    return common.rrd_file(spec.name, f"{cell.name}__{policy}.{which}", _layout(spec, episode, plots), send)
 
 
 def send_ending(stream: rr.RecordingStream, entity: str, trajectory: Trajectory, actor: str = "") -> None:
     """Send the reason why an episode ended, at its last step."""
     length = len(trajectory.act)
     text, level = f"{actor}step {length}: {trajectory.ending}", "WARN" if trajectory.terminated else "INFO"
-    send_columns(stream, entity, np.array([length]), rr.TextLog.columns(text=[text], level=[level]))
+    common.send_columns(stream, entity, np.array([length]), rr.TextLog.columns(text=[text], level=[level]))
 
 
 def _plots(spec: EnvSpec, episode: Episode) -> list[Plot]:
     played, learned, precision = episode.trajectory, episode.learned, episode.precision
     plots = [
-        Plot("true", "True reward of a step", ["true reward"], played.rewards[:, None], [GREY]),
-        Plot("true_return", "True return so far", ["so far"], so_far(played.rewards), [GREY]),
+        Plot("true", "True reward of a step", ["true reward"], played.rewards[:, None], [common.GREY]),
+        Plot("true_return", "True return so far", ["so far"], common.so_far(played.rewards), [common.GREY]),
     ]
     if learned is not None:
         plots += [
-            Plot("learned", "R* of a step, above absorption", ["R*"], learned[:, None], [BLUE]),
-            Plot("learned_return", "R* so far", ["so far"], so_far(learned), [BLUE]),
+            Plot("learned", "R* of a step, above absorption", ["R*"], learned[:, None], [common.BLUE]),
+            Plot("learned_return", "R* so far", ["so far"], common.so_far(learned), [common.BLUE]),
         ]
     plots += _action_plots(spec, {"policy": played.act, "expert": episode.expert, "f(s)": episode.f})
     if precision is not None:
@@ -189,21 +177,21 @@ def _send_plots(stream: rr.RecordingStream, plots: Sequence[Plot]) -> None:
     columns: list[Any] = []
     for plot in plots:
         count, lines = plot.values.shape
-        is_lean = rows > LONG + 1 and plot.component != "true"
+        is_lean = rows > common.LONG + 1 and plot.component != "true"
         values = pa.array(plot.values.astype(np.float32 if is_lean else np.float64).ravel())
         column = rr.DynamicArchetype.columns(archetype="signal", components={plot.component: values})
         columns += column.partition([lines] * count + [0] * (rows - count))
-    send_columns(stream, "signal", np.arange(rows), columns)
+    common.send_columns(stream, "signal", np.arange(rows), columns)
 
 
 def _send_advantage(stream: rr.RecordingStream, advantage: Advantage) -> None:
     both = {"true reward": advantage.true, "R*": advantage.learned}
     known = {name: values for name, values in both.items() if values is not None}
     scaled = [values / (np.abs(values).max() or 1.0) for values in known.values()]
-    lines = rr.SeriesLines(names=[*known], colors=np.array([GREY, BLUE][: len(known)], np.uint8))
-    stream.log("advantage", lines, static=True)
+    colours = np.array([common.GREY, common.BLUE][: len(known)], np.uint8)
+    stream.log("advantage", rr.SeriesLines(names=[*known], colors=colours), static=True)
     columns = rr.Scalars.columns(scalars=np.stack(scaled, axis=1))
-    send_columns(stream, "advantage", advantage.steps, columns)
+    common.send_columns(stream, "advantage", advantage.steps, columns)
 
 
 def _send_facts(stream: rr.RecordingStream, cell: Cell, policy: str, which: str, episode: Episode) -> None:
@@ -219,7 +207,8 @@ def _send_facts(stream: rr.RecordingStream, cell: Cell, policy: str, which: str,
         "ending": played.ending,
         **episode.facts,
     }
-    send_table(stream, "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items()))
+    rows = [f"| {name} | {value} |" for name, value in facts.items()]
+    common.send_table(stream, "| | |", "|---|---|", *rows)
     send_ending(stream, "ending", played)
 
 
@@ -241,4 +230,4 @@ def _layout(spec: EnvSpec, episode: Episode, plots: Sequence[Plot]) -> rrb.Bluep
     right = rrb.Vertical(*(rrb.Horizontal(*row) for row in rows if row), grid, views["observation"])
     shares = [*[4] * len(left), 3]
     sides = rrb.Horizontal(rrb.Vertical(*left, facts, row_shares=shares), right, column_shares=[5, 4])
-    return layout(spec, sides)
+    return common.layout(spec, sides)

@@ -1,9 +1,9 @@
 """Recordings of several policies on one episode, each method's beside the expert's.
 
-scene/NAME             the scene; NAME is 'expert', 'METHOD_pi_star' or 'METHOD_pi_R'
-earned/NAME            steps 0..T, the undiscounted true return so far
-ending/NAME            step T, the reason
-episode                returns, lengths and endings, as a table
+`scene/NAME`: the scene. NAME is 'expert', 'METHOD_pi_star' or 'METHOD_pi_R'.
+`earned/NAME`: the undiscounted true return so far, at steps 0 to T.
+`ending/NAME`: the reason, at step T.
+`episode`: returns, lengths and endings, as a table.
 """
 
 from __future__ import annotations
@@ -32,16 +32,7 @@ from harness.judge.results import (
 )
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
-from harness.recordings.blueprint import (
-    BLUE,
-    GREY,
-    ORANGE,
-    layout,
-    rrd_file,
-    send_columns,
-    send_table,
-    so_far,
-)
+from harness.recordings import common
 from harness.recordings.episode import send_ending
 from harness.recordings.scenes import Scene, scene
 from harness.registry import ENVS, SPECS, BadInput
@@ -51,7 +42,7 @@ from methods.base import Policy
 
 SEED = 0
 """The run's seed whose first evaluation episode is played."""
-_COLOURS = {"expert": GREY, "pi_star": BLUE, "pi_R": ORANGE}
+_COLOURS = {"expert": common.GREY, "pi_star": common.BLUE, "pi_R": common.ORANGE}
 _TITLES = {"expert": "expert", "pi_star": "π*", "pi_R": "π_R"}
 
 
@@ -103,7 +94,7 @@ def _by_env(results: Iterable[CellResult]) -> dict[str, list[CellResult]]:
 
 
 def identity_of(file: Path) -> str:
-    """Return the identity that `record` gave a file, '' where it is no recording."""
+    """Return the identity that `record` gave a file, '' for a file that is not a recording."""
     try:
         with warnings.catch_warnings(action="ignore"):  # the file holds no index
             return str(RrdReader(file).recordings()[0].recording_id)
@@ -124,9 +115,9 @@ def record(spec: EnvSpec, identity: str, ghosts: Sequence[Ghost]) -> bytes:
                 ghost.scene.send_moving(stream, ghost.name, _COLOURS[ghost.policy])
             _send_earned(stream, ghost)
         heading = ["| | | return | steps | ending |", "|---|---|---|---|---|"]
-        send_table(stream, *heading, *map(_table_row, ghosts))
+        common.send_table(stream, *heading, *map(_table_row, ghosts))
 
-    return rrd_file(spec.name, identity, _layout(spec, ghosts), send)
+    return common.rrd_file(spec.name, identity, _layout(spec, ghosts), send)
 
 
 def _ghosts(directory: Path, env: str, results: Sequence[CellResult]) -> list[Ghost]:
@@ -153,11 +144,11 @@ def _policies(directory: Path, result: CellResult) -> list[tuple[str, Policy]]:
 
 
 def _send_earned(stream: rr.RecordingStream, ghost: Ghost) -> None:
-    entity, earned = f"earned/{ghost.name}", so_far(ghost.trajectory.rewards)
+    entity, earned = f"earned/{ghost.name}", common.so_far(ghost.trajectory.rewards)
     name = f"{ghost.method} {_TITLES[ghost.policy]}".strip()
     lines = rr.SeriesLines(names=name, colors=_COLOURS[ghost.policy], aggregation_policy="off")
     stream.log(entity, lines, static=True)
-    send_columns(stream, entity, np.arange(len(earned)), rr.Scalars.columns(scalars=earned))
+    common.send_columns(stream, entity, np.arange(len(earned)), rr.Scalars.columns(scalars=earned))
     send_ending(stream, f"ending/{ghost.name}", ghost.trajectory, f"{ghost.method} {ghost.policy}, ".lstrip())
 
 
@@ -184,4 +175,4 @@ def _layout(spec: EnvSpec, ghosts: Sequence[Ghost]) -> rrb.Blueprint:
         column_shares=[3, 2, 2],
     )
     above = [rrb.Grid(*scenes, grid_columns=min(4, len(scenes)))] if scenes else []
-    return layout(spec, rrb.Vertical(*above, below, row_shares=[*[5] * len(above), 2]))
+    return common.layout(spec, rrb.Vertical(*above, below, row_shares=[*[5] * len(above), 2]))

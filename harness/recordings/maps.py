@@ -17,7 +17,7 @@ from envs import EnvSpec, gridworld, point_maze
 from envs.balancing import pendulum
 from envs.spec import Array
 from harness.learn.exact import expected_rewards
-from harness.recordings.blueprint import GREY, WHITE, send_columns
+from harness.recordings.common import GREY, WHITE, send_columns
 from methods.base import Policy, Reward
 
 SIDE = 48
@@ -30,7 +30,7 @@ _RED = (234, 67, 53)
 class Maps:
     """Rewards by name, (H, W) with the lowest row first, and the path of an episode.
 
-    path: (T+1, 2), in cells from the lower left corner. axes: labels of the horizontal and the vertical axis.
+    `path`: (T+1, 2), in cells from the lower left corner. `axes`: labels of both axes, horizontal first.
     """
 
     rewards: dict[str, Array]

@@ -16,7 +16,7 @@ from envs import EnvSpec
 from envs.point_maze import TARGET
 from envs.spec import Array, Shape
 from harness.learn.simulator import drawings
-from harness.recordings.blueprint import WHITE, Colour, send_columns
+from harness.recordings.common import WHITE, Colour, send_columns
 from harness.recordings.solid_scene import Solid
 
 _TARGETS = {"point_maze": (*TARGET, 0.0)}
@@ -31,8 +31,8 @@ _WIDTH = -2.0  # of a line: negative, because it is in pixels at any zoom
 class Flat:
     """An episode of T steps as drawings.
 
-    frames: T+1, after the reset and after each step, all with the same names. bounds: left, bottom, right and
-    top of a view [m], or None for everything.
+    `frames`: T+1, after the reset and after each step, all with the same names.
+    `bounds`: left, bottom, right and top of a view [m]; None for everything.
     """
 
     frames: Sequence[Mapping[str, Shape]]

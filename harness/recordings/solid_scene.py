@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from envs.spec import Array
-from harness.recordings.blueprint import GREEN, LONG, WHITE, Colour
+from harness.recordings.common import GREEN, LONG, WHITE, Colour
 
 _ALONG, _ACROSS, _THICK = 5.0, 1.5, 0.02  # m, of a floor: beyond the path, to each side, and half its height
 _STRIPE, _STRIPES = 1.0, 150  # m, least distance of a floor's stripes; their largest number
@@ -36,8 +36,8 @@ _KINDS: dict[str, Any] = {
 class Solid:
     """An episode of T steps in MuJoCo.
 
-    places: (T+1, G, 3), the centre of each geometry [m]. turns: (T+1, G, 4), its quaternion, w first.
-    target: a place that the model does not show [m].
+    `places`: (T+1, G, 3), the centre of each geometry [m]. `turns`: (T+1, G, 4), its quaternion, w first.
+    `target`: a place that the model does not show [m].
     """
 
     model: mujoco.MjModel
