@@ -100,7 +100,7 @@ Scene = Solid | Flat
 
 
 def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
-    """Return the scene of the episode with these actions (T, A). None for a task that draws nothing."""
+    """Return the scene of the episode with these actions (T, A). None where nothing can be drawn."""
     env, name = spec.make(), spec.name.partition(".")[0]
     inner = env.unwrapped
     if not isinstance(inner, MujocoEnv):
@@ -115,7 +115,8 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         places[step] = inner.data.geom_xpos
         for geom in range(count):
             mujoco.mju_mat2Quat(turns[step, geom], inner.data.geom_xmat[geom])
-    return Solid(inner.model, places, turns, _TARGETS.get(name))
+    solid = Solid(inner.model, places, turns, _TARGETS.get(name))
+    return solid if solid.moving else None
 
 
 def _mirrored(points: Array) -> NDArray[np.float32]:

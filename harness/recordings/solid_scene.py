@@ -137,11 +137,8 @@ class Solid:
     ) -> None:
         """Send geometries of a kind: their shapes once, and their poses at these steps, or once."""
         at = np.array([0]) if steps is None else steps
-        turns, places, sizes = (
-            self.turns[at][:, geoms],
-            self.places[at][:, geoms],
-            self.model.geom_size[geoms],
-        )
+        turns, places = self.turns[at][:, geoms], self.places[at][:, geoms]
+        sizes = self.model.geom_size[geoms]
         colours = np.round(255 * self.model.geom_rgba[geoms]).astype(np.uint8)
         if ghost:
             colours[:] = [*ghost, round(255 * _GHOST)]
