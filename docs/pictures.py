@@ -11,7 +11,6 @@ import threading
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -19,16 +18,17 @@ from envs import EnvSpec
 from harness.cell.experts import source_for
 from harness.cell.fitting import fit
 from harness.cell.inputs import Inputs
+from harness.cell.recording import above_absorption, shaped_parts
 from harness.cell.run import prepare
 from harness.cell.shared import Shared
 from harness.judge.results import Cell, Conditions
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
+from harness.recordings.episode import Episode, record
+from harness.recordings.maps import maps
+from harness.recordings.scenes import scene
+from harness.recordings.viewer import HERE, export
 from harness.registry import BUILT_IN, SPECS
-from harness.show.maps import maps
-from harness.show.recordings import Episode, record
-from harness.show.scenes import scene
-from harness.show.view import HERE, export
 from methods.base import Policy
 from methods.shaped import ShapedReward
 
@@ -89,22 +89,18 @@ def played(
     """One evaluation episode, recorded."""
     seed = evaluation_seeds(0, 1)[0]
     (trajectory,) = Simulator(spec, 1).run(policy, [seed])
-    obs, act = trajectory.obs, trajectory.act
-    told = Episode(
+    obs = trajectory.obs
+    f, precision = shaped_parts(reward, obs[:-1])
+    episode = Episode(
         trajectory,
-        scene=None if spec.name == "gridworld" else scene(spec, seed, act),
+        scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
+        learned=None if reward is None else above_absorption(reward, trajectory),
         expert=None if reward is None else expert(obs[:-1]),
+        f=f,
+        precision=precision,
         maps=maps(spec, policy, reward, obs),
     )
-    if reward is not None:
-        size = spec.act_size
-        flat = reward.chol(obs[:-1]).reshape(-1, size, size)
-        values = 1 + np.square(np.linalg.svd(flat, compute_uv=False))[:, ::-1]
-        learned = reward(obs[:-1], act, obs[1:]) - reward.absorbing
-        told = Episode(
-            trajectory, told.scene, learned, told.expert, reward.f(obs[:-1]), values, maps=told.maps
-        )
-    return record(spec, Cell(spec.name, method, 0), name, "first", told)
+    return record(spec, Cell(spec.name, method, 0), name, "first", episode)
 
 
 def picture(address: str) -> bytes:

@@ -107,7 +107,7 @@ def export(args: argparse.Namespace) -> int:
 
 def view(args: argparse.Namespace) -> int:
     """Shows a run's recordings, or writes a folder that plays them."""
-    from harness.show import view as viewing
+    from harness.recordings import viewer as viewing
 
     stop_cleanly()  # or SIGTERM would leave temporary folders
     with TemporaryDirectory() as own:

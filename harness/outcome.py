@@ -39,7 +39,6 @@ def report(
 ) -> bool:
     """Writes what these results come to, and says it in five lines. anew: even where it is as it was written.
     tables: printed besides. programs: of `for_programs`. Returns whether all is there that the run stored."""
-    from harness.run.compared import write_compared
     from harness.run.events import Reported, write
     from harness.run.reporting import write_report
     from harness.show import terminal
@@ -50,7 +49,11 @@ def report(
     beside, unusable = run.beside()
     if anew or not run.is_sealed(results):
         recorded = results if run.request.conditions.record != "none" else []
-        compared = write_compared(run.path, recorded, run.is_as_written)
+        compared = []
+        if recorded:
+            from harness.recordings.ghosts import write_compared  # rerun is 30 MB
+
+            compared = write_compared(run.path, recorded, run.is_as_written)
         run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
     shown = [*results, *beside]
     for line in terminal.tables(run.request, shown) if tables else []:

@@ -19,10 +19,10 @@ from harness.judge.numbers import as_text
 from harness.judge.results import LARGEST, recording_of
 from harness.learn.exact import expected_rewards
 from harness.learn.simulator import Simulator, Trajectory
-from harness.show.maps import maps
-from harness.show.recordings import Advantage, Episode
-from harness.show.recordings import record as recording
-from harness.show.scenes import scene
+from harness.recordings.episode import Advantage, Episode
+from harness.recordings.episode import record as recording
+from harness.recordings.maps import maps
+from harness.recordings.scenes import scene
 from methods.base import Array, Policy, Reward
 from methods.tabular.model import greedy, value_iteration
 
@@ -65,14 +65,14 @@ def record(
             warnings.append(f"{inputs.cell.name}, {candidate.name}: {warning}")
             continue
         obs = trajectory.obs[:-1]
-        shaped = _shaped(reward, obs)
+        f, precision = shaped_parts(reward, obs)
         episode = Episode(
             trajectory,
             scene=None if spec.name == "gridworld" else scene(spec, seed, trajectory.act),
-            learned=None if reward is None else _paid(reward, trajectory),
+            learned=None if reward is None else above_absorption(reward, trajectory),
             expert=None if expert is None else np.array(spec.executed(expert(obs.copy()))),
-            f=shaped[0] if shaped else None,
-            precision=shaped[1] if shaped else None,
+            f=f,
+            precision=precision,
             advantage=advantage,
             maps=maps(spec, policy, reward, trajectory.obs),
             facts=_place(evaluation, number),
@@ -112,19 +112,19 @@ def _place(evaluation: Evaluation, number: int) -> dict[str, str | float]:
     }
 
 
-def _paid(reward: Reward, trajectory: Trajectory) -> Array:
+def above_absorption(reward: Reward, trajectory: Trajectory) -> Array:
     """Return R* less what absorption pays, (T,), with 0 for values that are not usable."""
     obs, act = trajectory.obs.copy(), trajectory.act.copy()
     paid = np.asarray(reward(obs[:-1], act, obs[1:].copy()) - reward.absorbing, np.float64)
     return np.where(np.abs(paid) <= LARGEST, paid, 0.0)
 
 
-def _shaped(reward: Reward | None, obs: Array) -> tuple[Array, Array] | None:
-    """Return f(s) and the eigenvalues of L(s) L(s)^T + I, (T, A) each, where the reward has them."""
+def shaped_parts(reward: Reward | None, obs: Array) -> tuple[Array | None, Array | None]:
+    """Return f(s) and the eigenvalues of L(s) L(s)^T + I, (T, A) each. None for other rewards."""
     from methods.shaped import ShapedReward  # imports torch, which other cells do without
 
     if not isinstance(reward, ShapedReward):
-        return None
+        return None, None
     flat = reward.chol(obs)
     size = math.isqrt(flat.shape[1])
     values = np.linalg.svd(flat.reshape(-1, size, size), compute_uv=False)
@@ -159,8 +159,8 @@ def advantages(
         true = _gained(one.rewards, [other.rewards for other in others], times, spec.gamma)[known]
         learned = None
         if reward is not None:
-            paid = [_paid(reward, other) for other in others]
-            learned = _gained(_paid(reward, one), paid, times, spec.gamma)[known]
+            paid = [above_absorption(reward, other) for other in others]
+            learned = _gained(above_absorption(reward, one), paid, times, spec.gamma)[known]
         result.append(Advantage(times[1:][known], true, learned) if len(true) else None)
     return result
 

@@ -20,8 +20,9 @@ from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
+from harness.recordings.ghosts import write_compared
 from harness.registry import SPECS, Record
-from harness.run.compared import write_compared
+from harness.run.artifacts import read_artifact
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 
@@ -44,8 +45,8 @@ def ran(method: str, directory: Path, record: Record = "both") -> CellResult:
     return result
 
 
-def told(file: Path) -> dict[str, str]:
-    """What the recording's table says."""
+def facts_in(file: Path) -> dict[str, str]:
+    """Return the recording's table."""
     for chunk in RrdReader(file).stream():
         if chunk.entity_path == "/episode":
             text = chunk.to_record_batch().column("TextDocument:text").to_pylist()[0][0]
@@ -53,48 +54,36 @@ def told(file: Path) -> dict[str, str]:
     raise AssertionError
 
 
-@pytest.mark.parametrize("lanes", [1, 3, 20])
-def test_what_a_policy_did_can_be_played_again_whatever_it_is_like(lanes: int) -> None:
-    rng = np.random.default_rng(0)
-    watched = Watched(lambda obs: SPEC.random_actions(len(obs), rng))
-    episodes = Simulator(SPEC, lanes).run(watched, range(8))
-    actions = watched.actions([len(episode.act) for episode in episodes])
-    for episode, again in zip(episodes, play(SPEC, range(8), actions), strict=True):
-        assert np.array_equal(again.obs, episode.obs)
-        assert np.array_equal(again.rewards, episode.rewards)
-        assert again.ending == episode.ending
-
-
 class Reusing:
-    """A policy that hands out its own buffer, and writes into what it is given."""
+    """A policy that hands out its own buffer, and writes into its observations."""
 
-    def __init__(self, answers: dict[int, Array]) -> None:
-        self.rng, self.answers = np.random.default_rng(0), answers
+    def __init__(self) -> None:
+        self.rng, self.buffers = np.random.default_rng(0), dict[int, Array]()
 
     def __call__(self, obs: Array) -> Array:
-        buffer = self.answers.setdefault(len(obs), np.empty((len(obs), SPEC.act_size)))
+        buffer = self.buffers.setdefault(len(obs), np.empty((len(obs), SPEC.act_size)))
         buffer[:] = SPEC.random_actions(len(obs), self.rng)
         obs[:] = 0
         return buffer[:]
 
 
-@pytest.mark.parametrize("lanes", [1, 3])
+@pytest.mark.parametrize("lanes", [1, 3, 20])
 def test_a_policy_that_hands_out_its_own_buffer_is_recorded_as_it_acted(lanes: int) -> None:
-    watched = Watched(Reusing({}))
-    episodes = Simulator(SPEC, lanes).run(watched, range(4))
+    watched = Watched(Reusing())
+    episodes = Simulator(SPEC, lanes).run(watched, range(8))
     actions = watched.actions([len(episode.act) for episode in episodes])
     assert len(np.unique(actions[0])) == len(actions[0]) > 5
-    for episode, again in zip(episodes, play(SPEC, range(4), actions), strict=True):
-        assert np.array_equal(again.rewards, episode.rewards)
-        assert np.array_equal(again.obs, episode.obs)
-        assert np.array_equal(again.act, episode.act)
+    for episode, again in zip(episodes, play(SPEC, range(8), actions), strict=True):
+        for name in ("obs", "act", "rewards"):
+            assert np.array_equal(getattr(again, name), getattr(episode, name)), name
+        assert again.ending == episode.ending
 
 
 def test_first_actions_leave_a_policys_array_as_it_is() -> None:
     constant = np.broadcast_to(np.full(SPEC.act_size, 0.1), (3, SPEC.act_size))
     first = [np.full((2, SPEC.act_size), -1.0)] * 3
-    found = Simulator(SPEC).run(lambda obs: constant[: len(obs)], range(3), first)
-    assert all((one.act[:2] == -1).all() and (one.act[2:] == 0.1).all() for one in found)
+    episodes = Simulator(SPEC).run(lambda obs: constant[: len(obs)], range(3), first)
+    assert all((one.act[:2] == -1).all() and (one.act[2:] == 0.1).all() for one in episodes)
 
 
 def test_an_episode_that_plays_otherwise_is_told_and_not_recorded(
@@ -149,7 +138,7 @@ def test_recordings_are_of_the_episodes_that_were_scored(tmp_path: Path) -> None
     result = ran("reference", tmp_path)
     for row in result.rows:
         median, worst = (
-            told(tmp_path / "recordings" / recording_of(result.cell, row.policy, which))
+            facts_in(tmp_path / "recordings" / recording_of(result.cell, row.policy, which))
             for which in ("median", "worst")
         )
         assert float(worst["return"]) <= float(median["return"])
@@ -172,23 +161,21 @@ def test_an_experts_actions_are_worth_nothing_over_its_own_and_a_push_the_other_
     def expert(obs: Array) -> Array:
         return np.clip(obs @ [[0.3], [0.4], [6.0], [1.2]], -1, 1)
 
-    seed = evaluation_seeds(0, 1)[0]
+    seed, reward = evaluation_seeds(0, 1)[0], Constant(2.0, 1.0)
     (own,) = Simulator(SPEC, 1).run(expert, [seed])
-    reward = Constant(2.0, 1.0)
-    (found,) = advantages(SPEC, expert, [own], [seed], reward)
-    assert found is not None
-    assert np.abs(found.true).max() < 0.05 * 100  # what the discount leaves of 1 / (1 - gamma)
     (fallen,) = Simulator(SPEC, 1).run(lambda obs: -expert(obs), [seed])
     assert fallen.terminated
-    _, worse = advantages(SPEC, expert, [own, fallen], [seed, seed], reward)
+    better, worse = advantages(SPEC, expert, [own, fallen], [seed, seed], reward)
+    assert better is not None
+    assert np.abs(better.true).max() < 0.05 * 100  # what the discount leaves of 1 / (1 - gamma)
     assert worse is not None
     assert worse.learned is not None
     assert worse.steps[-1] == len(fallen.act)
-    # What they sum up to is what was earned less what the expert earns from the start.
+    # They sum up to the return less the expert's return from the start.
     weights = SPEC.gamma ** np.array([0, *worse.steps[:-1]])
     most = math.ceil(math.log(LEAST_WEIGHT) / math.log(SPEC.gamma))
     (best,) = Simulator(SPEC, 1).run(expert, [seed], most=most)
-    gained = [e.rewards @ SPEC.gamma ** np.arange(len(e.rewards)) for e in (fallen, best)]
+    gained = [one.rewards @ SPEC.gamma ** np.arange(len(one.rewards)) for one in (fallen, best)]
     assert weights @ worse.true == pytest.approx(gained[0] - gained[1])
     assert weights @ worse.true < -50
     assert weights @ worse.learned < -50
@@ -210,8 +197,6 @@ def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> Non
             batch = chunk.to_record_batch()
             ends[chunk.entity_path.rpartition("/")[2]] = batch.column("Scalars:scalars").to_pylist()[-1][0]
     assert ends.keys() == {"expert", "bc_pi_star"}
-    from harness.run.artifacts import read_artifact
-
     learned = read_artifact(tmp_path / "artifacts/cartpole__bc__seed0.safetensors")
     first = evaluate(SPEC, learned["pi_star"], evaluation_seeds(0, 1))
     assert ends["bc_pi_star"] == pytest.approx(first.returns[0])

@@ -166,7 +166,7 @@ EDITS = {
     "harness/cell/run.py": {*KEYED},
     "harness/run/store.py": {*KEYED},
     "harness/registry.py": {*KEYED},
-    "harness/show/recordings.py": set(),
+    "harness/recordings/episode.py": set(),
     "harness/judge/leaderboard.py": set(),
     "harness/run/progress.py": set(),
 }

@@ -19,6 +19,7 @@ import irl_bench
 from harness import exported
 from harness.cli import main
 from harness.judge.results import Cell, artifact_of
+from harness.recordings import viewer as view
 from harness.registry import BadInput
 from harness.run import baseline
 from harness.run.artifacts import artifact
@@ -28,7 +29,6 @@ from harness.run.files import new_folder, opened_below, sha256, sha256_of
 from harness.run.opening import open_for_run, open_to_verify
 from harness.run.request import REQUEST as REQUEST_FILE
 from harness.run.sums import SUMS, readable, why_damaged
-from harness.show import view
 from methods.network import Network
 from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
 

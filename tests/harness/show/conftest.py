@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +12,8 @@ import pytest
 from harness.judge.results import NOMINAL, UNSHOWN, CellResult, Shown
 from harness.run.reporting import write_report
 from harness.show import figures, report
+from tests.harness.conftest import CHROMIUM
 from tests.harness.made_results import REQUEST, make_results, make_row
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 def of_two_demonstrations_and_a_variant() -> list[CellResult]:
@@ -55,17 +53,6 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
         without.setattr(report, "draw_axes", lambda *its: [])
         write_report(directory, REQUEST, results)
     return directory
-
-
-@pytest.fixture(scope="session")
-def play() -> Iterator[Any]:
-    """Playwright, of which a process can have one."""
-    if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        yield playwright
 
 
 @pytest.fixture(scope="session")

@@ -16,11 +16,11 @@ from PIL import Image
 from harness.cli import main
 from harness.judge.results import Cell
 from harness.learn.simulator import Simulator
+from harness.recordings import viewer
+from harness.recordings.episode import Episode, record
+from harness.recordings.scenes import scene
 from harness.registry import SPECS, BadInput
-from harness.show import view
-from harness.show.recordings import Episode, record
-from harness.show.scenes import scene
-from tests.harness.show.conftest import CHROMIUM
+from tests.harness.conftest import CHROMIUM
 
 NAMES = (
     "cartpole__bc__seed0__pi_star.median.rrd",
@@ -29,6 +29,7 @@ NAMES = (
     "swingup.heavy__bc__seed0__pi_star.median.rrd",
     "swingup__shaped__seed0__pi_R.median.rrd",
 )
+FILE = "cartpole__bc__seed0__pi_star.worst.rrd"
 GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 BACKGROUND = 20
 """Colours of a page on which nothing is drawn, at most."""
@@ -53,19 +54,20 @@ def run(tmp_path: Path) -> Path:
         ((None, None, True), {2}),
     ],
 )
-def test_what_is_asked_for_is_played_and_comparisons_first(
+def test_matching_recordings_are_played_and_comparisons_first(
     run: Path, asked: tuple[str | None, str | None, bool], expected: set[int]
 ) -> None:
-    found = [file.name for file in view.recordings(run, ["cartpole", "swingup"], *asked)]
-    assert {*found} == {NAMES[i] for i in expected}
-    assert NAMES[2] not in found[1:]
+    (run / "recordings/stray.rrd").touch()
+    files = [file.name for file in viewer.recordings(run, ["cartpole", "swingup"], *asked)]
+    assert {*files} == {NAMES[i] for i in expected}
+    assert NAMES[2] not in files[1:]
 
 
-def test_what_is_not_there_is_said_with_what_is(run: Path) -> None:
+def test_missing_recordings_are_reported_with_existing_ones(run: Path) -> None:
     with pytest.raises(BadInput, match="no such recordings; it has cartpole bc, cartpole compare, swingup"):
-        view.recordings(run, ["cartpole", "swingup"], "pendulum", None, False)
+        viewer.recordings(run, ["cartpole", "swingup"], "pendulum", None, False)
     with pytest.raises(BadInput, match="it has none"):
-        view.recordings(run / "recordings", ["cartpole"], None, None, False)
+        viewer.recordings(run / "recordings", ["cartpole"], None, None, False)
 
 
 def test_without_a_display_the_viewer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,27 +75,25 @@ def test_without_a_display_the_viewer_is_refused(monkeypatch: pytest.MonkeyPatch
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(BadInput, match="no display; add --web"):
-        view.show([])
+        viewer.show([])
 
 
-def test_the_viewer_keeps_to_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_viewer_keeps_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
-    said: list[tuple[list[str], dict[str, str]]] = []
+    homes: list[Path] = []
 
     def started(command: list[str], env: dict[str, str], check: bool) -> object:
-        settings = json.loads((Path(env["XDG_CONFIG_HOME"]) / "rerun/analytics.json").read_text())
-        assert settings["analytics_enabled"] is False
+        homes.append(Path(env["XDG_CONFIG_HOME"]))
+        assert json.loads((homes[0] / "rerun/analytics.json").read_text())["analytics_enabled"] is False
         options = (Path(env["XDG_DATA_HOME"]) / "rerun/app.ron").read_text()
         assert "check_for_updates_on_startup:false" in options
-        said.append((command, env))
+        assert command[-4:] == ["--bind", "127.0.0.1", "--port", "auto"]
+        assert env["CI"]
         return type("Done", (), {"returncode": 3})
 
     monkeypatch.setattr("subprocess.run", started)
-    assert view.show([Path("a.rrd")]) == 3
-    ((command, env),) = said
-    assert command[-4:] == ["--bind", "127.0.0.1", "--port", "auto"]
-    assert env["CI"]
-    assert not Path(env["XDG_CONFIG_HOME"]).exists()
+    assert viewer.show([Path("a.rrd")]) == 3
+    assert not homes[0].exists()
 
 
 def test_bad_input_is_one_line_and_writes_nothing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,37 +101,37 @@ def test_bad_input_is_one_line_and_writes_nothing(run: Path, capsys: pytest.Capt
     for words in (["--export", str(run)], ["--web", "--export", "new"], ["--env", "cartpole"]):
         assert main(["view", str(run), *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+    with pytest.raises(BadInput, match="there already"):
+        viewer.export([run / "recordings" / NAMES[0]], run)
     assert sorted(run.rglob("*")) == before
 
 
-def test_an_export_is_refused_where_something_is(run: Path) -> None:
-    with pytest.raises(BadInput, match="there already"):
-        view.export([run / "recordings" / NAMES[0]], run)
+def test_without_rerun_notebook_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"irl-bench\[view\]"):
+        viewer.export([run / "recordings" / NAMES[0]], run / "page")
+    assert not (run / "page").exists()
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[tuple[Path, str]]:
-    """An exported folder with one recording, and where it is served."""
+def address(tmp_path: Path) -> Iterator[str]:
+    """The address of an exported folder with one recording."""
     if importlib.util.find_spec("rerun_notebook") is None:
         pytest.skip("needs rerun-notebook")
     spec = SPECS["cartpole"]
     (played,) = Simulator(spec, 1).run(lambda obs: 0 * obs[:, :1], [0])
-    file = tmp_path / "cartpole__bc__seed0__pi_star.worst.rrd"
-    told = Episode(played, scene(spec, 0, played.act))
-    file.write_bytes(record(spec, Cell("cartpole", "bc", 0), "pi_star", "worst", told))
-    folder = view.export([file], tmp_path / "page")
-    assert (folder / "recordings" / file.name).read_bytes() == file.read_bytes()
+    episode = Episode(played, scene(spec, 0, played.act))
+    (tmp_path / FILE).write_bytes(record(spec, Cell("cartpole", "bc", 0), "pi_star", "worst", episode))
+    folder = viewer.export([tmp_path / FILE], tmp_path / "page")
+    assert (folder / "recordings" / FILE).read_bytes() == (tmp_path / FILE).read_bytes()
     handler = partial(http.server.SimpleHTTPRequestHandler, directory=folder)
-    with http.server.ThreadingHTTPServer((view.HERE, 0), handler) as server:
+    with http.server.ThreadingHTTPServer((viewer.HERE, 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield folder, f"http://{view.HERE}:{server.server_port}/"
+        yield f"http://{viewer.HERE}:{server.server_port}/"
         server.shutdown()
 
 
-def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(
-    play: Any, page: tuple[Path, str]
-) -> None:
-    _, address = page
+def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(play: Any, address: str) -> None:
     asked: list[str] = []
     colours = 0
     browser = play.chromium.launch(executable_path=CHROMIUM, args=GPU)
@@ -148,14 +148,5 @@ def test_an_exported_folder_plays_in_a_browser_and_asks_nobody_else(
             break
     browser.close()
     assert colours > 20 * BACKGROUND
-    assert {"viewer.js", "viewer.wasm.gz", "cartpole__bc__seed0__pi_star.worst.rrd"} <= {
-        url.rpartition("/")[2] for url in asked
-    }
+    assert {"viewer.js", "viewer.wasm.gz", FILE} <= {url.rpartition("/")[2] for url in asked}
     assert [url for url in asked if not url.startswith((address, "data:", "blob:"))] == []
-
-
-def test_without_rerun_notebook_it_says_what_to_install(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"irl-bench\[view\]"):
-        view.export([run / "recordings" / NAMES[0]], run / "page")
-    assert not (run / "page").exists()

@@ -1,45 +1,46 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pyarrow as pa
 import pytest
-from gymnasium.envs.mujoco import MujocoEnv
 from rerun.chunk import RrdReader
 
 from envs.point_maze import TARGET
 from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Simulator, Trajectory
+from harness.recordings import ghosts
+from harness.recordings.common import LONG
+from harness.recordings.episode import Advantage, Episode, record
+from harness.recordings.scenes import Flat, scene
+from harness.recordings.solid_scene import Solid
 from harness.registry import SPECS
 from harness.run.files import write_atomic
-from harness.show.comparison import Ghost, identity_of
-from harness.show.comparison import record as record_compared
-from harness.show.recordings import Advantage, Episode, record
-from harness.show.scenes import LONG, Flat, Solid, scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 SPEC = SPECS["cartpole"]
 CELL = Cell("cartpole", "shaped", 3)
 MOST = 400 << 10
 """Bytes of a recording."""
+Columns = dict[str, dict[str, pa.Array]]
 
 
-@pytest.fixture(scope="module")
-def trajectory() -> Trajectory:
+def pushed(force: float) -> Trajectory:
     """A short episode: pushed to the right, the pole falls to the left."""
-    (found,) = Simulator(SPEC, 1).run(lambda obs: np.full((len(obs), 1), 0.7), [5])
-    return found
+    (trajectory,) = Simulator(SPEC, 1).run(lambda obs: np.full((len(obs), 1), force), [5])
+    return trajectory
 
 
 @pytest.fixture(scope="module")
-def episode(trajectory: Trajectory) -> Episode:
-    """With all that can be told of it."""
+def episode() -> Episode:
+    """An episode with everything that can be recorded of it."""
+    trajectory, rng = pushed(0.7), np.random.default_rng(0)
     steps = len(trajectory.act)
-    rng = np.random.default_rng(0)
     return Episode(
         trajectory,
         scene(SPEC, 5, trajectory.act),
@@ -52,10 +53,23 @@ def episode(trajectory: Trajectory) -> Episode:
     )
 
 
-def read(path: Path, recording: bytes) -> dict[str, dict[str, pa.Array]]:
-    """Every entity's columns by name, static ones beside the others; row ids left out."""
-    write_atomic(path, recording)
-    columns: dict[str, dict[str, pa.Array]] = {}
+@pytest.fixture(scope="module")
+def file(episode: Episode, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "a.rrd"
+    path.write_bytes(record(SPEC, CELL, "pi_R", "worst", episode))
+    return path
+
+
+@pytest.fixture(scope="module")
+def columns(file: Path) -> Columns:
+    return read(file)
+
+
+def read(path: Path, recording: bytes = b"") -> Columns:
+    """Every entity's columns by name, static ones beside the others, without row ids."""
+    if recording:
+        write_atomic(path, recording)
+    columns: Columns = {}
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
         entity = columns.setdefault(chunk.entity_path, {})
@@ -72,21 +86,18 @@ def values(column: pa.Array, shape: tuple[int, ...] = (-1,)) -> Array:
     return np.array(column.to_numpy(zero_copy_only=False)).reshape(shape)
 
 
-def test_every_number_of_the_episode_can_be_read_back(
-    tmp_path: Path, trajectory: Trajectory, episode: Episode
-) -> None:
-    steps = len(trajectory.act)
-    columns = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "worst", episode))
-    signal = columns["/signal"]
+def test_every_number_of_the_episode_can_be_read_back(episode: Episode, columns: Columns) -> None:
+    played, steps, signal = episode.trajectory, len(episode.trajectory.act), columns["/signal"]
     assert episode.learned is not None
+    assert episode.precision is not None
     expected = {
-        "true": trajectory.rewards,
+        "true": played.rewards,
         "learned": episode.learned,
-        "true_return": np.concatenate([[0], np.cumsum(trajectory.rewards)]),
+        "true_return": np.concatenate([[0], np.cumsum(played.rewards)]),
         "learned_return": np.concatenate([[0], np.cumsum(episode.learned)]),
-        "action_0": np.stack([trajectory.act[:, 0], episode.expert[:, 0], episode.f[:, 0]], 1).ravel(),  # type: ignore[index]
-        "precision": episode.precision.ravel(),  # type: ignore[union-attr]
-        "observation": trajectory.obs.ravel(),
+        "action_0": np.hstack([played.act, episode.expert, episode.f]).ravel(),  # type: ignore[list-item]
+        "precision": episode.precision.ravel(),
+        "observation": played.obs.ravel(),
     }
     for part, truth in expected.items():
         assert values(signal[f"signal:{part}"]).tobytes() == truth.tobytes(), part
@@ -94,19 +105,16 @@ def test_every_number_of_the_episode_can_be_read_back(
     assert [len(row) for row in signal["signal:true"].to_pylist()] == [1] * steps + [0]
     assert [len(row) for row in signal["signal:observation"].to_pylist()] == [4] * (steps + 1)
     assert columns["/advantage"]["step"].to_pylist() == [3, 9]
-    np.testing.assert_allclose(
-        values(columns["/advantage"]["Scalars:scalars"], (2, 2)), [[0.5, -1.0], [-1.0, 0.25]]
-    )
+    scaled = values(columns["/advantage"]["Scalars:scalars"], (2, 2))
+    np.testing.assert_allclose(scaled, [[0.5, -1.0], [-1.0, 0.25]])
     assert {name for entity in columns.values() for name in entity if ":" not in name} == {"step"}
 
 
-def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Episode) -> None:
-    columns = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "worst", episode))
+def test_shapes_stand_upright_where_they_were_drawn(episode: Episode, columns: Columns) -> None:
     drawn = episode.scene
     assert isinstance(drawn, Flat)
     assert (drawn.fixed, drawn.moving) == (["track"], ["cart", "pole"])
     rows = columns["/scene/policy"]["LineStrips2D:strips"].to_pylist()
-    assert len(rows) == len(drawn.frames)
     for row, frame in zip(rows, drawn.frames, strict=True):
         for strip, name in zip(row, drawn.moving, strict=True):
             assert np.array(strip) == pytest.approx(frame[name].points * [1, -1], abs=1e-6)
@@ -117,44 +125,35 @@ def test_shapes_stand_upright_where_they_were_drawn(tmp_path: Path, episode: Epi
 
 @pytest.mark.parametrize("name", ["double_pendulum", "reacher", "point_maze"])
 def test_mujocos_bodies_are_where_the_simulator_has_them(tmp_path: Path, name: str) -> None:
-    spec = SPECS[name]
-    rng = np.random.default_rng(0)
+    spec, rng = SPECS[name], np.random.default_rng(0)
     (played,) = Simulator(spec, 1).run(lambda obs: spec.random_actions(len(obs), rng), [0], most=30)
     seen = scene(spec, 0, played.act)
     assert isinstance(seen, Solid)
-    columns = read(
-        tmp_path / "a.rrd", record(spec, Cell(name, "bc", 0), "pi_R", "worst", Episode(played, seen))
-    )
+    recording = record(spec, Cell(name, "bc", 0), "pi_R", "worst", Episode(played, seen))
+    columns = read(tmp_path / "a.rrd", recording)
     if name == "point_maze":
         target = values(columns["/scene/fixed/target"]["Ellipsoids3D:centers"], (3,))
         assert target == pytest.approx([*TARGET, 0.0])
 
     env = spec.make()
-    inner = env.unwrapped
-    assert isinstance(inner, MujocoEnv)
     env.reset(seed=0)
-    asked = {0, len(played.act) // 2, len(played.act)}
-    checked = 0
+    model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
+    shapes = {"capsule": "Capsules3D", "sphere": "Ellipsoids3D", "cylinder": "Cylinders3D"}
     for step in range(len(played.act) + 1):
         if step:
             env.step(spec.native(played.act[step - 1]))
-        for kind, geoms in seen.moving.items() if step in asked else ():
-            entity = columns[f"/scene/policy/{kind}"]
-            shape = {"capsule": "Capsules3D", "sphere": "Ellipsoids3D", "cylinder": "Cylinders3D"}[kind]
+        for kind, geoms in seen.moving.items():
+            entity, shape = columns[f"/scene/policy/{kind}"], shapes[kind]
             turns = values(entity[f"{shape}:quaternions"], (-1, len(geoms), 4))[step]
             where = "translations" if kind == "capsule" else "centers"
-            found = values(entity[f"{shape}:{where}"], (-1, len(geoms), 3))[step]
-            for i, geom in enumerate(geoms):
-                matrix = inner.data.geom_xmat[geom].reshape(3, 3)
-                turned = np.empty(9)
-                mujoco.mju_quat2Mat(turned, turns[i][[3, 0, 1, 2]].astype(np.float64))
+            places = values(entity[f"{shape}:{where}"], (-1, len(geoms), 3))[step]
+            for geom, turn, place in zip(geoms, turns, places, strict=True):
+                turned, matrix = np.empty(9), data.geom_xmat[geom].reshape(3, 3)
+                mujoco.mju_quat2Mat(turned, turn[[3, 0, 1, 2]].astype(np.float64))
                 assert turned.reshape(3, 3) == pytest.approx(matrix, abs=1e-6)
-                middle = found[i] + (
-                    inner.model.geom_size[geom, 1] * matrix[:, 2] if kind == "capsule" else 0
-                )
-                assert middle == pytest.approx(inner.data.geom_xpos[geom], abs=1e-6)
-                checked += 1
-    assert checked == 3 * sum(map(len, seen.moving.values())) > 0
+                half = model.geom_size[geom, 1] if kind == "capsule" else 0.0
+                assert place + half * matrix[:, 2] == pytest.approx(data.geom_xpos[geom], abs=1e-6)
+    assert seen.moving
 
 
 @pytest.mark.parametrize("name", ["halfcheetah", "walker2d", "hopper", "pendulum"])
@@ -162,71 +161,66 @@ def test_the_longest_episodes_with_all_that_can_be_told_are_small(tmp_path: Path
     spec, rng = SPECS[name], np.random.default_rng(0)
     steps = spec.horizon
     model = spec.make().unwrapped.model  # type: ignore[attr-defined]
-    noise = [rng.normal(size=(steps + 1, model.ngeom, size)) for size in (3, 4)]
-    noise[1] /= np.linalg.norm(noise[1], axis=2, keepdims=True)
-    acts = [rng.uniform(-1, 1, (steps, spec.act_size)) for _ in range(4)]
-    played = Trajectory(
-        rng.normal(size=(steps + 1, spec.obs_size)), acts[0], rng.normal(size=steps), False, "time limit"
-    )
-    told = Episode(played, Solid(model, *noise), rng.normal(size=steps), *acts[1:])
-    recording = record(spec, Cell(name, "shaped", 0), "pi_R", "median", told)
+    places, turns = (rng.normal(size=(steps + 1, model.ngeom, size)) for size in (3, 4))
+    turns /= np.linalg.norm(turns, axis=2, keepdims=True)
+    act, *acts = (rng.uniform(-1, 1, (steps, spec.act_size)) for _ in range(4))
+    obs, rewards = rng.normal(size=(steps + 1, spec.obs_size)), rng.normal(size=steps)
+    played = Trajectory(obs, act, rewards, False, "time limit")
+    longest = Episode(played, Solid(model, places, turns), rng.normal(size=steps), *acts)
+    recording = record(spec, Cell(name, "shaped", 0), "pi_R", "median", longest)
     assert steps > LONG
     assert len(recording) <= MOST
     signal = read(tmp_path / "a.rrd", recording)["/signal"]
-    assert values(signal["signal:true"]).tobytes() == played.rewards.tobytes()
-    assert values(signal["signal:observation"]).tobytes() == played.obs.astype(np.float32).tobytes()
+    assert values(signal["signal:true"]).tobytes() == rewards.tobytes()
+    assert values(signal["signal:observation"]).tobytes() == obs.astype(np.float32).tobytes()
 
 
-def test_a_task_that_draws_nothing_is_recorded_without_a_scene(
-    tmp_path: Path, trajectory: Trajectory
-) -> None:
-    columns = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "median", Episode(trajectory)))
-    assert np.array_equal(values(columns["/signal"]["signal:true"]), trajectory.rewards)
+def test_a_task_that_draws_nothing_is_recorded_without_a_scene(tmp_path: Path, episode: Episode) -> None:
+    recording = record(SPEC, CELL, "pi_R", "median", Episode(episode.trajectory))
+    columns = read(tmp_path / "a.rrd", recording)
+    assert np.array_equal(values(columns["/signal"]["signal:true"]), episode.trajectory.rewards)
     assert "signal:learned" not in columns["/signal"]
     assert not any(name.startswith("/scene") for name in columns)
 
 
 def test_the_ending_and_the_facts_are_in_the_recording(
-    tmp_path: Path, trajectory: Trajectory, episode: Episode
+    episode: Episode, file: Path, columns: Columns
 ) -> None:
-    length = len(trajectory.act)
-    columns = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "worst", episode))
-    (entry,) = RrdReader(tmp_path / "a.rrd").recordings()
+    length = len(episode.trajectory.act)
+    (entry,) = RrdReader(file).recordings()
     assert entry.application_id == "irl-bench-cartpole"
     assert entry.recording_id == "cartpole__shaped__seed3__pi_R.worst"
     assert columns["/ending"]["step"].to_pylist() == [length]
     assert columns["/ending"]["TextLog:text"].to_pylist() == [[f"step {length}: pole fell"]]
     (text,) = columns["/episode"]["TextDocument:text"].to_pylist()[0]
-    told = dict(line.strip("| ").split(" | ") for line in text.splitlines()[2:])
-    assert float(told.pop("return")) == pytest.approx(trajectory.rewards.sum(), abs=1e-6)
-    assert told == {
+    facts = dict(line.strip("| ").split(" | ") for line in text.splitlines()[2:])
+    assert float(facts.pop("return")) == pytest.approx(episode.trajectory.rewards.sum(), abs=1e-6)
+    assert facts == {
         **{"env": "cartpole", "method": "shaped", "seed": "3", "policy": "pi_R", "episode": "worst"},
         **{"length": str(length), "ending": "pole fell"},
         **{"mean return of all": "12.5", "endings of all": "5 pole fell"},
     }
 
 
-def test_all_methods_on_one_episode(tmp_path: Path, trajectory: Trajectory) -> None:
-    (still,) = Simulator(SPEC, 1).run(lambda obs: np.zeros((len(obs), 1)), [5])
-    ghosts = [
-        Ghost("", "expert", still, scene(SPEC, 5, still.act)),
-        Ghost("bc", "pi_star", trajectory, scene(SPEC, 5, trajectory.act)),
+def test_all_methods_on_one_episode(tmp_path: Path) -> None:
+    still, moved = pushed(0.0), pushed(0.7)
+    both = [
+        ghosts.Ghost("", "expert", still, scene(SPEC, 5, still.act)),
+        ghosts.Ghost("bc", "pi_star", moved, scene(SPEC, 5, moved.act)),
     ]
-    columns = read(tmp_path / "a.rrd", record_compared(SPEC, "what it is", ghosts))
-    assert identity_of(tmp_path / "a.rrd") == "what it is"
-    for name, played in (("expert", still), ("bc_pi_star", trajectory)):
-        earned = columns[f"/earned/{name}"]
-        assert values(earned["Scalars:scalars"])[-1] == played.rewards.cumsum()[-1]
+    columns = read(tmp_path / "a.rrd", ghosts.record(SPEC, "an identity", both))
+    assert ghosts.identity_of(tmp_path / "a.rrd") == "an identity"
+    for name, played in (("expert", still), ("bc_pi_star", moved)):
+        assert values(columns[f"/earned/{name}"]["Scalars:scalars"])[-1] == played.rewards.cumsum()[-1]
         assert len(columns[f"/scene/{name}"]["LineStrips2D:strips"]) == len(played.act) + 1
         assert columns[f"/ending/{name}"]["step"].to_pylist() == [len(played.act)]
 
 
-def test_any_path_will_do(tmp_path: Path, episode: Episode) -> None:
+def test_any_path_will_do(tmp_path: Path, file: Path) -> None:
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9 \n"))
     folder.mkdir()
-    recording = record(SPEC, CELL, "pi_R", "median", episode)
-    write_atomic(folder / "a.rrd", recording)
-    assert (folder / "a.rrd").read_bytes() == recording
+    write_atomic(folder / "a.rrd", file.read_bytes())
+    assert (folder / "a.rrd").read_bytes() == file.read_bytes()
 
 
 def test_where_rerun_writes_nothing_there_is_no_recording(
@@ -237,22 +231,18 @@ def test_where_rerun_writes_nothing_there_is_no_recording(
         record(SPEC, CELL, "pi_R", "median", episode)
 
 
-def test_equal_episodes_give_recordings_of_equal_content(tmp_path: Path, episode: Episode) -> None:
-    first, second = (
-        read(tmp_path / f"{i}.rrd", record(SPEC, CELL, "pi_R", "median", episode)) for i in range(2)
-    )
-    assert first == second
+def test_equal_episodes_give_recordings_of_equal_content(
+    tmp_path: Path, episode: Episode, columns: Columns
+) -> None:
+    assert read(tmp_path / "b.rrd", record(SPEC, CELL, "pi_R", "worst", episode)) == columns
 
 
-def test_what_does_not_fit_together_is_refused(trajectory: Trajectory, episode: Episode) -> None:
-    drawn = episode.scene
+def test_what_does_not_fit_together_is_refused(episode: Episode) -> None:
+    drawn, played = episode.scene, episode.trajectory
     assert isinstance(drawn, Flat)
     with pytest.raises(ValueError, match="same names"):
         Flat([{}, *drawn.frames[1:]])
-    for wrong in (
-        Episode(trajectory, Flat(drawn.frames[:-1])),
-        Episode(trajectory, learned=trajectory.rewards[1:]),
-        Episode(trajectory, expert=trajectory.act[1:]),
-    ):
+    wrong = {"scene": Flat(drawn.frames[:-1]), "learned": played.rewards[1:], "expert": played.act[1:]}
+    for name, value in wrong.items():
         with pytest.raises(ValueError, match="steps need"):
-            record(SPEC, CELL, "pi_R", "median", wrong)
+            record(SPEC, CELL, "pi_R", "median", replace(episode, **{name: value}))
