@@ -24,13 +24,13 @@ from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput, LearnerName
+from harness.report.columns import score
+from harness.report.figures import BLUE, ORANGE, as_file, plot_seeds, styled
+from harness.report.files import frame_of
+from harness.report.spreadsheet import as_csv
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
 from harness.run.request import STUDY
-from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.show.report import frame_of
-from harness.show.spreadsheet import as_csv
-from harness.show.terminal import score_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
@@ -45,11 +45,11 @@ THESIS = ("shaped", Shown(100))
 """What the thesis evaluates."""
 GREEN, YELLOW = "#009e73", "#e69f00"
 LINES = (
-    ("shaped", "pi_star", BLUE, "-", r"$\pi^*$"),
-    ("shaped_decay", "pi_star", BLUE, "--", r"$\pi^*$, with weight decay"),
+    ("shaped", "pi_star", BLUE, "-", "π*"),
+    ("shaped_decay", "pi_star", BLUE, "--", "π*, with weight decay"),
     ("bc", "pi_star", GREEN, "-", "behaviour cloning"),
-    ("shaped", "pi_R", ORANGE, "-", r"$\pi_R$"),
-    ("shaped_decay", "pi_R", ORANGE, "--", r"$\pi_R$, with weight decay"),
+    ("shaped", "pi_R", ORANGE, "-", "π_R"),
+    ("shaped_decay", "pi_R", ORANGE, "--", "π_R, with weight decay"),
 )
 """Method, policy, colour, style and label of each line of the study's figure."""
 MARK = b'{"study": "thesis", "format": 1}\n'
@@ -84,8 +84,8 @@ def write_study(directory: Path, runs: dict[str, list[CellResult]]) -> None:
         mine = [entry for entry in entries if entry.env == env]
         results = {p: [r for r in found if r.cell.env == env] for p, found in runs.items()}
         with styled():
-            write_atomic(directory / f"{env}_figure_5_3.png", png(_figure_5_3(env, results)))
-            write_atomic(directory / f"{env}_study.png", png(_study(env, mine)))
+            write_atomic(directory / f"{env}_figure_5_3.png", as_file(_figure_5_3(env, results), "png"))
+            write_atomic(directory / f"{env}_study.png", as_file(_study(env, mine), "png"))
 
 
 def found(runs: dict[str, list[CellResult]], directory: Path) -> list[str]:
@@ -102,8 +102,7 @@ def found(runs: dict[str, list[CellResult]], directory: Path) -> list[str]:
             star, trained = its[THESIS[0], "pi_star"], its[THESIS[0], "pi_R"]
             alive = its[SURVIVAL, "pi_R"]
             lines.append(
-                f"{env}, {protocol}: pi* {score_of(star)}, pi_R {score_of(trained)}; "
-                f"{alive.method} {score_of(alive)}"
+                f"{env}, {protocol}: pi* {score(star)}, pi_R {score(trained)}; {alive.method} {score(alive)}"
             )
     return [*lines, f"look at {directory / 'study.md'}, and the figures there"]
 
@@ -158,7 +157,7 @@ def _figure_5_3(env: str, runs: dict[str, list[CellResult]]) -> Figure:
         under.set_ylabel("return under R*", color=YELLOW)
     lines = {
         "DDPG on the true reward": (BLUE, "-"),
-        "$\\pi^*$": (GREEN, ":"),
+        "π*": (GREEN, ":"),
         "DDPG on R*, under R*": (YELLOW, "-"),
         "the same, true return": (ORANGE, "-"),
     }
@@ -215,10 +214,10 @@ def _controls(entries: Sequence[Entry]) -> dict[float, str]:
     mine = [e for e in entries if e.method in CONTROLS and e.demos == THESIS[1].demos]
     scores = {e.method: e.score_mean for e in mine}
     levels: dict[float, str] = {}
-    for name, score in sorted(scores.items(), key=lambda item: item[1]):
-        near = [level for level in levels if score - level < 0.03]
+    for name, height in sorted(scores.items(), key=lambda item: item[1]):
+        near = [level for level in levels if height - level < 0.03]
         if near:
             levels[near[0]] += f", {name[8:]}"
-        elif math.isfinite(score):
-            levels[score] = name[8:]
+        elif math.isfinite(height):
+            levels[height] = name[8:]
     return levels

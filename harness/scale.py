@@ -31,6 +31,8 @@ from harness.judge.results import (
     row_of,
 )
 from harness.registry import ENVS
+from harness.report.files import recorded_in, write_report
+from harness.report.model import build
 from harness.run.codec import encode
 from harness.run.engines import Job, Outcome
 from harness.run.files import write_atomic
@@ -38,7 +40,6 @@ from harness.run.grid import Grid, Sink
 from harness.run.keys import cell_keys, origin
 from harness.run.opening import open_for_run
 from harness.run.plan import Simulated
-from harness.run.reporting import write_report
 
 MANY, STORED, WORKERS = 100_000, 10_000, 1000
 TASKS, METHODS = 10, ("bc", "shaped")
@@ -248,7 +249,7 @@ def report(shape: Shape) -> tuple[int, float, float, float]:
         for name in (name for result in results for name in result.recordings):
             (Path(folder) / "recordings" / name).touch()
         began, cpu = time.perf_counter(), time.process_time()
-        write_report(Path(folder), request, results)
+        write_report(Path(folder), build(request, results, recorded_in(Path(folder))))
         took = time.perf_counter() - began, time.process_time() - cpu
     return sum(len(result.rows) for result in results), *took, _most_held() / MEGABYTE
 

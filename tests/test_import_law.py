@@ -17,6 +17,7 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 ROOMS = (
     *("envs", "methods", "harness.registry", "harness.learn", "harness.judge", "harness.show", "harness.run"),
+    "harness.report",
     "harness",
 )
 """Each may import itself and those before it."""

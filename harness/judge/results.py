@@ -5,7 +5,7 @@ DIR/cells/*.json           one file a finished cell; everything below is rebuilt
 DIR/baseline/*.json        cells of other runs that this one is shown beside, where it has any
 DIR/scores.csv             one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
-DIR/report.html, figures/  the report
+DIR/report.html            the report
 DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
                            size and digest of the list of checksums that was written then
 DIR/recordings/*.rrd       rerun recordings, ENV__compare.rrd being rebuilt
