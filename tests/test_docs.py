@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from harness.show.terminal import found
 
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
 from harness.run.opening import open_to_verify
-from harness.show.terminal import found
 from methods.settings import settings_for
 
 ROOT = Path(__file__).parent.parent

@@ -8,6 +8,7 @@ from functools import partial
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, LogLocator
 
 from harness.judge.comparisons import front
 from harness.judge.leaderboard import Entry
@@ -143,18 +144,11 @@ def _cost_plot(unit: str, points: Sequence[tuple[float, Entry]]) -> Plot:
     best = [points[at] for at in front(places)]
     said = f"Scores against {unit}. On the Pareto front: {_listed([entry for _, entry in best])}."
     plot = Plot(said, f"score against {unit}", f"{unit} (log)")
-    positive = [cost for cost, _ in points if cost > 0]
-    low, high = min(positive), 1.6 * max(positive)
-    if len(positive) < len(points):
-        plot.axes.set_xscale("symlog", linthresh=low, linscale=0.3)
-        plot.axes.set_xlim(-0.2 * low, high)
-    else:
-        plot.axes.set_xscale("log")
-        plot.axes.set_xlim(0.7 * low, high)
-    plot.axes.minorticks_off()
+    _scale_costs(plot.axes, [cost for cost, _ in points])
     plot.axes.set_ylim(around([value for _, value in places], least=(0.0, 1.0)))
     rules(plot.axes, False, 0.0, 1.0)
-    corners = [(cost, entry.score_mean) for cost, entry in best] + [(high, best[-1][1].score_mean)]
+    end = (plot.axes.get_xlim()[1], best[-1][1].score_mean)
+    corners = [*((cost, entry.score_mean) for cost, entry in best), end]
     plot.axes.step(*zip(*corners, strict=True), where="post", color=GREY, linewidth=1.2)
     for policy, (colour, marker) in LOOKS.items():
         mine = [(cost, entry) for cost, entry in points if entry.policy == policy]
@@ -162,6 +156,19 @@ def _cost_plot(unit: str, points: Sequence[tuple[float, Entry]]) -> Plot:
         plot.points([(cost, entry.score_mean) for cost, entry in mine], colour, marker, tips)
     plot.names([(cost, entry.score_mean, entry.method) for cost, entry in best], places)
     return plot
+
+
+def _scale_costs(axes: Axes, costs: Sequence[float]) -> None:
+    """Make the x axis logarithmic, with a place for 0 where something costs nothing."""
+    low, high = min(cost for cost in costs if cost > 0), 1.6 * max(costs)
+    free = min(costs) == 0
+    axes.set_xscale("symlog", linthresh=low, linscale=0.3) if free else axes.set_xscale("log")
+    axes.set_xlim(-0.2 * low if free else 0.7 * low, high)
+    digits = (1, 2, 5) if high < 100 * low else (1,)
+    ticks = [float(tick) for tick in LogLocator(subs=digits, numticks=6).tick_values(low, high)]
+    axes.set_xticks([0.0] * free + [tick for tick in ticks if low <= tick <= high])
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.minorticks_off()
 
 
 def distances(board: Board) -> Chart | None:

@@ -23,7 +23,7 @@ MOST_SEEDS = 50
 """Seeds whose curves are drawn, and counted in means and ranges."""
 OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
 """Curves of RL; others are those of a method's fit."""
-COLUMNS, WIDTH, HEIGHT = 4, 230.0, 150.0
+COLUMNS, WIDTH, HEIGHT = 4, 260.0, 150.0
 """Panels in a row, and the size of each in pixels."""
 LEFT, RIGHT, TOP, BOTTOM = 44.0, 34.0, 18.0, 20.0
 """Margins of a panel in pixels."""

@@ -41,10 +41,10 @@ LONGEST_ALT = 20_000
 LETTER = 6.4
 """Mean width of a letter of a label, in pixels."""
 _STYLE: dict[Any, Any] = {
-    **{"svg.fonttype": "none", "text.parse_math": False, "font.family": "DejaVu Sans", "font.size": 10},
+    **{"svg.fonttype": "none", "text.parse_math": False, "font.family": "DejaVu Sans", "font.size": 11},
     **{"axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.linewidth": 0.8},
     **{
-        "axes.titlesize": 11,
+        "axes.titlesize": 12,
         "axes.titleweight": "bold",
         "axes.titlelocation": "left",
         "axes.axisbelow": True,
@@ -86,7 +86,7 @@ class Plot:
     def __init__(self, said: str, title: str = "", label: str = "", rows: Sequence[str] = ()) -> None:
         self.said = said
         self.tips: list[Sequence[str]] = []
-        width, height = 400.0, 46 + (max(3, len(rows)) * 18 if rows else 190)
+        width, height = 340.0, 46 + (max(3, len(rows)) * 18 if rows else 190)
         self.figure = Figure(figsize=(width / 72, height / 72))
         left = 12 + LETTER * max((min(len(row), 24) for row in rows), default=5)
         top = 22 if title else 8

@@ -9,6 +9,7 @@ import pytest
 from harness import apart, cli, commands, demonstration_forms
 from harness.run import engines, grid, isolated
 from harness.run.environment import CACHE_VARIABLE
+from tests.harness.browser import browser, play  # noqa: F401, fixtures of all tests below
 
 HERE = Path(__file__).parent
 Main = Callable[..., tuple[int, str, str]]

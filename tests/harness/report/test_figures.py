@@ -7,13 +7,13 @@ import math
 from typing import cast
 
 import pytest
+from harness.show.axes import draw_axes
 from matplotlib.figure import Figure
 
 from harness import scale
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
 from harness.show import axes
-from harness.show.axes import draw_axes
 
 
 def results(demos: tuple[int, ...], dynamics: tuple[str, ...]) -> list[CellResult]:

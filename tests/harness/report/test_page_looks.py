@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from harness.run.reporting import write_report
+from harness.report.files import write_report
+from harness.report.model import build
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 SCREENSHOTS = Path(__file__).parents[2] / "output" / "report"
@@ -85,7 +86,8 @@ def test_it_fits_every_width(
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.locator(".heat").bounding_box()["y"] < 500, "on the first screen"
     small = page.eval_on_selector_all(
-        ".plots svg", "all => all.map(one => one.getBoundingClientRect().width).filter(width => width < 200)"
+        ".plots svg, .panels svg",
+        "all => all.map(one => one.getBoundingClientRect().width).filter(width => width < 200)",
     )
     assert small == []
     page.close()
@@ -108,7 +110,7 @@ def test_what_to_beware_of_stands_beside_what_it_concerns(browser: Any, tmp_path
     results = [
         replace(r, below_bar=(r.cell.env, r.cell.method) == ("cartpole", "reference")) for r in results
     ]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     page = browser.new_page()
     page.goto((tmp_path / "report.html").as_uri())
     told = {

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from harness.run.reporting import write_report
+from harness.show.boards import Board
 from scipy.stats import norm
 
 import irl_bench
@@ -32,9 +34,7 @@ from harness.judge.results import (
     PolicyName,
     Shown,
 )
-from harness.run.reporting import write_report
 from harness.show import curves, figures, spreadsheet
-from harness.show.boards import Board
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
 
 SIGNS = Path(__file__).parents[3] / "results/reference/signs/native"

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from harness.show.boards import Board
+from harness.show.summary import summary
 
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import Cell, CellResult, Request
 from harness.show import terminal
-from harness.show.boards import Board
-from harness.show.summary import summary
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 RUN = Path("results/latest")

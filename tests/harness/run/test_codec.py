@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from harness.run.reporting import write_report
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,7 +31,6 @@ from harness.judge.results import (
     Row,
 )
 from harness.run.codec import checksum, decode, encode, printable
-from harness.run.reporting import write_report
 from harness.show import figures
 
 ODD: list[Any] = [

@@ -20,7 +20,7 @@ from harness.registry import SPECS, BadInput
 from harness.show import view
 from harness.show.recordings import Episode, record
 from harness.show.scenes import scene
-from tests.harness.show.conftest import CHROMIUM
+from tests.harness.browser import CHROMIUM
 
 NAMES = (
     "cartpole__bc__seed0__pi_star.median.rrd",
