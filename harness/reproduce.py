@@ -26,8 +26,7 @@ from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput, LearnerName
 from harness.report.columns import score
 from harness.report.figures import BLUE, ORANGE, as_file, plot_seeds, styled
-from harness.report.files import frame_of
-from harness.report.spreadsheet import as_csv
+from harness.report.spreadsheet import as_csv, frame_of
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
 from harness.run.request import STUDY

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from harness.show.terminal import found
 
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
+from harness.report.model import build
+from harness.report.terminal import closing
 from harness.run.opening import open_to_verify
 from methods.settings import settings_for
 
@@ -109,7 +110,7 @@ def test_the_end_of_a_run_is_as_the_readme_has_it() -> None:
     ((run, lines),) = re.findall(r"<!-- the end of (\S+) -->\n(.*?)<!-- end", text, re.DOTALL)
     with open_to_verify(ROOT / run) as stored:
         results, _ = stored.load()
-        now = found(stored.request, list(results.values()), Path("results/latest"))
+        now = closing(build(stored.request, list(results.values())), Path("results/latest"))
     assert textwrap.dedent(lines).splitlines() == now
 
 

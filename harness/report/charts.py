@@ -122,7 +122,11 @@ def _listed(entries: Sequence[Entry]) -> str:
 def costs(board: Board) -> Chart | None:
     """Return scores against costs, with the Pareto front; None where nothing costs anything."""
     points = {name: _costs(board, unit) for unit, name in UNITS.items()}
-    plots = [_cost_plot(name, its).svg() for name, its in points.items() if any(cost > 0 for cost, _ in its)]
+    plots = [
+        _cost_plot(board.name, name, its).svg()
+        for name, its in points.items()
+        if any(cost > 0 for cost, _ in its)
+    ]
     columns = (METHOD, POLICY, SCORE, SECONDS, STEPS, SOLVES)
     methods = [entry for entry in board.entries if entry.role == "method"]
     return Chart(board.name, plots, table=Table(f"cost {board.name}", columns, methods)) if plots else None
@@ -139,10 +143,10 @@ def _costs(board: Board, unit: str) -> list[tuple[float, Entry]]:
     return points
 
 
-def _cost_plot(unit: str, points: Sequence[tuple[float, Entry]]) -> Plot:
+def _cost_plot(board: str, unit: str, points: Sequence[tuple[float, Entry]]) -> Plot:
     places = [(cost, entry.score_mean) for cost, entry in points]
     best = [points[at] for at in front(places)]
-    said = f"Scores against {unit}. On the Pareto front: {_listed([entry for _, entry in best])}."
+    said = f"Scores in {board} against {unit}. On the Pareto front: {_listed([entry for _, entry in best])}."
     plot = Plot(said, f"score against {unit}", f"{unit} (log)")
     _scale_costs(plot.axes, [cost for cost, _ in points])
     plot.axes.set_ylim(around([value for _, value in places], least=(0.0, 1.0)))
@@ -213,7 +217,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
     for policy, name in NAMES.items():
         of_policy = [e for e in mine if e.policy == policy]
         if of_policy:
-            plot = _demonstrations_plot(name, of_policy, drawn, counts)
+            plot = _demonstrations_plot(env, name, of_policy, drawn, counts)
             plot.axes.set_ylim(limits)
             plots.append(plot.svg())
     legend = [
@@ -225,10 +229,14 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
 
 
 def _demonstrations_plot(
-    name: str, entries: Sequence[Entry], drawn: Sequence[tuple[str, Shown]], counts: Sequence[int]
+    env: str,
+    name: str,
+    entries: Sequence[Entry],
+    drawn: Sequence[tuple[str, Shown]],
+    counts: Sequence[int],
 ) -> Plot:
     texts = [f"{e.method} with {e.demos}: {score(e)}" for e in entries]
-    said = f"Scores of {name} by demonstrations: {'; '.join(texts)}."
+    said = f"Scores of {name} in {env} by demonstrations: {'; '.join(texts)}."
     plot = Plot(said, f"{name}: score", "demonstrations (log)")
     plot.axes.set_xscale("log")
     plot.axes.set_xlim(0.8 * counts[0], 1.25 * counts[-1])

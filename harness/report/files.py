@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Collection, Sequence
-from operator import attrgetter
+from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from harness.judge.leaderboard import Entry
-from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell, Row
+from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell
 from harness.registry import choose
 from harness.report import charts, html
 from harness.report.columns import visible
@@ -19,7 +16,7 @@ from harness.report.figures import as_file, styled
 from harness.report.latex import as_latex
 from harness.report.markdown import as_markdown, leaderboard_md
 from harness.report.model import Board, Report
-from harness.report.spreadsheet import as_csv
+from harness.report.spreadsheet import as_csv, frame_of
 from harness.report.tables import Table
 from harness.run.files import write_atomic
 
@@ -96,8 +93,3 @@ def _scores_csv(report: Report) -> str:
     frame["program"] = [result.origin.get(PROGRAM_NAME, "") for result in mine]
     frame["finished"] = [result.finished for result in mine]
     return as_csv(frame)
-
-
-def frame_of(items: Sequence[Row] | Sequence[Entry], columns: Collection[str]) -> pd.DataFrame:
-    """Return a table of the items, a line each."""
-    return pd.DataFrame(map(attrgetter(*columns), items), columns=list(columns))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import gzip
 import hashlib
 import json
@@ -35,7 +36,7 @@ def render(report: Report) -> str:
     """Return the page of the report."""
     with styled():
         sections = [section for section in _sections(report) if section[3]]
-    every = [entry for board in report.shown for entry in board.entries]
+    every = [_flagged(entry, board.flag) for board in report.shown for entry in board.entries]
     leaderboard = Table("leaderboard", of_page(), every)
     folded = {board.name: _folded(board.name, board.results) for board in report.shown}
     drawn = [chart for *_, its in sections for chart in its]
@@ -131,6 +132,12 @@ def _folded(name: str, results: Sequence[Any]) -> list[Table]:
     """Return the tables of fits and of how episodes ended, those that have lines."""
     tables = facts.details(f"fits {name}", results), facts.endings(f"endings {name}", results)
     return [table for table in tables if table.items]
+
+
+def _flagged(entry: Entry, flag: str) -> Entry:
+    """Return the entry with a note that it is not a result, where it is not."""
+    note = "; ".join(filter(None, [f"{facts.NO_RESULT}: {flag}", entry.note]))
+    return dataclasses.replace(entry, note=note) if flag else entry
 
 
 def _choices(table: Table) -> dict[str, list[str]]:

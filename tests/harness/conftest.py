@@ -27,7 +27,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
     monkeypatch.setattr(engines, "Inline", engines.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
-    monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
+    monkeypatch.setitem(sys.modules, "harness.report.files", None)
     monkeypatch.setattr(commands, "handle_signals", lambda: None)
     fake_cells.install()
 

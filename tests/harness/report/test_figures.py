@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from typing import cast
-
-import pytest
-from harness.show.axes import draw_axes
-from matplotlib.figure import Figure
-
 from harness import scale
-from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.show import axes
+from harness.report import charts
+from harness.report.figures import Chart, look, styled
+from harness.report.model import Board, build
+from tests.harness.made_results import REQUEST
 
 
 def results(demos: tuple[int, ...], dynamics: tuple[str, ...]) -> list[CellResult]:
@@ -32,53 +26,59 @@ def results(demos: tuple[int, ...], dynamics: tuple[str, ...]) -> list[CellResul
     return found
 
 
+def drawn(results: list[CellResult]) -> tuple[list[Board], Chart | None]:
+    """Return the boards of results, and the chart of scores against demonstrations."""
+    report = build(REQUEST, results)
+    with styled():
+        return list(report.boards), charts.demonstrations(report.boards[0].env, report.entries)
+
+
 def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> None:
-    (picture,) = draw_axes("swingup", leaderboard(scored_rows(results((1, 5, 20), (NOMINAL,)))))
-    assert picture.file == "swingup_demonstrations.png"
-    assert "shaped pi_star with 5: 0.16" in picture.alt
-    assert "maxent pi_R with 20: 0.20" in picture.alt
-    assert picture.png.startswith(b"\x89PNG")
-    assert draw_axes("swingup", leaderboard(scored_rows(results((0,), (NOMINAL,))))) == []
-    assert draw_axes("swingup", leaderboard(scored_rows(results((5,), (NOMINAL,))))) == []
+    _, chart = drawn(results((1, 5, 20), (NOMINAL,)))
+    assert chart is not None
+    star, trained = chart.plots
+    assert "shaped with 5: 0.16" in star
+    assert "maxent with 20: 0.20" in trained
+    assert 'data-tip="maxent, 20 demonstrations: 0.20"' in trained
+    for few in ((0,), (5,)):
+        assert drawn(results(few, (NOMINAL,)))[1] is None
 
 
-def test_what_was_not_retrained_has_no_panel_and_intervals_do_not_stretch_the_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(axes, "picture", lambda file, title, alt, figure: figure)
-    both = results((1, 5, 20), (NOMINAL,))
-    for result in both:
-        if result.cell.method in ("shaped", "maxent"):
-            result.rows[1] = dataclasses.replace(result.rows[1], status="skipped", return_mean=math.nan)
-    entries = [
-        dataclasses.replace(entry, score_low=-90.0, score_high=90.0)
-        for entry in leaderboard(scored_rows(both))
+def test_lines_differ_in_colour_style_and_marker_together() -> None:
+    assert len({look(number) for number in range(24)}) == 24
+
+
+def test_transfer_shows_policies_carried_over_and_the_expert() -> None:
+    boards, _ = drawn(results((5, 20), (NOMINAL, "flipped", "heavy")))
+    variants = [board for board in boards if not board.is_nominal]
+    assert [board.name for board in variants] == [
+        f"swingup.{name}, {count} demonstrations" for name in ("flipped", "heavy") for count in (5, 20)
     ]
-    (figure,) = draw_axes("swingup", entries)
-    (panel,) = cast(Figure, figure).axes
-    low, high = panel.get_ylim()
-    assert -0.2 < low < 0
-    assert 1 < high < 1.2
+    with styled():
+        plots = [plot for board in variants if (chart := charts.scores(board)) for plot in chart.plots]
+        again = charts.scores(variants[0])
+    assert "shaped π* 0.16" in plots[0]
+    assert "0.46" not in plots[0], "of 20 demonstrations"
+    assert plots[0].count("var(--c2)") == 1, "the expert's level"
+    assert again is not None
+    assert again.plots == plots[:1]
 
 
-def test_methods_are_told_apart_by_colour_and_marker_together() -> None:
-    count = len(axes.COLOURS) + 5
-    looks = {axes.look(number) for number in range(count)}
-    assert len(looks) == count
+def test_a_figure_has_as_many_lines_as_can_be_distinguished_and_its_table_has_all() -> None:
+    _, many = scale.made_up((1, 20, 2, 1))
+    _, chart = drawn(many)
+    assert chart is not None
+    assert "The first 14 of 20 lines" in chart.note
+    assert chart.table is not None
+    assert len({entry.method for entry in chart.table.items}) == 20
+    assert len(chart.legend) == 14
 
 
-def test_transfer_has_a_panel_for_each_variant_of_what_is_shown_first() -> None:
-    entries = leaderboard(scored_rows(results((5, 20), (NOMINAL, "flipped", "heavy"))))
-    pictures = {picture.file: picture for picture in draw_axes("swingup", entries)}
-    assert list(pictures) == ["swingup_demonstrations.png", "swingup_transfer.png"]
-    alt = pictures["swingup_transfer.png"].alt
-    for text in ("flipped: shaped pi_star 0.16", "heavy: maxent pi_R 0.05", "heavy: reference expert 1.00"):
-        assert text in alt
-    assert "0.46" not in alt, "of 20 demonstrations"
-    assert draw_axes("swingup", entries)[1].png == pictures["swingup_transfer.png"].png
-
-
-def test_a_figure_has_as_many_lines_as_its_legend_leaves_room_for() -> None:
-    _, many = scale.made_up((1, 60, 2, 1))
-    (drawn,) = draw_axes("task0", leaderboard(scored_rows(many)))
-    assert drawn.title.endswith("(the first 56 of 60 lines)")
+def test_a_page_has_no_style_attributes_and_colours_of_its_own() -> None:
+    boards, _ = drawn(results((5,), (NOMINAL,)))
+    with styled():
+        chart = charts.scores(boards[0])
+    assert chart is not None
+    (plot,) = chart.plots
+    assert "style=" not in plot
+    assert "#" not in plot.replace('href="#', "").replace("url(#", "")

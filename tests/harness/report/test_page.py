@@ -101,9 +101,9 @@ def test_its_numbers_are_those_of_the_scores(page: Any, reported: Path) -> None:
     exact = page.eval_on_selector_all(LINES, "rows => rows.map(row => row.cells[4].dataset.v ?? 'NaN')")
     assert len(told) == len(exact) > 50
     for (env, dynamics, shown, method, policy, text), value in zip(told, exact, strict=True):
-        policy = {"π*": "pi_star", "π_R": "pi_R"}.get(policy, policy)
         demos = "0" if method in UNSHOWN else shown.split()[0]
-        known = [score for score in scores[env, dynamics, demos, method, policy] if math.isfinite(score)]
+        key = env, dynamics, demos, method, {"π*": "pi_star", "π_R": "pi_R"}.get(policy, policy)
+        known = [score for score in scores[key] if math.isfinite(score)]
         mean = sum(known) / len(known) if known else math.nan
         assert float(value) == pytest.approx(mean, rel=1e-9, abs=1e-9, nan_ok=True)
         assert text.partition(" ")[0] == (f"{mean:z.2f}" if known else "n/a")

@@ -31,7 +31,7 @@ from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.run.expert_set import shipped
 from harness.run.experts import expert_for
 from harness.run.files import sha256
-from harness.run.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
+from harness.run.keys import EXPERTS, cell_keys, experts_version, program
 from harness.run.opening import open_for_report, open_for_run
 from methods.network import Network
 
@@ -48,9 +48,6 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     there.mkdir(parents=True)
     for file in FOLDER.iterdir():
         (there / file.name).write_bytes(file.read_bytes())
-    (tmp_path / PAGE_PARTS[0]).parent.mkdir(parents=True)
-    for part in PAGE_PARTS:
-        (tmp_path / part).write_bytes((ROOT / part).read_bytes())
     for module in (keys, expert_set):
         monkeypatch.setattr(module, "ROOT", tmp_path)
     program.cache_clear()
