@@ -205,6 +205,11 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser("compare", help="what differs between runs", allow_abbrev=False)
     add.add_argument("directory", type=Path, metavar="A", help="the run that others are compared with")
     add.add_argument("others", nargs="+", type=Path, metavar="B")
+    for name, kinds in (("figure", "pdf|.svg|.png"), ("table", "tex|.md|.csv")):
+        add = commands.add_parser(name, help=f"a {name} of a run's scores, for a paper", allow_abbrev=False)
+        add.add_argument("directory", type=Path, metavar="DIR")
+        add.add_argument("--to", type=Path, required=True, metavar=f"FILE.{kinds}")
+        add.add_argument("--env", help="scores of one task (default: all)")
     add = commands.add_parser(
         "check", help="whether methods and environments keep the contract", allow_abbrev=False
     )

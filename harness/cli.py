@@ -61,10 +61,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         ignore_stops()
         again = _plain(shlex.join([*_program(), *argv]))
-        kept = "what is finished is kept. To go on, run the same again:\n  " + again
+        kept = f"what is finished is kept. To go on, run the same again:\n  {again}{_how_to_report(argv)}"
         resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
+
+
+def _how_to_report(argv: Sequence[str]) -> str:
+    """Return how to make the report of a run that was stopped; an empty text for another command."""
+    if argv[0] != "run":
+        return ""
+    command = [*_program(), "report", str(parser().parse_args(argv).out)]
+    return f"\nFor a report of what is finished:\n  {_plain(shlex.join(command))}"
 
 
 def _limits() -> dict[str, int]:
@@ -143,6 +151,8 @@ def _do(args: argparse.Namespace) -> int:
         return exchange.export(args)
     if args.command == "compare":
         return exchange.compare(args.directory, args.others)
+    if args.command in ("figure", "table"):
+        return exchange.drawn(args)
     if args.command == "reproduce":
         return commands.reproduce(args)
     return commands.run(args)

@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
 def reproduce(args: argparse.Namespace) -> int:
     """The study of the thesis, once under each protocol."""
     from harness.benchmarks import reproduce as study
-    from harness.show.terminal import wrapped
+    from harness.report.terminal import wrapped
 
     _prepare()
     handle_signals()
@@ -204,12 +204,10 @@ def _prepare() -> None:
     scratch.remove_abandoned(scratch.base())
     keys.versions(keys.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
-    if missing := [part for part in keys.PAGE_PARTS if part not in keys.program()]:
-        raise BadInput(f"{missing[0]} is missing; install the program again")
     try:
         importlib.import_module("harness.run.isolated")
         importlib.import_module("harness.schedule.grid")
-        importlib.import_module("harness.run.reporting")
+        importlib.import_module("harness.report.files")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
         raise BadInput(f"nothing can draw the report: {error}") from error
 

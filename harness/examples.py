@@ -47,6 +47,14 @@ EXAMPLES = {
         "irl-bench demos inspect recorded.npz --env swingup",
         "irl-bench demos inspect recorded.npz --env swingup --action-bounds=-2,2",
     ),
+    "irl-bench figure": (
+        "irl-bench figure results/latest --to scores.pdf",
+        "irl-bench figure results/latest --env highway --to highway.svg",
+    ),
+    "irl-bench table": (
+        "irl-bench table results/latest --to scores.tex",
+        "irl-bench table results/reference/board/highway --to highway.md",
+    ),
     "irl-bench compare": (
         "irl-bench compare results/before results/after",
         "irl-bench compare results/latest results/reference/quick_one_seed",

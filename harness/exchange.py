@@ -1,5 +1,6 @@
-"""What `demos`, `export`, `view` and `compare` do: what goes in and out besides scores, and runs side by
-side. Each returns the exit code (`harness.cli`)."""
+"""The commands `demos`, `export`, `view`, `compare`, `figure` and `table`: files besides a run's own.
+
+Each returns the exit code (`harness.cli`)."""
 
 from __future__ import annotations
 
@@ -13,14 +14,13 @@ import numpy as np
 
 from harness import outcome
 from harness.arguments import installed_version
-from harness.judge.results import Conditions
+from harness.judge.results import CellResult, Conditions, Request
 from harness.registry import ENVS, SPECS, BadInput, Demonstrator, choose
 from harness.run import baseline, keys, plugins
-from harness.run.files import new_folder
+from harness.run.files import new_folder, write_atomic
 from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
 from harness.run.signals import stop_cleanly
-from harness.show.compare import Run as Comparable
 from methods.base import Array
 
 
@@ -124,11 +124,12 @@ def view(args: argparse.Namespace) -> int:
 
 
 def compare(directory: Path, others: Sequence[Path]) -> int:
-    """Shows what differs between a run and each of the others."""
-    from harness.show import compare as comparison
-    from harness.show.tables import markdown
+    """Show what differs between a run and each of the others."""
+    from harness.report import compare as comparison
+    from harness.report.markdown import as_markdown
 
-    first, *rest = [_read(path) for path in (directory, *others)]
+    runs = [(str(path), *_read(path)) for path in (directory, *others)]
+    first, *rest = [comparison.Run(name, request.conditions, results) for name, request, results in runs]
     for other in rest:
         say(f"# {first.name}, and there: {other.name}\n")
         for line in comparison.differing(first, other):
@@ -137,17 +138,35 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
             say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
         if comparison.is_other_scale(first, other):
             say("- scores are not compared: 1 is what demonstrations return in one, and not in the other")
-        found = comparison.as_lines(comparison.differences(first, other))
-        say("\n" + markdown(comparison.HEADINGS, found) if found else "\nthere is nothing that both have")
+        table = as_markdown(comparison.differences(first, other))
+        say("\n" + table if table else "\nthere is nothing that both have")
     return 0
 
 
-def _read(path: Path) -> Comparable:
-    """A run to be compared. Raises BadInput where there is none with a finished cell."""
+def drawn(args: argparse.Namespace) -> int:
+    """Write a figure or a table of a run's scores into a file; `args.command` says which."""
+    from harness.report import files
+    from harness.report.model import build
+
+    kinds = files.FIGURES if args.command == "figure" else files.TABLES
+    kind = args.to.suffix.removeprefix(".")
+    if kind not in kinds:
+        raise BadInput(f"--to must end in {', '.join(f'.{one}' for one in kinds)}, not {args.to.name!r:.40}")
+    if args.to.resolve().is_relative_to(args.directory.resolve()):
+        raise BadInput(f"{args.to} lies in the run, whose files are its own; give another --to")
+    report = build(*_read(args.directory))
+    make = files.figure if args.command == "figure" else files.table
+    write_atomic(args.to, make(report, kind, args.env))
+    say(str(args.to))
+    return 0
+
+
+def _read(path: Path) -> tuple[Request, list[CellResult]]:
+    """Return the request and the cells of a run. Raises BadInput where it has no finished cell."""
     with open_to_verify(path) as run:
         results, unusable = run.load()
         beside, damaged = run.beside()
     outcome.tell_unusable(unusable | damaged, "left out")
     if not results and not beside:
         raise BadInput(f"{path} holds no finished cell")
-    return Comparable(str(path), run.request.conditions, [*results.values(), *beside])
+    return run.request, [*results.values(), *beside]

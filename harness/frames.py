@@ -18,12 +18,12 @@ from harness.arguments import parser
 from harness.judge.leaderboard import Entry
 from harness.judge.results import Row
 from harness.registry import BadInput
+from harness.report.spreadsheet import read_csv
 from harness.run import ours
 from harness.run import plugins as plugged_in
 from harness.run.files import opened
 from harness.run.opening import open_to_verify
 from harness.run.request import REQUEST
-from harness.show.spreadsheet import read_csv
 
 DEFAULT = Path("results/latest")
 NUMBERS = ("int", "float", "bool", "Count", "Seed")

@@ -37,16 +37,18 @@ def report(
     tables: bool = False,
     programs: TextIO | None = None,
 ) -> bool:
-    """Writes what these results come to, and says it in five lines. anew: even where it is as it was written.
+    """Writes what these results come to, and says it in a few lines. anew: even where it is as written.
     tables: printed besides. programs: of `for_programs`. Returns whether all is there that the run stored."""
+    from harness.report import terminal
+    from harness.report.files import recorded_in, write_report
+    from harness.report.model import build
     from harness.run.events import Reported, write
-    from harness.run.reporting import write_report
-    from harness.show import terminal
 
     incomplete = run.why_incomplete(results) if anew else ""
     forgotten = run.forgotten(results)
     damaged = run.damaged_files(results)
     beside, unusable = run.beside()
+    shown = [*results, *beside]
     if anew or not run.is_sealed(results):
         recorded = results if run.request.conditions.record != "none" else []
         compared = []
@@ -54,17 +56,19 @@ def report(
             from harness.recordings.ghosts import write_compared  # rerun is 30 MB
 
             compared = write_compared(run.path, recorded, run.is_as_written)
-        run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
-    shown = [*results, *beside]
-    for line in terminal.tables(run.request, shown) if tables else []:
+        built = build(run.request, shown, recorded_in(run.path))
+        run.seal(results, [*compared, *write_report(run.path, built)])
+    else:
+        built = build(run.request, shown)
+    for line in terminal.tables(built) if tables else []:
         say(line)
     say("")
-    found = terminal.found(run.request, shown, run.path)
-    for line in found:
+    closing = terminal.closing(built, run.path)
+    for line in closing:
         say(terminal.wrapped(line))
     if programs:
         failed = [result.cell.name for result in results if has_failed(result)]
-        write(programs, Reported(directory=str(run.path), failed=failed, found=found))
+        write(programs, Reported(directory=str(run.path), failed=failed, found=closing))
     there = {result.cell for result in shown}
     if absent := [cell.name for cell in run.request.cells if cell not in there]:
         say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")

@@ -16,9 +16,9 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 
 ROOMS = (
-    *("envs", "methods", "harness.registry", "harness.learn", "harness.judge", "harness.show"),
+    *("envs", "methods", "harness.registry", "harness.learn", "harness.judge"),
     ("harness.run", "harness.demonstrations", "harness.cell", "harness.schedule"),
-    *("harness.recordings", "harness.benchmarks", "harness"),
+    *("harness.report", "harness.recordings", "harness.benchmarks", "harness"),
 )
 """Each may import itself and those before it."""
 

@@ -21,13 +21,12 @@ from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput, LearnerName
+from harness.report.columns import score
+from harness.report.figures import BLUE, ORANGE, plot_seeds, styled
+from harness.report.spreadsheet import as_csv, frame_of
 from harness.run.files import write_atomic
 from harness.run.marked import open_marked
 from harness.run.request import STUDY
-from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
-from harness.show.report import frame_of
-from harness.show.spreadsheet import as_csv
-from harness.show.terminal import score_of
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
@@ -98,9 +97,9 @@ def closing_lines(runs: Runs, directory: Path) -> list[str]:
                 name = SURVIVAL if entry.role == SURVIVAL else entry.method
                 boards.setdefault(entry.env, {})[name, entry.policy] = entry
         for env, board in boards.items():
-            star, trained = (score_of(board[THESIS[0], policy]) for policy in ("pi_star", "pi_R"))
+            star, trained = (score(board[THESIS[0], policy]) for policy in ("pi_star", "pi_R"))
             alive = board[SURVIVAL, "pi_R"]
-            scores = f"pi* {star}, pi_R {trained}; {alive.method} {score_of(alive)}"
+            scores = f"pi* {star}, pi_R {trained}; {alive.method} {score(alive)}"
             lines.append(f"{env}, {protocol}: {scores}")
     return [*lines, f"look at {directory / 'study.md'}, and the figures there"]
 
@@ -132,7 +131,7 @@ def _figure_5_3(env: str, runs: Runs) -> Figure:
         under.set_ylabel("return under R*", color=YELLOW)
     lines = {
         "DDPG on the true reward": (BLUE, "-"),
-        "$\\pi^*$": (GREEN, ":"),
+        "π*": (GREEN, ":"),
         "DDPG on R*, under R*": (YELLOW, "-"),
         "the same, true return": (ORANGE, "-"),
     }

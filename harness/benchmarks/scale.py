@@ -29,11 +29,12 @@ from harness.judge.results import (
     row_of,
 )
 from harness.registry import ENVS
+from harness.report.files import recorded_in, write_report
+from harness.report.model import build
 from harness.run.codec import encode
 from harness.run.engines import Job, Outcome
 from harness.run.keys import origin
 from harness.run.opening import open_for_run
-from harness.run.reporting import write_report
 from harness.schedule.grid import Grid, Sink
 from harness.schedule.plan import Silent, Simulated
 
@@ -163,7 +164,7 @@ def report(shape: Shape) -> tuple[int, float]:
     request, results = made_up(shape)
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
-        write_report(Path(folder), request, results)
+        write_report(Path(folder), build(request, results, recorded_in(Path(folder))))
         return sum(len(result.rows) for result in results), time.process_time() - began
 
 

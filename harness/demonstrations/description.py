@@ -34,10 +34,10 @@ def _columns(found: Demonstrations, spec: EnvSpec) -> list[str]:
         lines = [f"choices     {units.first} to {units.first + spec.act_size - 1} there, {units.why}"]
     elif units:
         lines, native = [f"bounds      {units} there, {units.why}"], units.native(act)
-    width = max(len(str(quantity)) for quantity in (*spec.obs_names, *spec.act_names))
-    for name, column in zip(spec.obs_names, obs.T, strict=True):
+    width = max(len(str(quantity)) for quantity in (*spec.observations, *spec.actions))
+    for name, column in zip(spec.observations, obs.T, strict=True):
         lines.append(f"observed    {name!s:<{width}}  {_range(column)}, mean {column.mean():.3g}")
-    for i, (name, column) in enumerate(zip(spec.act_names, act.T, strict=True)):
+    for i, (name, column) in enumerate(zip(spec.actions, act.T, strict=True)):
         spread = f"{_range(column)}, mean {column.mean():.3g}"
         if native is not None:
             spread = f"{_range(native[:, i])} there, {spread} in [-1, 1]"

@@ -143,7 +143,7 @@ def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym
         row, entry = np.argwhere(outside)[0]
         raise ValueError(
             f"episode {_episode(row, lengths + 1)} observes {obs[row, entry]:.6g} as "
-            f"{spec.obs_names[entry].name}, which lies in [{low[entry]:g}, {high[entry]:g}]"
+            f"{spec.observations[entry].name}, which lies in [{low[entry]:g}, {high[entry]:g}]"
         )
 
 
@@ -169,7 +169,7 @@ def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> Array:
         entry = excess.max(axis=0).argmax()
         raise ValueError(
             f"{outside} of {len(excess)} actions ({100 * outside / len(excess):.2g} %) are outside of "
-            f"{units}, by {excess.max():.6g} at most, in {spec.act_names[entry].name}; if the environment "
+            f"{units}, by {excess.max():.6g} at most, in {spec.actions[entry].name}; if the environment "
             f"clipped them, clip them in the file, and only if all are in other units, give {OPTION}"
         )
     return units.scaled(act)

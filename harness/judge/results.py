@@ -5,7 +5,7 @@ DIR/cells/*.json            One file a finished cell, from which all tables and 
 DIR/baseline/*.json         Cells of other runs that this one is shown beside.
 DIR/scores.csv              One row per (env, method, seed, policy).
 DIR/leaderboard.csv, .md    Means over seeds.
-DIR/report.html, figures/   The report.
+DIR/report.html             The report.
 DIR/report.key              The cells and the program that the report was built from, with the size and digest
                             that the list of checksums had.
 DIR/recordings/*.rrd        Recordings of rerun; ENV__compare.rrd is built from the others.

@@ -153,14 +153,14 @@ def _plots(spec: EnvSpec, episode: Episode) -> list[Plot]:
         if len(names) > FEW:
             names, precision = ["smallest", "largest"], precision[:, [0, -1]]
         plots.append(Plot("precision", "Eigenvalues of L Lᵀ + I", names, precision))
-    names = [str(quantity) for quantity in spec.obs_names]
+    names = [str(quantity) for quantity in spec.observations]
     return [*plots, Plot("observation", "Observations", names, played.obs)]
 
 
 def _action_plots(spec: EnvSpec, acts: Mapping[str, Array | None]) -> list[Plot]:
     """Return a plot of each entry of the actions (T, A) by actor, or of each actor of many entries."""
     known = {actor: values for actor, values in acts.items() if values is not None}
-    names = [str(quantity) for quantity in spec.act_names]
+    names = [str(quantity) for quantity in spec.actions]
     if len(names) > FEW:
         plots = enumerate(known.items())
         return [Plot(f"action_{i}", f"Actions: {actor}", names, values) for i, (actor, values) in plots]

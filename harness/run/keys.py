@@ -60,7 +60,6 @@ PUBLIC = "irl_bench.py"
 """The module that gives plug-ins all of those under one name."""
 EXPERTS = ("results/reference/experts", "harness/shipped")
 """Where the shipped experts are: in the repository, and where the package is installed."""
-PAGE_PARTS = tuple(f"harness/show/report.{kind}" for kind in ("html.j2", "css", "js"))
 ROOT = Path(__file__).parents[2]
 _DECLARED = ast.dump(ast.Name(DECLARATION, ast.Store()))
 _DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)

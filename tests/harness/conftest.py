@@ -1,10 +1,8 @@
 """Fixtures of several files."""
 
-import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,9 +11,9 @@ from harness.demonstrations import apart
 from harness.run import engines, isolated
 from harness.run.environment import CACHE_VARIABLE
 from harness.schedule import grid
+from tests.harness.browser import browser, play  # noqa: F401, fixtures of all tests below
 
 HERE = Path(__file__).parent
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 Main = Callable[..., tuple[int, str, str]]
 
 
@@ -31,7 +29,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
     monkeypatch.setattr(engines, "Inline", engines.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
-    monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
+    monkeypatch.setitem(sys.modules, "harness.report.files", None)
     monkeypatch.setattr(commands, "handle_signals", lambda: None)
     fake_cells.install()
 
@@ -52,14 +50,3 @@ def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept between runs is in the test's folder."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-
-
-@pytest.fixture(scope="session")
-def play() -> Iterator[Any]:
-    """Playwright, which a process can have once."""
-    if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        yield playwright

@@ -24,7 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of, row_of
+from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of, row_of
+from harness.report.model import Report
 from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
 from harness.run.store import RunDirectory
@@ -206,10 +207,10 @@ def _leave_one_behind(directory: Path) -> None:
         time.sleep(0.01)
 
 
-def write_report(directory: Path, request: Request, results: list[CellResult]) -> list[Path]:
+def write_report(directory: Path, report: Report) -> list[Path]:
     names = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html")
     for name in names:
-        (directory / name).write_text(f"a table of {len(results)} cells\n")
+        (directory / name).write_text(f"a table of {len(report.results)} cells\n")
     return [directory / name for name in names]
 
 
@@ -233,9 +234,9 @@ def install() -> None:
     )
     os.environ["PYTHONPATH"] = os.pathsep.join([HERE, *filter(None, [os.environ.get("PYTHONPATH")])])
     harness.run.engines.Inline = functools.partial(harness.run.engines.Inline, work="fake_cells")
-    report = types.ModuleType("harness.run.reporting")
-    report.write_report = write_report
-    sys.modules["harness.run.reporting"] = report
+    files = types.ModuleType("harness.report.files")
+    files.write_report, files.recorded_in = write_report, lambda directory: ()
+    sys.modules["harness.report.files"] = files
 
 
 if __name__ == "__main__":

@@ -14,13 +14,13 @@ from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.judge.statistics import probability_of_improvement
 from harness.registry import BadInput
+from harness.report import compare
 from harness.run import baseline, keys, store
 from harness.run.codec import checksum
 from harness.run.environment import numeric
 from harness.run.files import append, sha256
 from harness.run.opening import open_for_run
 from harness.run.sums import SUMS, as_lines
-from harness.show import compare
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 
 MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
@@ -279,7 +279,7 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
     other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
     runs = [exchange._read(path) for path in (one, other)]
-    found = {(d.method, d.policy): d for d in compare.differences(*runs)}
+    found = {(d.method, d.policy): d for d in compare.differences(*runs).items}
     gail = found["gail", "pi_star"]
     assert (gail.seeds, gail.better) == (2, 1.0)
     assert gail.difference == pytest.approx(10 / 480)
@@ -316,8 +316,8 @@ def test_scores_of_other_scales_are_not_compared() -> None:
     without = dataclasses.replace(REQUEST.conditions, experts="none", demonstrations="abc: 3 episodes")
     results = [dataclasses.replace(result, task_version="a") for result in make_results()]
     one, other = (compare.Run("it", conditions, results) for conditions in (REQUEST.conditions, without))
-    assert compare.differences(one, one)
-    assert not compare.differences(one, other)
+    assert compare.differences(one, one).items
+    assert not compare.differences(one, other).items
     assert compare.is_other_scale(one, other)
     assert "demonstrations: none, there abc: 3 episodes" in compare.differing(one, other)
 

@@ -11,7 +11,8 @@ from types import MappingProxyType
 import msgspec
 import pytest
 
-from harness.judge.results import CellResult, Request
+from harness.judge.results import CellResult
+from harness.report.model import Report
 from harness.run import keys, opening, store
 from harness.run.events import AnyEvent, Begun, Ended, Reported
 from harness.schedule import plan
@@ -264,13 +265,13 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     built: list[int] = []
-    write_report = sys.modules["harness.run.reporting"].write_report
+    write_report = sys.modules["harness.report.files"].write_report
 
-    def count(directory: Path, request: Request, results: list[CellResult]) -> list[Path]:
-        built.append(len(results))
-        return write_report(directory, request, results)
+    def count(directory: Path, report: Report) -> list[Path]:
+        built.append(len(report.results))
+        return write_report(directory, report)
 
-    monkeypatch.setattr(sys.modules["harness.run.reporting"], "write_report", count)
+    monkeypatch.setattr(sys.modules["harness.report.files"], "write_report", count)
     out = ("--out", "run")
     for _ in range(2):
         assert main(*SMOKE, "--methods", "bc", *out)[0] == 0

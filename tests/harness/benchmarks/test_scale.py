@@ -14,12 +14,12 @@ import pytest
 
 from harness.benchmarks import scale
 from harness.judge.results import Request, Shown
+from harness.report import charts, curves, figures, html, model
+from harness.report.files import report_files
+from harness.report.model import build
 from harness.run.engines import Outcome
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.keys import PAGE_PARTS, ROOT, cell_keys
-from harness.show import charts, curves, figures, page, report
-
-PARTS = {Path(name).name: (ROOT / name).read_text(encoding="utf-8") for name in PAGE_PARTS}
+from harness.run.keys import cell_keys
 
 
 @pytest.fixture(autouse=True)
@@ -103,51 +103,49 @@ def test_keys_grow_no_faster_than_cells_and_hardly_with_their_seeds() -> None:
 def test_tables_grow_no_faster_than_rows(
     shape: Callable[[int], scale.Shape], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(report, "MOST_DRAWN", 0)
-    results = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
+    monkeypatch.setattr(model, "MOST_DRAWN", 0)
+    made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
 
     def work(count: int) -> None:
-        report.report_files(*results[count], PARTS, ())
+        report_files(build(*made[count]))
 
     assert growth(work, 1500) < 2.8
 
 
 def test_a_run_of_many_rows_is_drawn_in_few_figures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn, asked = [], []
-    monkeypatch.setattr(figures, "draw_scores", lambda board: drawn.append(board.name))
-    monkeypatch.setattr(report, "draw_axes", lambda *arguments: [])
-    for name in ("scores", "costs", "distances", "demonstrations"):
-        monkeypatch.setattr(charts, name, lambda *arguments: None)
+    monkeypatch.setattr(charts, "scores", lambda board: drawn.append(board.name))
+    for name in ("costs", "distances", "demonstrations"):
+        monkeypatch.setattr(charts, name, lambda *its: None)
     monkeypatch.setattr(curves, "learning", lambda board, most: asked.append(most))
-    monkeypatch.setattr(report, "MANY_ROWS", 2000)
-    monkeypatch.setattr(report, "MOST_LINES", 1000)
+    monkeypatch.setattr(model, "MANY_ROWS", 2000)
+    monkeypatch.setattr(model, "MOST_LINES", 1000)
     request, results = scale.made_up((2, 3, 40, 4))
-    files = report.report_files(request, results, PARTS, ())
+    files = report_files(build(request, results))
     rows = list(csv.DictReader(io.StringIO(str(files["scores.csv"]))))
     assert len(rows) == sum(len(result.rows) for result in results) > 2000
     lines = list(csv.DictReader(io.StringIO(str(files["leaderboard.csv"]))))
     boards = list(dict.fromkeys((line["env"], line["demos"]) for line in lines))
     assert len(boards) == 80
-    assert len(drawn) == report.MOST_DRAWN_OF_MANY
-    assert asked == [report.MOST_PANELS_OF_MANY] * report.MOST_DRAWN_OF_MANY
+    assert len(drawn) == model.MOST_DRAWN_OF_MANY
+    assert asked == [model.MOST_PANELS_OF_MANY] * model.MOST_DRAWN_OF_MANY
     shown = 1000 // (len(lines) // 80)
     assert str(files["leaderboard.md"]).count("## task") == shown
     assert str(files["report.html"]).count('data-name="endings ') == shown
     for file in ("report.html", "leaderboard.md"):
         text = str(files[file])
         assert f"the first {shown} of 80 boards are shown; leaderboard.csv has the lines of all" in text
-        assert f"figures are of the first {report.MOST_DRAWN_OF_MANY} boards" in text
+        assert f"figures are of the first {model.MOST_DRAWN_OF_MANY} boards" in text
         assert "task0, 1 demonstration" in text
         assert "task1, 40 demonstrations" not in text
 
 
 def test_a_page_lists_the_first_of_many_warnings_and_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figures, "draw_scores", lambda board: None)
-    monkeypatch.setattr(page, "MOST_LISTED", 5)
+    monkeypatch.setattr(html, "MOST_LISTED", 5)
     request, results = scale.made_up((2, 3, 1, 2))
     results = [dataclasses.replace(result, warnings=["odd"]) for result in results]
     recorded = [name for result in results for name in result.recordings]
-    text = str(report.report_files(request, results, PARTS, recorded)["report.html"])
+    text = report_files(build(request, results, recorded))["report.html"]
     assert text.count(": odd</li>") == 5
     assert f"and {len(results) - 5} more; scores.csv has every row" in text
     assert text.count("irl-bench view . --env") == 5

@@ -20,7 +20,7 @@ from harness.recordings import viewer
 from harness.recordings.episode import Episode, record
 from harness.recordings.scenes import scene
 from harness.registry import SPECS, BadInput
-from tests.harness.conftest import CHROMIUM
+from tests.harness.browser import CHROMIUM
 
 NAMES = (
     "cartpole__bc__seed0__pi_star.median.rrd",

@@ -29,9 +29,9 @@ from harness.judge.results import (
     Request,
     Row,
 )
+from harness.report.files import write_report
+from harness.report.model import build
 from harness.run.codec import checksum, decode, encode, printable
-from harness.run.reporting import write_report
-from harness.show import figures
 
 ODD: list[Any] = [
     *(
@@ -121,7 +121,6 @@ def test_what_is_stored_is_plain_json() -> None:
 def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tried: Tried
 ) -> None:
-    monkeypatch.setattr(figures, "draw_scores", lambda *_: None)
     payload = json.loads(encode(cell_with()))["result"]
     mutated = []
     for path in places(payload):
@@ -147,7 +146,7 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
             continue
         assert found.cell.name.replace("_", "").replace(".", "").isalnum()
         if counts["taken"] % 10 == 0:
-            write_report(tmp_path, REQUEST, [found, reference()])
+            write_report(tmp_path, build(REQUEST, [found, reference()]))
         assert leaderboard(scored_rows([found, reference()]))
     assert counts["refused"] > 1000
     assert counts["taken"] > 50
@@ -179,7 +178,7 @@ def test_extreme_numbers_can_be_drawn(tmp_path: Path) -> None:
     cell = CellResult(
         cell_with().cell, [Row(**{**vars(cell_with().rows[1]), "return_mean": LARGEST})], curves
     )
-    files = write_report(tmp_path, REQUEST, [decode(encode(cell)), reference()])
+    files = write_report(tmp_path, build(REQUEST, [decode(encode(cell)), reference()]))
     assert all(file.stat().st_size > 0 for file in files)
 
 
@@ -192,7 +191,7 @@ def test_much_is_refused_at_once_and_what_is_taken_is_reported_in_seconds(tmp_pa
     most = {f"curve {i}": [(float(x), 1.0) for x in range(MOST_POINTS)] for i in range(MOST_CURVES)}
     cells = [CellResult(cell_with(s).cell, cell_with(s).rows, most) for s in range(5)]
     started = time.process_time()
-    write_report(tmp_path, REQUEST, [*cells, *map(reference, range(5))])
+    write_report(tmp_path, build(REQUEST, [*cells, *map(reference, range(5))]))
     assert time.process_time() - started < 60
 
 
@@ -201,7 +200,7 @@ def test_texts_are_shown_and_do_nothing(tmp_path: Path) -> None:
     failed = cell_with(status="failed", reason=said)
     failed.warnings.append(said)
     failed.origin["processor"] = said
-    write_report(tmp_path, REQUEST, [decode(encode(failed)), reference()])
+    write_report(tmp_path, build(REQUEST, [decode(encode(failed)), reference()]))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script>alert" not in page
     assert "&lt;script&gt;" in page

@@ -312,10 +312,10 @@ def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_overwritten
 
 
 def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> None:
-    (copy / "harness/show/report.html.j2").unlink()
+    (copy / "harness/report/page.html.j2").unlink()
     told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
     assert process.returncode == 2
-    assert "report.html.j2 is missing" in told
+    assert "page.html.j2: No such file" in told
     assert not (copy / "run").exists()
 
 

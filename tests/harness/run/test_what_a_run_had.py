@@ -22,9 +22,7 @@ from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run
 __all__ = ["run"]
 
 
-@pytest.mark.parametrize(
-    "gone", ["cells/*", "recordings/*", "figures/*", "cells", "scores.csv", SUMS, "[!r]*"]
-)
+@pytest.mark.parametrize("gone", ["cells/*", "recordings/*", "cells", "scores.csv", SUMS, "[!r]*"])
 def test_whatever_a_run_had_and_has_no_more_is_damage(
     run: Path, gone: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -45,7 +43,7 @@ def test_cells_that_were_stored_before_the_first_report_are_listed_too(tmp_path:
     assert main(["verify", str(tmp_path)]) == 1
 
 
-@pytest.mark.parametrize("what", ["scores.csv", "figures/cartpole_scores.png", "report.key", "cells/*"])
+@pytest.mark.parametrize("what", ["scores.csv", "report.html", "report.key", "cells/*"])
 def test_a_list_of_checksums_that_was_shortened_is_damage_and_mended_by_report(
     run: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.judge.results import Cell, CellResult, Request
-from harness.show import terminal
-from harness.show.boards import Board
-from harness.show.summary import summary
+from harness.report import terminal
+from harness.report.heat import heat_map
+from harness.report.model import build
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 RUN = Path("results/latest")
@@ -20,9 +19,8 @@ ONE = dataclasses.replace(REQUEST, envs=("cartpole",))
 
 
 def found(results: list[CellResult], request: Request = ONE) -> dict[str, str]:
-    """The five lines by their labels."""
-    lines = terminal.found(request, results, RUN)
-    assert len(lines) == 5
+    """Return the closing lines by their labels."""
+    lines = terminal.closing(build(request, results), RUN)
     return {line[: terminal.LABEL].strip(): line[terminal.LABEL :] for line in lines}
 
 
@@ -53,12 +51,11 @@ def test_a_control_that_ties_is_a_warning() -> None:
     results = make_results(("cartpole",))
     # Survival has 450 of 500, the best method 440.
     assert found(results)["controls"] == (
-        "WARNING: a reward that knows nothing does as well as the best method's on "
-        "cartpole (control_survival 0.89)"
+        "WARNING: an uninformed reward does as well as the best method's on cartpole (control_survival 0.89)"
     )
     lower = found(changed(results, "control_survival", return_mean=300.0))["controls"]
     assert lower == (
-        "no reward that knows nothing comes within 0.05 of the best method's; "
+        "no uninformed reward comes within 0.05 of the best method's; "
         "the highest: control_survival 0.58 on cartpole"
     )
 
@@ -96,7 +93,7 @@ def test_what_is_not_told_apart_from_the_best_is_named() -> None:
         if result.cell.method == "shaped":
             swing = (30.0, -40.0, 10.0)[result.cell.seed]
             result.rows[:] = [dataclasses.replace(row, return_mean=470 + swing) for row in result.rows]
-    assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97], not told apart: shaped"
+    assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97], not significantly worse: shaped"
 
 
 def test_a_reward_that_rl_did_not_solve_is_named_and_marked() -> None:
@@ -108,22 +105,31 @@ def test_a_reward_that_rl_did_not_solve_is_named_and_marked() -> None:
             result.rows[1] = dataclasses.replace(result.rows[1], solved=1.0)
     lines = found(results)
     assert lines["pi_R"].endswith(
-        "; RL did not solve R* on every seed, which says nothing about the reward: shaped on cartpole"
+        "; RL did not solve R* on every seed, so the score says nothing about the reward: shaped on cartpole"
     )
     assert "RL did not" not in lines["pi*"]
-    (marked,) = [line for line in terminal.tables(ONE, results) if "R* solved on 67% of seeds" in line]
+    (marked,) = [line for line in terminal.tables(build(ONE, results)) if "R* solved on 67% of seeds" in line]
     assert marked.split()[:2] == ["shaped", "pi_R"]
-    rows = scored_rows(results)
-    boards = [Board("cartpole", leaderboard(rows), rows, results, "")]
-    (tile,) = [
-        tile
-        for _, columns in summary(boards).groups
-        for column in columns
-        for tile in column.tiles
-        if "†" in tile.mark
+    groups = heat_map(build(ONE, results).boards).groups
+    (tile,) = [t for group in groups for tiles in group.tiles for t in tiles if "†" in t.mark]
+    assert tile.tip.startswith("shaped, π_R, cartpole: ")
+    assert tile.tip.endswith("; the best; RL solved R* on 67% of seeds")
+
+
+def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
+    results = make_results(("cartpole",))
+    mine = [dataclasses.replace(r.cell, method="mine") for r in results if r.cell.method == "shaped"]
+    rows = [
+        [make_row("cartpole", "mine", c.seed, p, return_mean=430.0) for p in ("pi_star", "pi_R")]
+        for c in mine
     ]
-    assert tile.told.startswith("shaped, π_R, cartpole: ")
-    assert tile.told.endswith("; the best; RL solved R* on 67% of seeds")
+    results += [CellResult(cell, its) for cell, its in zip(mine, rows, strict=True)]
+    request = dataclasses.replace(ONE, methods=("shaped", "mine", "other"))
+    assert found(results, request)["yours"] == (
+        "mine: on cartpole its pi* scores 0.86 [0.85, 0.87] and ranks 3 of 4, "
+        "its pi_R scores 0.86 [0.85, 0.87] and ranks 1 of 3; other: no cell of it is finished"
+    )
+    assert "yours" not in found(make_results(("cartpole",)))
 
 
 def test_who_shares_no_seed_with_the_best_is_named_apart() -> None:
@@ -132,7 +138,9 @@ def test_who_shares_no_seed_with_the_best_is_named_apart() -> None:
     assert found(results)["pi_R"] == (
         "cartpole: shaped 0.88 [0.87, 0.88] (1 of 3 seeds), no seed in common: maxmargin"
     )
-    (line,) = [line for line in terminal.tables(ONE, results) if line.split()[:2] == ["maxmargin", "pi_R"]]
+    (line,) = [
+        line for line in terminal.tables(build(ONE, results)) if line.split()[:2] == ["maxmargin", "pi_R"]
+    ]
     assert "no seed in common" in line
     assert "the best" not in line
 
@@ -140,7 +148,7 @@ def test_who_shares_no_seed_with_the_best_is_named_apart() -> None:
 def test_a_number_beyond_all_bounds_is_short() -> None:
     results = changed(make_results(("cartpole",)), "shaped", return_mean=1e99)
     assert "shaped 2.083e+96" in found(results)["pi_R"]
-    assert max(map(len, terminal.tables(ONE, results))) <= 100
+    assert max(map(len, terminal.tables(build(ONE, results)))) <= 100
 
 
 def test_a_best_of_fewer_seeds_says_so() -> None:
@@ -154,8 +162,8 @@ def test_a_best_of_fewer_seeds_says_so() -> None:
 def test_of_many_boards_it_counts() -> None:
     envs = ("cartpole", "pendulum", "highway", "acrobot")
     lines = found(make_results(envs), dataclasses.replace(REQUEST, envs=envs))
-    assert lines["pi*"] == "best or not told apart from it, of 4 boards: bc on 4"
-    assert lines["pi_R"] == "best or not told apart from it, of 4 boards: shaped on 4"
+    assert lines["pi*"] == "best, or not significantly worse, of 4 boards: bc on 4"
+    assert lines["pi_R"] == "best, or not significantly worse, of 4 boards: shaped on 4"
 
 
 def test_who_asks_the_expert_is_marked_and_no_rival() -> None:
@@ -163,9 +171,9 @@ def test_who_asks_the_expert_is_marked_and_no_rival() -> None:
     for seed in range(3):
         row = make_row("cartpole", "dagger", seed, "pi_star", return_mean=499.0)
         results.append(CellResult(Cell("cartpole", "dagger", seed), [row]))
-    assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97]; dagger asks the expert and is no rival"
-    table = "\n".join(terminal.tables(ONE, results))
-    assert "asks the expert: no rival" in table
+    assert found(results)["pi*"] == "cartpole: bc 0.95 [0.92, 0.97]; dagger asks the expert and is not ranked"
+    table = "\n".join(terminal.tables(build(ONE, results)))
+    assert "asks the expert: not ranked" in table
 
 
 def test_cells_of_a_baseline_are_counted_apart() -> None:
@@ -177,7 +185,7 @@ def test_without_pi_r_there_is_nothing_to_compare() -> None:
     results = [r for r in make_results(("cartpole",)) if r.cell.method in ("bc", "reference")]
     lines = found(results)
     assert lines["pi_R"] == "no method has a score"
-    assert lines["controls"] == "no pi_R to compare with one of a reward that knows nothing"
+    assert lines["controls"] == "no pi_R to compare with that of an uninformed reward"
 
 
 def test_recordings_are_named_where_there_are_any() -> None:
@@ -202,10 +210,10 @@ def test_tables_have_five_columns_within_the_terminals_width(
     columns: int, width: Callable[[int], None]
 ) -> None:
     width(columns)
-    lines = terminal.tables(REQUEST, make_results())
+    lines = terminal.tables(build(REQUEST, make_results()))
     assert max(map(len, lines)) <= columns
     heading = next(line for line in lines if "Method" in line)
-    assert [name for name in terminal.HEADINGS if name in heading] == list(terminal.HEADINGS)
+    assert all(name in heading for name in ("Method", "Policy", "Score", "Behind the best", "Note"))
     shaped = next(line for line in lines if line.startswith(" shaped") and "pi_R" in line)
     assert shaped.split()[:3] == ["shaped", "pi_R", "0.86"]
     assert ("[0.84, 0.89]" in shaped) == (columns >= terminal.WITH_INTERVALS)
@@ -219,7 +227,7 @@ def test_tables_have_five_columns_within_the_terminals_width(
 
 @pytest.mark.parametrize("columns", [60, 200])
 def test_lines_are_wrapped_on_a_terminal_alone(columns: int, width: Callable[[int], None]) -> None:
-    lines = terminal.found(ONE, make_results(("cartpole",)), RUN)
+    lines = terminal.closing(build(ONE, make_results(("cartpole",))), RUN)
     assert [terminal.wrapped(line) for line in lines] == lines, "of a file a line is one line"
     width(columns)
     for line in lines:

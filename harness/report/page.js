@@ -2,20 +2,15 @@
 document.documentElement.classList.add("scripted");
 
 const tip = document.getElementById("tip");
-let told = null;
-
-function meaning(button) {
-  const names = button.closest(".table")?.querySelectorAll("dt") ?? [];
-  for (const name of names) if (name.textContent === button.textContent) return name.nextElementSibling.textContent;
-  return "";
-}
+let described = null;
 
 function tell(target) {
-  const at = target.closest?.("[data-tip], thead th button");
-  if (at === told) return;
-  told?.removeAttribute("aria-describedby");
-  told = at;
-  const text = at && (at.dataset.tip || meaning(at));
+  const at = target.closest?.("[data-tip], th[data-column] button");
+  if (at === described) return;
+  described?.removeAttribute("aria-describedby");
+  described = at;
+  const column = at?.parentElement.dataset.column;
+  const text = column ? document.getElementById(`column-${column}`).textContent : at?.dataset.tip;
   tip.hidden = !text;
   if (!text) return;
   tip.textContent = text;
@@ -54,41 +49,32 @@ for (const map of document.querySelectorAll(".heat")) {
   });
 }
 
-function value(cell) {
-  return cell.dataset.v === undefined ? NaN : Number(cell.dataset.v);
-}
-
 function sort(button) {
   const head = button.closest("th");
   const body = head.closest("table").tBodies[0];
-  const column = head.cellIndex;
   const numeric = head.classList.contains("n");
   const before = head.getAttribute("aria-sort");
   const up = before ? before === "descending" : !numeric;
   const way = up ? 1 : -1;
   for (const other of head.parentElement.cells) other.removeAttribute("aria-sort");
   head.setAttribute("aria-sort", up ? "ascending" : "descending");
-  const rows = [...body.rows].map((row) => [row, row.cells[column]]);
+  const rows = [...body.rows].map((row) => [row, row.cells[head.cellIndex]]);
   const texts = new Intl.Collator("en", { numeric: true });
   rows.sort(([, a], [, b]) => {
     if (!numeric) return way * texts.compare(a.textContent, b.textContent);
-    const [x, y] = [value(a), value(b)];
+    const [x, y] = [Number(a.dataset.v ?? NaN), Number(b.dataset.v ?? NaN)];
     return Number.isNaN(x) || Number.isNaN(y) ? Number.isNaN(x) - Number.isNaN(y) : way * (x - y);
   });
   body.append(...rows.map(([row]) => row));
 }
 
-function headings(table) {
-  return [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
-}
-
 const board = document.getElementById("lines");
-const filters = [...document.querySelectorAll("select[data-column]")];
+const filters = [...document.querySelectorAll("select[data-filter]")];
 
 function filter() {
   const table = board.querySelector("table");
-  const names = headings(table);
-  const asked = filters.filter((one) => one.value).map((one) => [names.indexOf(one.dataset.column), one.value]);
+  const place = (key) => table.tHead.querySelector(`[data-column="${key}"]`).cellIndex;
+  const asked = filters.filter((one) => one.value).map((one) => [place(one.dataset.filter), one.value]);
   let shown = 0;
   for (const row of table.tBodies[0].rows) {
     row.hidden = asked.some(([column, text]) => row.cells[column].textContent !== text);
@@ -103,23 +89,25 @@ if (board) {
 }
 
 document.getElementById("more")?.addEventListener("click", (event) => {
-  const all = board.classList.toggle("all");
-  event.target.setAttribute("aria-pressed", all);
+  event.target.setAttribute("aria-pressed", board.classList.toggle("all"));
 });
+
+const visible = (table) => [...table.tBodies[0].rows].filter((row) => !row.hidden);
 
 function csv(table) {
   const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  // A spreadsheet would compute a text that begins like this (harness/show/spreadsheet.py).
+  // A spreadsheet would compute a text that begins like this (spreadsheet.py).
   const plain = (text) => (/^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(text) ? `'${text}` : text);
-  const rows = [...table.tBodies[0].rows].filter((row) => !row.hidden);
-  const bounded = headings(table).map((_, i) => rows.some((row) => row.cells[i].dataset.b));
-  const head = headings(table).flatMap((name, i) => {
-    const plain = name.replace(" [95 %]", "");
-    return bounded[i] ? [plain, `${plain} low`, `${plain} high`] : [plain];
+  const rows = visible(table);
+  const heads = [...table.tHead.rows[0].cells];
+  const bounded = heads.map((_, i) => rows.some((row) => row.cells[i].dataset.b));
+  const head = heads.flatMap((cell, i) => {
+    const title = cell.firstElementChild.dataset.title;
+    return bounded[i] ? [title, `${title} low`, `${title} high`] : [title];
   });
   const lines = rows.map((row) =>
     [...row.cells].flatMap((cell, i) => {
-      const text = cell.dataset.v ?? (table.tHead.rows[0].cells[i].className === "n" ? "" : plain(cell.textContent));
+      const text = cell.dataset.v ?? (heads[i].classList.contains("n") ? "" : plain(cell.textContent));
       return bounded[i] ? [text, ...(cell.dataset.b ?? " ").split(" ")] : [text];
     }),
   );
@@ -128,16 +116,15 @@ function csv(table) {
 
 function tex(table) {
   const special = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}" };
-  const safe = (text) =>
-    text.replace(/[\\~^&%$#_{}]/g, (c) => special[c] ?? `\\${c}`).replaceAll("π", "$\\pi$").replaceAll("\u2212", "$-$");
-  const visible = (cell) => getComputedStyle(cell).display !== "none";
-  const line = (row) => [...row.cells].filter(visible).map((cell) => safe(cell.textContent)).join(" & ") + " \\\\\n";
+  const names = { "π*": "$\\pi^*$", π_R: "$\\pi_R$", "\u2212": "$-$" };
+  const safe = (text) => text.replace(/π\*|π_R|[\\~^&%$#_{}\u2212]/g, (c) => names[c] ?? special[c] ?? `\\${c}`);
+  const cells = (row) => [...row.cells].filter((cell) => getComputedStyle(cell).display !== "none");
+  const line = (row) => cells(row).map((cell) => safe(cell.textContent)).join(" & ") + " \\\\\n";
   const head = table.tHead.rows[0];
-  const columns = [...head.cells].filter(visible).map((cell) => (cell.className === "n" ? "r" : "l")).join("");
-  const rows = [...table.tBodies[0].rows].filter((row) => !row.hidden);
+  const kinds = cells(head).map((cell) => (cell.classList.contains("n") ? "r" : "l")).join("");
   return (
-    `% \\usepackage{booktabs}\n\\begin{tabular}{${columns}}\n\\toprule\n${line(head)}\\midrule\n` +
-    `${rows.map(line).join("")}\\bottomrule\n\\end{tabular}\n`
+    `% \\usepackage{booktabs}\n\\begin{tabular}{${kinds}}\n\\toprule\n${line(head)}\\midrule\n` +
+    `${visible(table).map(line).join("")}\\bottomrule\n\\end{tabular}\n`
   );
 }
 
@@ -156,12 +143,11 @@ async function unpack(text) {
 
 document.addEventListener("click", async (event) => {
   const button = event.target.closest("button");
-  if (!button) return;
-  const within = button.closest(".table");
-  if (button.dataset.file) {
+  const within = button?.closest(".table");
+  if (button?.dataset.file) {
     const files = JSON.parse(document.getElementById("files").textContent);
     save(`${button.dataset.file}.csv`, await unpack(files[button.dataset.file]));
-  } else if (button.dataset.save) {
+  } else if (button?.dataset.save) {
     const text = { csv, tex }[button.dataset.save](within.querySelector("table"));
     save(`${within.dataset.name}.${button.dataset.save}`, new Blob([text], { type: "text/plain" }));
   } else if (within && button.closest("thead")) sort(button);

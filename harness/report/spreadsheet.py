@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, BinaryIO
 
 import pandas as pd
 
 FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """The beginning of a text that a spreadsheet would compute, with any apostrophes before it.
-`report.js` has the same."""
+`page.js` has the same."""
+
+
+def frame_of(items: Iterable[Any], fields: Sequence[str]) -> pd.DataFrame:
+    """Return a table of these fields of the items, a line each."""
+    return pd.DataFrame(map(attrgetter(*fields), items), columns=list(fields))
 
 
 def as_csv(table: pd.DataFrame, **options: Any) -> str:

@@ -32,9 +32,11 @@ from harness.judge.results import (
     PolicyName,
     Shown,
 )
-from harness.run.reporting import write_report
-from harness.show import curves, figures, spreadsheet
-from harness.show.boards import Board
+from harness.registry import BadInput
+from harness.report import curves, spreadsheet
+from harness.report.figures import styled
+from harness.report.files import figure, recorded_in, table, write_report
+from harness.report.model import build
 from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results, make_row
 
 SIGNS = Path(__file__).parents[3] / "results/reference/signs/native"
@@ -67,7 +69,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("report")
     (directory / "recordings").mkdir()
     (directory / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
-    write_report(directory, REQUEST, with_warning(make_results()))
+    write_report(directory, build(REQUEST, with_warning(make_results()), recorded_in(directory)))
     return directory
 
 
@@ -103,12 +105,11 @@ def test_scores_hold_every_row_in_order_with_its_normalized_score(report: Path) 
 def test_equal_results_give_equal_files_in_whatever_order_they_come(report: Path, tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
     (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
-    write_report(tmp_path, REQUEST, with_warning(make_results())[::-1])
+    write_report(tmp_path, build(REQUEST, with_warning(make_results())[::-1], recorded_in(tmp_path)))
     files = sorted(path.relative_to(report) for path in report.rglob("*") if path.is_file())
-    figures = [f"figures/{env}_scores.png" for env in ENVS]
     tables = ["leaderboard.csv", "leaderboard.md", "report.html", "scores.csv"]
     recordings = ["recordings/cartpole__shaped__seed0__pi_R.rrd"]
-    assert sorted(map(str, files)) == sorted(figures + tables + recordings)
+    assert sorted(map(str, files)) == sorted(tables + recordings)
     for file in files:
         assert (report / file).read_bytes() == (tmp_path / file).read_bytes(), file
 
@@ -126,13 +127,13 @@ def test_equal_results_give_equal_files_in_whatever_order_sets_are(tmp_path: Pat
 
 def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -> None:
     results = [r for r in make_results(seeds=1) if r.cell.method != "reference" or r.cell.env == "pendulum"]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     for row in read_csv(tmp_path / "scores.csv"):
         known = row["env"] == "pendulum" and row["status"] == "ok"
         assert (row["normalized_score"] != "") == known
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
-    assert "| shaped | pi_R | n/a |  | n/a | 1 of 1 | not scored (seed 0)" in cartpole
-    assert "| shaped | pi_R | 440.0 [439.9, 440.1] | 12.5 |" in cartpole
+    assert "| shaped | π_R | n/a |  | n/a | 1 of 1 | not scored (seed 0)" in cartpole
+    assert "| shaped | π_R | 440.0 [439.9, 440.1] | 12.5 |" in cartpole
     assert "nan" not in (tmp_path / "leaderboard.md").read_text()
     text = Page((tmp_path / "report.html").read_text()).text
     assert "cartpole, seed 0: no scores" in text
@@ -140,19 +141,19 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
 
 
 def test_a_run_that_has_only_its_reference_yet_draws_nothing(tmp_path: Path) -> None:
-    write_report(tmp_path, REQUEST, [r for r in make_results(seeds=1) if r.cell.method == "reference"])
-    assert not list(tmp_path.glob("figures/*"))
+    write_report(tmp_path, build(REQUEST, [r for r in make_results(seeds=1) if r.cell.method == "reference"]))
+    assert "<svg" not in (tmp_path / "report.html").read_text()
     assert "reference" in (tmp_path / "leaderboard.md").read_text()
 
 
 def test_the_report_says_where_the_time_went(tmp_path: Path) -> None:
     results = make_results(("cartpole",), seeds=1)
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     assert "Where the time went" not in (tmp_path / "leaderboard.md").read_text()  # of cells that do not say
     for result in results:
         result.seconds.update(fit=1.0, start=0.5)
     results[0].seconds["retrain"] = 3.5
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     spent = 1.5 * len(results) + 3.5
     table = (tmp_path / "leaderboard.md").read_text().partition("Where the time went")[2]
     for stage, took in (("fit", len(results)), ("start", len(results) / 2), ("retrain", 3.5)):
@@ -169,7 +170,7 @@ def test_one_seed_has_the_interval_over_episodes_and_says_so(tmp_path: Path) -> 
         (shaped.return_high - shaped.return_low) / 480
     )
     assert shaped.varies == "episodes"
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     assert "one seed: intervals are over episodes" in (tmp_path / "leaderboard.md").read_text()
 
 
@@ -185,7 +186,7 @@ def test_what_an_uninformed_control_wins_is_left_out_of_the_summary_and_said(tmp
     assert list(left_out) == ["pendulum"]
     assert "control_survival scores 1.00 there, the best method 0.86" in left_out["pendulum"]
     assert overall(rows, tuple(left_out)) == []  # one env is left
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     for name in ("leaderboard.md", "report.html"):
         assert "pendulum is left out: control\\_survival" in (text := (tmp_path / name).read_text()) or (
             "pendulum is left out: control_survival" in text
@@ -207,7 +208,7 @@ def test_across_environments_boards_of_the_same_demonstrations_are_compared(tmp_
             for demos in (5, 20):
                 rows = [replace(row, demos=demos) for row in result.rows]
                 results.append(replace(result, cell=replace(cell, shown=Shown(demos)), rows=rows))
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     text = (tmp_path / "leaderboard.md").read_text()
     across = text[text.index("## Across environments") : text.index("## cartpole")]
     assert "pendulum is left out: control_shuffled scores 1.00" in across
@@ -222,29 +223,46 @@ def test_what_is_no_result_is_headed_so_everywhere(tmp_path: Path, why: str) -> 
     if why == "below its bar":
         results = [replace(r, below_bar=r.cell == Cell("pendulum", "reference", 0)) for r in results]
     conditions = Conditions("smoke" if why == "smoke" else "quick", "absorbing", "sbx")
-    files = write_report(tmp_path, replace(REQUEST, conditions=conditions), results)
+    files = write_report(tmp_path, build(replace(REQUEST, conditions=conditions), results))
     table, page = ((tmp_path / name).read_text() for name in ("leaderboard.md", "report.html"))
     assert table.startswith("# NOT A RESULT: Leaderboard" if why else "# Leaderboard")
     assert ("<h1>NOT A RESULT" in page) == bool(why)
     for env in ENVS:
         flagged = why == "smoke" or (why != "" and env == "pendulum")
         assert (f"## {env}: NOT A RESULT" in table) == flagged
-        title = re.search(rf'<figure id="board-{env}">.*?<h3>(.*?)</h3>', page, re.DOTALL)
+        title = re.search(rf'<div id="board-{env}"><h3>(.*?)</h3>', page, re.DOTALL)
         assert title
         assert ("NOT A RESULT" in title[1]) == flagged
-    assert len(files) == 4 + len(ENVS)
+    assert len(files) == 4
 
 
-def test_figures_of_no_result_say_so() -> None:
-    results = make_results(("cartpole",), seeds=1)
-    rows = scored_rows(results)
-    plain, flagged = (
-        figures.draw_scores(Board("cartpole", leaderboard(rows), rows, results, flag))
-        for flag in ("", "one seed")
-    )
-    assert plain
-    assert flagged
-    assert plain.png != flagged.png
+@pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_figures_for_papers_are_equal_for_equal_results_and_say_what_is_no_result(
+    kind: str, begins: bytes
+) -> None:
+    report = build(REQUEST, make_results(seeds=1))
+    drawn = figure(report, kind, "cartpole")
+    assert drawn.startswith(begins)
+    assert drawn == figure(report, kind, "cartpole")
+    below = [replace(r, below_bar=r.cell.method == "reference") for r in report.results]
+    assert drawn != figure(build(REQUEST, below), kind, "cartpole")
+    if kind == "svg":
+        assert b">control_survival<" in drawn
+        assert b">pendulum<" in figure(report, kind)
+
+
+def test_tables_for_papers_have_the_boards_scores() -> None:
+    report = build(REQUEST, make_results())
+    tex, md, csv_ = (table(report, kind, "cartpole") for kind in ("tex", "md", "csv"))
+    assert tex.count(r"\begin{tabular}{llrrrrl}") == tex.count(r"\bottomrule") == 1
+    assert r"shaped & $\pi_R$ & 0.86 [0.84, 0.89] & the best &" in tex
+    assert md.startswith("## cartpole\n\n| Method | Policy | Score [95 %] |")
+    lines = list(csv.DictReader(io.StringIO(csv_)))
+    assert {line["env"] for line in lines} == {"cartpole"}
+    assert len(lines) == sum(entry.env == "cartpole" for entry in report.entries)
+    assert table(report, "tex").count(r"\begin{tabular}") == len(ENVS)
+    with pytest.raises(BadInput, match="no env of this run named 'cartpol'"):
+        table(report, "tex", "cartpol")
 
 
 def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
@@ -257,7 +275,7 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
         )
         for r in make_results(("cartpole",))
     ]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     for name in ("leaderboard.md", "report.html"):
         text = (tmp_path / name).read_text()
         for said in (
@@ -269,7 +287,7 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
             assert said in text, said
     assert "--fast" not in text
     fast = replace(REQUEST, conditions=replace(REQUEST.conditions, deterministic=False))
-    write_report(tmp_path, fast, results)
+    write_report(tmp_path, build(fast, results))
     text = (tmp_path / "leaderboard.md").read_text()
     assert "instructions of the machine" in text
     assert (
@@ -288,11 +306,11 @@ def test_tables_and_pages_say_what_they_are_of(tmp_path: Path) -> None:
 def test_one_rule_tells_who_is_best_wherever_it_is_told(tmp_path: Path) -> None:
     kept = {"shaped": 0, "maxmargin": 1}
     results = [r for r in make_results(("cartpole",)) if kept.get(r.cell.method, r.cell.seed) == r.cell.seed]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     (line,) = [
         line
         for line in (tmp_path / "leaderboard.md").read_text().splitlines()
-        if line.startswith("| maxmargin | pi_R | 0.") and "seed in common" in line
+        if line.startswith("| maxmargin | π_R | 0.") and "seed in common" in line
     ]
     assert "the best" not in line
     page = (tmp_path / "report.html").read_text()
@@ -316,7 +334,7 @@ def test_numbers_beyond_all_bounds_are_short_everywhere(tmp_path: Path) -> None:
             result.details["size"] = -1e99
             result.curves["pi_R_chosen"] = [(5000.0, 1e99)]
             result.curves["pi_R_true"] = [(5000.0, 1e99)]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     for name in ("leaderboard.md", "report.html"):
         text = (tmp_path / name).read_text()
         assert "-1e+99" in text
@@ -349,7 +367,7 @@ def test_no_column_of_texts_holds_a_formula(tmp_path: Path) -> None:
         )
         for r in make_results(("cartpole",))
     ]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     for name in ("scores.csv", "leaderboard.csv"):
         cells = {value for row in read_csv(tmp_path / name) for value in row.values()}
         assert not [cell for cell in cells if cell[:1] in tuple("=+-@")]
@@ -368,7 +386,7 @@ def test_details_of_fits_are_told(tmp_path: Path) -> None:
         )
         for r in make_results(("cartpole",))
     ]
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results))
     assert "| shaped | eigenvalues of LLᵀ, mean | 2e-05 |" in (tmp_path / "leaderboard.md").read_text()
     assert "eigenvalues of LLᵀ, mean" in (tmp_path / "report.html").read_text()
 
@@ -378,18 +396,17 @@ def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
     for result in results:
         if "pi_R" in result.curves:
             result.curves["pi_R_chosen"] = [result.curves["pi_R"][9]]
-    rows = scored_rows(results)
-    board = Board("cartpole", leaderboard(rows), rows, results, "")
-    chart = curves.learning(board)
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        chart, few = curves.learning(board, 60), curves.learning(board, 2)
     assert chart is not None
-    assert len(chart.plots) == 7  # control_true and the other controls, shaped, maxmargin
-    shaped = next(plot for plot in chart.plots if ">shaped<" in plot)
+    assert few is not None
+    (plot,) = chart.plots
+    assert plot.count('font-weight="700"') == 7, "control_true and the other controls, shaped, maxmargin"
     chosen = [dict(r.curves["pi_R_true"])[9000.0] for r in results if r.cell.method == "shaped"]
     for value in chosen:
-        assert f"steps 9,000: true return {value:.1f}" in shaped
-    few = curves.learning(board, 2)
-    assert few is not None
-    assert (len(few.plots), few.note) == (2, "The first 2 of 7 panels.")
+        assert f'data-tip="shaped, steps 9,000: true return {value:.1f}"' in plot
+    assert few.note == "The first 2 of 7 panels."
     assert few.data is not None
     drawn = {"maxmargin", "shaped", "control_true"}  # the last in each of the two panels
     assert {*few.data["method"]} - {"reference"} == drawn
@@ -404,7 +421,7 @@ def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
                 {"\u8a9e": [(0.0, 1.0)]},
             )
         ]
-        write_report(tmp_path, REQUEST, results)
+        write_report(tmp_path, build(REQUEST, results))
     assert [str(one.message) for one in told] == []
 
 
@@ -416,8 +433,8 @@ def test_markdown_tables_are_rectangular(report: Path) -> None:
         "Computed with",
     ]
     assert len(tables) == 6  # three for each env
-    for table in tables:
-        lines = [line.replace(r"\|", "") for line in table.splitlines() if line.startswith("|")]
+    for one in tables:
+        lines = [line.replace(r"\|", "") for line in one.splitlines() if line.startswith("|")]
         assert len({line.count("|") for line in lines}) == 1
         assert lines[0].count("|") <= 9  # eight columns
 
@@ -447,20 +464,18 @@ def test_a_recording_of_a_policy_without_a_row_has_no_score(tmp_path: Path) -> N
     shaped = next(i for i, r in enumerate(results) if r.recordings)
     kept = [row for row in results[shaped].rows if row.policy != "pi_R"]
     results[shaped] = replace(results[shaped], rows=kept)
-    (tmp_path / "recordings").mkdir()
-    (tmp_path / "recordings" / "cartpole__shaped__seed0__pi_R.rrd").touch()
-    write_report(tmp_path, REQUEST, results)
+    write_report(tmp_path, build(REQUEST, results, ["cartpole__shaped__seed0__pi_R.rrd"]))
     text = Page((tmp_path / "report.html").read_text()).text
     assert "__pi_R.rrdn/atime limit" in "".join(text.split("\n"))
 
 
 def test_one_machine_is_no_warning(tmp_path: Path) -> None:
-    write_report(tmp_path, REQUEST, make_results())
+    write_report(tmp_path, build(REQUEST, make_results()))
     assert "different machines" not in (tmp_path / "report.html").read_text()
 
 
 def test_no_results_make_an_empty_report(tmp_path: Path) -> None:
-    write_report(tmp_path, REQUEST, [])
+    write_report(tmp_path, build(REQUEST, []))
     assert read_csv(tmp_path / "scores.csv") == []
     assert (tmp_path / "scores.csv").read_text() == ",".join(
         [*COLUMNS, "budget", "rl", "program", "finished"]

@@ -1,0 +1,1 @@
+"""The report of a run: one value, and what renders it."""

@@ -1,0 +1,173 @@
+"""Comparison of runs: how they were computed, and the scores of their methods."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
+from harness.judge.results import REFERENCE, CellResult, Conditions, Row
+from harness.judge.statistics import mean_interval, probability_of_improvement
+from harness.report.columns import METHOD
+from harness.report.tables import Column, Table, interval, number
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that was read: its name, the conditions of its request, and its cells."""
+
+    name: str
+    conditions: Conditions
+    results: Sequence[CellResult]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A policy of a method in two runs, over the seeds that both have; each run has its own scores.
+
+    low, high: 95 % interval of the mean of the paired differences, NaN with one seed. better: the probability
+    that a seed there scores more than one here (Agarwal et al. 2021).
+    """
+
+    board: str
+    method: str
+    policy: str
+    seeds: int
+    here: float
+    there: float
+    difference: float
+    low: float
+    high: float
+    better: float
+
+
+COLUMNS = (
+    Column("board", "Task", "The board.", lambda d: d.board, "text"),
+    METHOD,
+    Column("policy", "Policy", "The policy.", lambda d: d.policy, "text"),
+    Column("seeds", "Seeds", "Seeds that both runs have.", lambda d: str(d.seeds)),
+    Column("here", "Score", "Mean score in the first run.", lambda d: number(d.here, "z.2f")),
+    Column("there", "Score there", "Mean score in the other run.", lambda d: number(d.there, "z.2f")),
+    Column(
+        "difference",
+        "Difference",
+        "Mean of the differences, paired by seed.",
+        lambda d: interval(d.difference, d.low, d.high, "+.2f"),
+        "interval",
+    ),
+    Column("better", "P(better there)", "Probability of a higher score.", lambda d: number(d.better, ".2f")),
+)
+
+
+def differing(one: Run, other: Run) -> list[str]:
+    """Return in what else than their scores the runs differ, a line each."""
+    lines = []
+    for field in dataclasses.fields(Conditions):
+        a, b = (run.conditions.in_words(field.name) for run in (one, other))
+        lines += [f"{field.name}: {a}, there {b}"] if a != b else []
+    here, there = _origins(one), _origins(other)
+    for name in dict.fromkeys([*here, *there]):
+        a, b = (", ".join(sorted(origin.get(name, {"unknown"}))) for origin in (here, there))
+        lines += [f"{name}: {a}, there {b}"] if a != b else []
+    for title, name in (("methods", "method"), ("tasks", "task")):
+        mine, others = ({getattr(result.cell, name) for result in run.results} for run in (one, other))
+        for where, extra in (("here", mine - others), ("there", others - mine)):
+            lines += [f"{title} only {where}: {', '.join(sorted(extra))}"] if extra else []
+    sources, other_sources = _sources(one), _sources(other)
+    for key in sorted(sources.keys() & other_sources.keys()):
+        if sources[key] != other_sources[key]:
+            lines.append(f"{key[0]} in {key[1]}: the source or the settings of the method")
+    return list(dict.fromkeys(lines))
+
+
+def _origins(run: Run) -> dict[str, set[str]]:
+    """Return the machines and versions by name."""
+    origins: dict[str, set[str]] = {}
+    for result in run.results:
+        for name, value in result.origin.items():
+            origins.setdefault(name, set()).add(value)
+    return origins
+
+
+def _sources(run: Run) -> dict[tuple[str, str, object], str]:
+    """Return the digest of each method's source and settings, by method, task and demonstrations."""
+    return {(r.cell.method, r.cell.task, r.cell.shown): r.key.partition(":")[2] for r in run.results}
+
+
+def other_versions(one: Run, other: Run) -> list[str]:
+    """Return environments whose scores cannot be compared: their task, experts or scoring may differ."""
+    here, there = (
+        {r.cell.env: (r.task_version, r.key.partition(":")[0]) for r in run.results} for run in (one, other)
+    )
+    return sorted(
+        env
+        for env in here.keys() & there.keys()
+        if not any(a == b != "" for a, b in zip(here[env], there[env], strict=True))
+    )
+
+
+def is_other_scale(one: Run, other: Run) -> bool:
+    """Return whether a score of 1 is the demonstrations' return in one run alone."""
+    scales = [(run.conditions.experts, run.conditions.demonstrations) for run in (one, other)]
+    return scales[0] != scales[1] and "none" in (one.conditions.experts, other.conditions.experts)
+
+
+def differences(one: Run, other: Run) -> Table:
+    """Return the differences of the policies that both runs have, in the order of the first's leaderboard.
+
+    It is empty where scores are of different scales.
+    """
+    lines: list[Difference] = []
+    if is_other_scale(one, other):
+        return Table("differences", COLUMNS, lines)
+    apart = other_versions(one, other)
+    here, there = (scored_rows(run.results) for run in (one, other))
+    mine, theirs = _grouped(here), _grouped(there)
+    for entry in leaderboard(here):
+        a, b = _scores(mine, entry), _scores(theirs, entry)
+        seeds = sorted(a.keys() & b.keys())
+        if seeds and entry.env not in apart and entry.method != REFERENCE:
+            lines.append(_difference(entry, [a[seed] for seed in seeds], [b[seed] for seed in seeds]))
+    return Table("differences", COLUMNS, lines)
+
+
+def _difference(entry: Entry, here: Sequence[float], there: Sequence[float]) -> Difference:
+    gained = [b - a for a, b in zip(here, there, strict=True)]
+    low, high = mean_interval(gained)
+    return Difference(
+        board=entry.board,
+        method=entry.method,
+        policy=entry.policy,
+        seeds=len(here),
+        here=math.fsum(here) / len(here),
+        there=math.fsum(there) / len(there),
+        difference=math.fsum(gained) / len(gained),
+        low=low,
+        high=high,
+        better=probability_of_improvement(there, here),
+    )
+
+
+Group = tuple[str, str, str, str, str]
+
+
+def _group(item: Row | Entry) -> Group:
+    return item.env, item.dynamics, item.method, item.policy, item.protocol
+
+
+def _grouped(rows: Sequence[Row]) -> dict[Group, list[Row]]:
+    groups: dict[Group, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(_group(row), []).append(row)
+    return groups
+
+
+def _scores(groups: dict[Group, list[Row]], entry: Entry) -> dict[int, float]:
+    """Return the scores of the entry's rows by seed."""
+    return {
+        row.seed: row.normalized_score
+        for row in groups.get(_group(entry), ())
+        if is_on(row, entry.shown) and math.isfinite(row.normalized_score)
+    }

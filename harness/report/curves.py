@@ -1,0 +1,217 @@
+"""Curves of RL on R*, as in the thesis's figure 5.3, and of the methods' own training: small plots in one
+figure, which take as long to draw as one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.ticker import EngFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from harness.judge.numbers import as_text
+from harness.judge.results import REFERENCE, CellResult, Curve, thinned
+from harness.report.figures import BLUE, GREEN, GREY, ORANGE, PINK, Chart, Plot, around
+from harness.report.model import Board
+
+MOST_DRAWN = 40
+"""Points of a line."""
+MOST_SEEDS = 50
+"""Seeds whose curves are drawn, and counted in means and ranges."""
+OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
+"""Curves of RL; others are those of a method's fit."""
+COLUMNS, WIDTH, HEIGHT = 4, 260.0, 150.0
+"""Panels in a row, and the size of each in pixels."""
+LEFT, RIGHT, TOP, BOTTOM = 44.0, 34.0, 18.0, 20.0
+"""Margins of a panel in pixels."""
+SIGNS = (
+    (1, "━", "true return of RL on R*, with the range over seeds"),
+    (1, "○", "the checkpoint that counts, a ring for each seed"),
+    (3, "┉", "return under R* itself (axis on the right)"),
+    (0, "╍", "RL on the true reward"),
+    (2, "┈", "level of π*"),
+)
+Limits = tuple[float, float]
+Array = NDArray[np.float64]
+
+
+class Panels(Plot):
+    """Small plots in one pair of axes, whose units are pixels from the top left."""
+
+    def __init__(self, said: str, count: int) -> None:
+        super().__init__(said)
+        width, height = COLUMNS * WIDTH, -(-count // COLUMNS) * HEIGHT
+        self.figure.set_size_inches(width / 72, height / 72)
+        self.axes.set_position((0, 0, 1, 1))
+        self.axes.set_axis_off()
+        self.axes.set(xlim=(0, width), ylim=(height, 0))
+        self._lines: dict[tuple[str, str, float], list[Array]] = {}
+        self._bands: dict[str, list[Array]] = {}
+
+    def begin(self, number: int, title: str, x: Limits, y: Limits) -> None:
+        """Begin the panel of this number, with its title and the limits of its axes."""
+        self._left, self._top = number % COLUMNS * WIDTH + LEFT, number // COLUMNS * HEIGHT + TOP
+        self._right, self._bottom = self._left + WIDTH - LEFT - RIGHT, self._top + HEIGHT - TOP - BOTTOM
+        self._x = x
+        corners = [(self._left, self._top), (self._left, self._bottom), (self._right, self._bottom)]
+        self._lines.setdefault((GREY, "-", 0.8), []).append(np.array(corners))
+        short = title if len(title) <= 32 else title[:31] + "…"
+        self.axes.text(self._left - 36, self._top - 6, short, weight="bold")
+        for value, text in _ticks(x):
+            across = self._places(np.array([(value, 0.0)]), (0.0, 1.0))[0, 0]
+            self.axes.text(across, self._bottom + 12, text, ha="center", color=GREY, fontsize=9)
+        self.scale(y)
+
+    def scale(self, y: Limits, right: str = "") -> None:
+        """Write the ticks of an upright axis, on the left, or in a colour on the right."""
+        place, side = (self._right + 4, "left") if right else (self._left - 4, "right")
+        for value, text in _ticks(y):
+            down = self._places(np.array([(self._x[0], value)]), y)[0, 1]
+            self.axes.text(place, down + 3, text, ha=side, color=right or GREY, fontsize=9)
+
+    def line(self, points: Array | None, y: Limits, colour: str, style: str = "-") -> None:
+        """Draw a line through points (N, 2 or more): x and y, where all are finite."""
+        if points is not None and np.isfinite(points).all():
+            self._lines.setdefault((colour, style, 1.6), []).append(self._places(points[:, :2], y))
+
+    def curve(self, summary: Array | None, y: Limits, colour: str) -> None:
+        """Draw a summary: its mean, in a band from the lowest to the highest."""
+        if summary is not None:
+            ends = np.concatenate([summary[:, [0, 2]], summary[::-1, [0, 3]]])
+            self._bands.setdefault(colour, []).append(self._places(ends, y))
+            self.line(summary, y, colour)
+
+    def rings(self, name: str, points: Sequence[tuple[float, float]], y: Limits) -> None:
+        """Draw rings at checkpoints, each with a tooltip."""
+        if points:
+            xs, ys = self._places(np.array(points), y).T
+            drawn = self.axes.scatter(xs, ys, 30, facecolors="none", edgecolors=ORANGE, zorder=5)
+            drawn.set(linewidths=1.4, gid=f"tips-{len(self.tips)}")
+            self.tips.append([f"{name}, steps {x:,.0f}: true return {as_text(v, '.1f')}" for x, v in points])
+
+    def finish(self) -> None:
+        """Draw the lines and bands of all panels."""
+        for colour, shapes in self._bands.items():
+            filled = PolyCollection(shapes, facecolors=colour, alpha=0.16, linewidths=0)
+            self.axes.add_collection(filled, autolim=False)
+        for (colour, style, width), lines in self._lines.items():
+            drawn = LineCollection(lines, colors=colour, linestyles=style, linewidths=width)
+            self.axes.add_collection(drawn, autolim=False)
+
+    def _places(self, points: Array, y: Limits) -> Array:
+        """Return points in pixels, (N, 2); those beyond the panel lie on its edge."""
+        shares = (points - (self._x[0], y[0])) / (self._x[1] - self._x[0], y[1] - y[0])
+        span = self._right - self._left, self._top - self._bottom
+        return np.asarray(np.clip(shares, 0.0, 1.0) * span + (self._left, self._bottom))
+
+
+def _ticks(limits: Limits) -> list[tuple[float, str]]:
+    """Return values within the limits, and their texts."""
+    low, high = limits
+    values = [
+        float(v) for v in MaxNLocator(2, steps=[1, 2, 5, 10]).tick_values(low, high) if low <= v <= high
+    ]
+    text = EngFormatter(sep="") if max(abs(low), abs(high)) >= 1000 else lambda value: f"{value:.6g}"
+    return [(value, text(value).replace("-", "\N{MINUS SIGN}")) for value in values]
+
+
+def learning(board: Board, most: int) -> Chart | None:
+    """Return a panel for each method that was retrained, at most `most`; None where none was."""
+    by_method: dict[str, list[CellResult]] = {}
+    for result in board.results:
+        by_method.setdefault(result.cell.method, []).append(result)
+    methods = [m for m in board.methods if any(r.curves.get("pi_R") for r in by_method.get(m, ()))]
+    means = {
+        (method, name): summary
+        for method in dict.fromkeys([REFERENCE, "control_true", *methods[:most]])
+        for name in ("expert", "pi_R", "pi_R_true")
+        if len(summary := _summary([r.curves.get(name, []) for r in by_method.get(method, ())]))
+    }
+    true = [summary for (_, name), summary in means.items() if name == "pi_R_true"]
+    drawn = [method for method in methods[:most] if (method, "pi_R") in means]
+    if not true or not drawn:
+        return None
+    stars = {e.method: e.return_mean for e in board.entries if e.policy == "pi_star"}
+    y = around([value for summary in true for value in summary[:, 2:].flat] + list(stars.values()))
+    longest = max(summary[-1, 0] for (_, name), summary in means.items() if name != "expert")
+    said = f"RL on rewards in {board.name}: true return and return under R* by steps, for {', '.join(drawn)}."
+    panels = Panels(said, len(drawn))
+    for number, method in enumerate(drawn):
+        panels.begin(number, method, (0.0, max(1.0, longest)), y)
+        if method != "control_true":
+            panels.line(means.get(("control_true", "pi_R_true")), y, BLUE, "--")
+        panels.line(
+            np.array([(0.0, stars.get(method, math.nan)), (longest, stars.get(method, math.nan))]),
+            y,
+            GREEN,
+            ":",
+        )
+        under = around([*means[method, "pi_R"][:, 1]])
+        panels.line(means[method, "pi_R"], under, PINK, "-.")
+        panels.scale(under, PINK)
+        panels.curve(means.get((method, "pi_R_true")), y, ORANGE)
+        panels.rings(method, list(filter(None, map(_chosen, by_method[method][:MOST_SEEDS]))), y)
+    panels.finish()
+    note = _left_out(board, len(methods), most)
+    return Chart(board.name, [panels.svg()], note, data=_data(board.name, means))
+
+
+def training(board: Board, most: int) -> Chart | None:
+    """Return a panel for each curve that a method reports of its fit, at most `most`; None without any."""
+    curves: dict[tuple[str, str], list[Curve]] = {}
+    for result in board.results:
+        for name, points in result.curves.items():
+            if name not in OWN and points:
+                curves.setdefault((result.cell.method, name), []).append(points)
+    summaries = {key: mine for key in list(curves)[:most] if len(mine := _summary(curves[key]))}
+    if not summaries:
+        return None
+    names = ", ".join(": ".join(key) for key in summaries)
+    panels = Panels(f"Training of methods in {board.name}, by iteration: {names}.", len(summaries))
+    for number, (key, summary) in enumerate(summaries.items()):
+        first, last, y = summary[0, 0], summary[-1, 0], around([*summary[:, 2:].flat])
+        panels.begin(number, ": ".join(key), (first, max(first + 1.0, last)), y)
+        panels.curve(summary, y, BLUE)
+    panels.finish()
+    note = _left_out(board, len(curves), most)
+    return Chart(board.name, [panels.svg()], note, data=_data(board.name, summaries))
+
+
+def _left_out(board: Board, panels: int, most: int) -> str:
+    """Return what is not drawn, in words."""
+    seeds = len({result.cell.seed for result in board.results})
+    of_panels = f"The first {most} of {panels} panels. " if panels > most else ""
+    of_seeds = f"Curves are of the first {MOST_SEEDS} of {seeds} seeds." if seeds > MOST_SEEDS else ""
+    return (of_panels + of_seeds).strip()
+
+
+def _summary(seeds: Sequence[Curve]) -> Array:
+    """Return x, and the mean, the lowest and the highest y there, (N, 4), where all seeds that have the curve
+    have a point; at most `MOST_DRAWN` lines."""
+    known = [points for points in seeds if points][:MOST_SEEDS]
+    every = [(x, y) for curve in known for x, y in curve if math.isfinite(y)]
+    points = np.array(every, np.float64).reshape(-1, 2)
+    xs, at, counts = np.unique(points[:, 0], return_inverse=True, return_counts=True)
+    low, high = np.full((2, len(xs)), [[np.inf], [-np.inf]])
+    np.minimum.at(low, at, points[:, 1])
+    np.maximum.at(high, at, points[:, 1])
+    means = np.bincount(at, points[:, 1], len(xs)) / counts
+    summary = np.stack([xs, means, low, high], axis=1)[counts == len(known)]
+    return np.asarray(summary[thinned(range(len(summary)), MOST_DRAWN)])
+
+
+def _chosen(result: CellResult) -> tuple[float, float] | None:
+    """Return the steps of the checkpoint that counts, and its true return."""
+    marked, true = result.curves.get("pi_R_chosen"), dict(result.curves.get("pi_R_true", []))
+    if not marked or not math.isfinite(true.get(marked[0][0], math.nan)):
+        return None
+    return marked[0][0], true[marked[0][0]]
+
+
+def _data(board: str, summaries: dict[tuple[str, str], Array]) -> pd.DataFrame:
+    """Return a line for each point that is drawn."""
+    lines = [(board, *key, *line) for key, summary in summaries.items() for line in summary.tolist()]
+    return pd.DataFrame(lines, columns=["board", "method", "curve", "x", "mean", "low", "high"])
