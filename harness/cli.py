@@ -183,8 +183,8 @@ def _list(named: Sequence[str]) -> int:
 
 
 def _verify(directory: Path) -> int:
-    from harness.run.opening import open_to_verify
     from harness.run.progress import say
+    from harness.store.opening import open_to_verify
 
     with open_to_verify(directory) as run:
         damaged, uncovered = run.damaged(), run.uncovered()

@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.registry import BadInput
-from harness.run.codec import printable
-from harness.run.files import opened, read
+from harness.store.codec import printable
+from harness.store.files import opened, read
 
 if TYPE_CHECKING:  # not for the process that reads, which starts in less time without
     from envs import EnvSpec

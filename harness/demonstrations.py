@@ -28,7 +28,7 @@ from harness.learn.simulator import Simulator
 from harness.learn.world import without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator
 from harness.run.experts import demonstrator, expert_for
-from harness.run.files import write_atomic
+from harness.store.files import write_atomic
 from methods.base import Array, Episodes
 
 BINS = 10

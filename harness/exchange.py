@@ -13,11 +13,11 @@ import numpy as np
 from harness import outcome
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import baseline, keys, plugins
-from harness.run.files import new_folder
-from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
 from harness.run.signals import stop_cleanly
 from harness.show.compare import Run as Comparable
+from harness.store.files import new_folder
+from harness.store.opening import open_to_verify
 from methods.base import Array
 
 

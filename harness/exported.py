@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec
 from envs.spec import number
-from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
+from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
-from harness.run.artifacts import NOT_KEPT, read_artifact
-from harness.run.cache import Kept, as_bytes, from_bytes
-from harness.run.codec import checksum, printable
-from harness.run.files import LARGEST_OF_CELL, new_folder, read, sha256_of, write_atomic
-from harness.run.opening import open_to_verify
+from harness.store.artifacts import NOT_KEPT
+from harness.store.cache import Kept, as_bytes, from_bytes
+from harness.store.codec import checksum, printable
+from harness.store.files import LARGEST_OF_CELL, new_folder, read, sha256_of, write_atomic
+from harness.store.opening import open_to_verify
 from methods.base import Array, Policy, Reward
 
 FORMAT = 1
@@ -148,13 +148,12 @@ def export(
     cell = cells[0]
     if env not in ENVS:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
-    if not results[cell].artifacts:
+    if not results[cell].learned:
         failed = [row.reason for row in results[cell].rows if row.status == "failed"]
-        earlier = ["an earlier version ran it with --record none"]
-        unrecorded = earlier if run.request.conditions.record == "none" else []
-        why = "; ".join([*failed[:1], *results[cell].warnings] or unrecorded or ["it learned nothing"])
+        why = "; ".join([*failed[:1], *results[cell].warnings] or ["it learned nothing"])
         raise BadInput(f"{directory} kept nothing of {cell.name}: {why}", page="commands")
-    learned = read_artifact(directory / artifact_of(cell), results[cell])
+    with open_to_verify(directory) as run:
+        learned = run.read_learned(results[cell])
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
     to = Path(to or f"{cell.name}__{policy}")

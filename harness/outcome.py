@@ -11,8 +11,7 @@ from typing import TextIO
 from harness.judge import effort
 from harness.judge.results import CellResult
 from harness.run.progress import say, tell
-from harness.run.store import RunDirectory
-from harness.run.sums import SUMS
+from harness.store.store import Store
 
 MOST_NAMED = 20
 """Files that a line names, but for the first; cells that failed, a line each."""
@@ -31,7 +30,7 @@ def for_programs(asked: bool) -> Iterator[TextIO | None]:
 
 
 def report(
-    run: RunDirectory,
+    run: Store,
     results: list[CellResult],
     anew: bool,
     tables: bool = False,
@@ -44,13 +43,12 @@ def report(
     from harness.run.reporting import write_report
     from harness.show import terminal
 
-    incomplete = run.why_incomplete(results) if anew else ""
-    forgotten = run.forgotten(results)
+    forgotten = run.forgotten()
     damaged = run.damaged_files(results)
     beside, unusable = run.beside()
-    if anew or not run.is_sealed(results):
+    if anew or not run.is_sealed():
         recorded = results if run.request.conditions.record != "none" else []
-        compared = write_compared(run.path, recorded, run.is_as_written)
+        compared = write_compared(run, recorded)
         run.seal(results, [*compared, *write_report(run.path, run.request, [*results, *beside])])
     shown = [*results, *beside]
     for line in terminal.tables(run.request, shown) if tables else []:
@@ -68,9 +66,7 @@ def report(
     tell_unusable(damaged | unusable, "damaged")
     if forgotten:
         tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
-    if incomplete:
-        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
-    return not (forgotten or damaged or unusable or incomplete)
+    return not (forgotten or damaged or unusable)
 
 
 def _and_more(names: Sequence[str]) -> str:

@@ -24,13 +24,13 @@ from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput, LearnerName
-from harness.run.files import write_atomic
-from harness.run.marked import open_marked
-from harness.run.request import STUDY
 from harness.show.figures import BLUE, ORANGE, plot_seeds, png, styled
 from harness.show.report import frame_of
 from harness.show.spreadsheet import as_csv
 from harness.show.terminal import score_of
+from harness.store.files import write_atomic
+from harness.store.marked import open_marked
+from harness.store.opening import STUDY
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)

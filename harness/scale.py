@@ -31,14 +31,14 @@ from harness.judge.results import (
     row_of,
 )
 from harness.registry import ENVS
-from harness.run.codec import encode
 from harness.run.engines import Job, Outcome
-from harness.run.files import write_atomic
 from harness.run.grid import Grid, Sink
 from harness.run.keys import cell_keys, origin
-from harness.run.opening import open_for_run
 from harness.run.plan import Simulated
 from harness.run.reporting import write_report
+from harness.store.codec import encode
+from harness.store.files import write_atomic
+from harness.store.opening import open_for_run
 
 MANY, STORED, WORKERS = 100_000, 10_000, 1000
 TASKS, METHODS = 10, ("bc", "shaped")

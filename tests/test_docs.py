@@ -17,8 +17,8 @@ from typing import Any, cast
 import pytest
 
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
-from harness.run.opening import open_to_verify
 from harness.show.terminal import found
+from harness.store.opening import open_to_verify
 from methods.settings import settings_for
 
 ROOT = Path(__file__).parent.parent

@@ -1,20 +1,15 @@
 """What a run produces: cells, their rows and curves, and the layout of a run's directory.
 
-DIR/run.json               the request: methods, envs, seeds, conditions, and the format's version
-DIR/cells/*.json           one file a finished cell; everything below is rebuilt from these
-DIR/baseline/*.json        cells of other runs that this one is shown beside, where it has any
-DIR/scores.csv             one row per (env, method, seed, policy)
+DIR/run.sqlite             the request, each finished cell's result, what it learned, and cells of other runs
+                           that this one is shown beside (`harness.store.database`)
+DIR/scores.csv             rebuilt from it, as are the next ones: one row per (env, method, seed, policy)
 DIR/leaderboard.csv, .md   aggregated over seeds
-DIR/report.html, figures/  the report
-DIR/report.key             from which cells, and by which version of the program, those were rebuilt, and the
-                           size and digest of the list of checksums that was written then
+DIR/report.html            the report
 DIR/recordings/*.rrd       rerun recordings, ENV__compare.rrd being rebuilt
-DIR/artifacts/*.safetensors  what each cell learned (`harness.run.artifacts`)
-DIR/SHA256SUMS             checksums, as of sha256sum, of all of these but run.json, which has its own; where
-                           a file is listed twice, the last line counts
+DIR/SHA256SUMS             checksums, as of sha256sum, of the tables, the report and the recordings
 DIR/run.log                what the cells' processes print, full tracebacks included
 
-Types say what a directory may hold that a stranger made; `harness.run.codec` checks them.
+Types say what a directory may hold that a stranger made; `harness.store.codec` checks them.
 """
 
 from __future__ import annotations
@@ -31,9 +26,6 @@ from harness.registry import Demonstrator, Experts, LearnerName, Library, Record
 
 Point = TypeVar("Point")
 
-FORMATS = (7, 8)
-"""Versions of the directory layout that are read; the first is written where it can hold the run."""
-
 CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 """In a regular expression's brackets: what changes how text is shown, or cannot be written."""
 MOST_CURVES, MOST_POINTS, MOST_SOLVES, LONGEST_TEXT = 30, 2000, 1000, 1000
@@ -47,11 +39,16 @@ FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_l
 Seconds = Annotated[float, Meta(ge=0)]
 Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
 """One line for people."""
+LongText = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=100_000)]
 MOST_SEEDS = 1000
 """A run's seeds lie below it."""
 Seed = Annotated[int, Meta(ge=0, lt=MOST_SEEDS)]
 Count = Annotated[int, Meta(ge=0, le=10**15)]
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
+
+Setting = bool | int | float | Text | list[bool | int | float | Text]
+Settings = dict[Text, Annotated[dict[Text, Setting], Meta(max_length=100)]]
+"""Hyper-parameters by name, of 'method', 'learner' and 'budget'."""
 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]
@@ -221,6 +218,8 @@ class Row:
     """Pairs of observation and action that were shown; 0 where none were, or it is not known."""
     source: Text = ""
     """Where it comes from, where it was not computed for this run (`harness.run.baseline`)."""
+    settings: LongText = ""
+    """The result's `settings`, as JSON in one line; filled in where results are shown."""
 
     @property
     def task(self) -> str:
@@ -265,8 +264,8 @@ class CellResult:
     """What the user must be told, such as an expert that misses its bar."""
     recordings: Recordings = field(default_factory=dict)
     """SHA-256 of each recording that was made, by its file's name."""
-    artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
-    """SHA-256 of the file of what was learned, by its name."""
+    learned: Text = ""
+    """SHA-256 of what was learned (`harness.store.artifacts`), '' where nothing was kept."""
     key: Text = ""
     """Of all that can change it (`harness.run.keys`); given when it is stored."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
@@ -286,12 +285,15 @@ class CellResult:
     is stored."""
     solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
     """Every RL solve of the reward, in order. pi_R is the one that was judged best, of equals the first."""
+    settings: Annotated[Settings, Meta(max_length=10)] = field(default_factory=dict)
+    """The settings that it was computed with (`harness.run.resolved`)."""
 
     @property
     def files(self) -> dict[str, str]:
-        """SHA-256 of each file that it has besides its own, by the path in the run's directory."""
-        folders = {"recordings": self.recordings, "artifacts": self.artifacts}
-        return {f"{at}/{name}": digest for at, files in folders.items() for name, digest in files.items()}
+        """SHA-256 of each recording, by its path in the run's directory, and of what was learned, by
+        `LEARNED`."""
+        files = {f"recordings/{name}": digest for name, digest in self.recordings.items()}
+        return files | ({LEARNED: self.learned} if self.learned else {})
 
 
 def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
@@ -344,17 +346,12 @@ def needs(cell: Cell, name: str) -> bool:
     return not is_shown or (cell.method not in UNSHOWN and name == name_of(cell.shown))
 
 
-def artifact_of(cell: Cell) -> str:
-    """The file of what a cell learned, by the path in the run's directory."""
-    return f"artifacts/{cell.name}.safetensors"
-
-
 def files_of(cell: Cell) -> set[str]:
-    """The files that a cell may have besides its own, by the path in the run's directory."""
+    """Return the names that a cell's files may have, as of `CellResult.files`."""
     if cell.seed:
-        return {artifact_of(cell)}
+        return {LEARNED}
     names = {recording_of(cell, policy, which) for policy in policies_of(cell) for which in RECORDED}
-    return {*(f"recordings/{name}" for name in names), artifact_of(cell)}
+    return {*(f"recordings/{name}" for name in names), LEARNED}
 
 
 def recording_of(cell: Cell, policy: PolicyName, which: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from harness.judge import effort
 from harness.judge.evaluation import Evaluation
 from harness.judge.results import (
+    LEARNED,
     REFERENCE,
     UNSHOWN,
     Cell,
@@ -18,14 +19,15 @@ from harness.judge.results import (
     name_of,
 )
 from harness.run import given, plugins, without_expert
-from harness.run.artifacts import KIND, artifact
-from harness.run.cache import as_bytes
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
-from harness.run.files import sha256_of
 from harness.run.phases import returned
+from harness.run.resolved import settings_of
 from harness.run.stages import Made, Task, missed_bar, policies, row, score, solves
 from harness.run.watched import Watched
+from harness.store.artifacts import artifact
+from harness.store.cache import as_bytes
+from harness.store.files import sha256_of
 from methods.base import Policy, Reward
 
 
@@ -54,7 +56,6 @@ def run_cell(
     missed = [missed_bar(task, scored["expert"])] if "expert" in scored else []
     below = any(missed)
     learned, lost = learned_file(task, made)
-    artifacts = {f"{cell.name}.{KIND}": learned} if learned else {}
     from_file = conditions.demonstrations and cell.method not in UNSHOWN
     rows = [row(task, one, scored) for one in made]
     if nobody:
@@ -79,16 +80,16 @@ def run_cell(
         endings={name: its.endings for name, its in scored.items()},
         warnings=[w for one in made for w in one.warnings] + [*filter(None, missed), *lost, *troubles],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
-        artifacts={name: sha256_of(data) for name, data in artifacts.items()},
+        learned=sha256_of(learned) if learned else "",
         below_bar=below,
         details={name: value for one in made for name, value in one.details.items()},
         like=list(plugins.like(cell.method)),
         solves=tried,
         seconds=task.seconds,
+        settings=settings_of(cell.method, cell.env, conditions),
     )
-    folders = {"recordings": recordings, "artifacts": artifacts}
-    kept = {f"{at}/{name}": data for at, those in folders.items() for name, data in those.items()}
-    return result, kept
+    files = {f"recordings/{name}": data for name, data in recordings.items()}
+    return result, files | ({LEARNED: learned} if learned else {})
 
 
 class _Told:

@@ -13,10 +13,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.registry import BadInput
-from harness.run.cache import Kept, load
-from harness.run.files import read, sha256
 from harness.run.keys import EXPERTS, ROOT, expert_files
-from harness.run.sums import SUMS, readable
+from harness.store.cache import Kept, load
+from harness.store.files import read, sha256
+from harness.store.sums import SUMS, readable
 from methods.network import Network
 
 KINDS = (False, True)

@@ -12,9 +12,9 @@ import numpy as np
 from harness.judge.results import Shown
 from harness.learn.seeds import rng_for
 from harness.registry import BadInput
-from harness.run.cache import Kept, as_bytes, load
 from harness.run.environment import cache_folder
-from harness.run.files import write_atomic
+from harness.store.cache import Kept, as_bytes, load
+from harness.store.files import write_atomic
 from methods.base import Array, Episodes
 
 

@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from harness.judge.results import CellResult, Request
-from harness.run.files import write_atomic
 from harness.run.keys import PAGE_PARTS, program
 from harness.show.report import report_files
+from harness.store.files import write_atomic
 
 
 def write_report(directory: Path, request: Request, results: Sequence[CellResult]) -> list[Path]:

@@ -47,9 +47,9 @@ from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, load_method
-from harness.run.codec import printable
 from harness.run.experts import Shared, task_for
 from harness.run.plugins import settings_for
+from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
 

@@ -14,9 +14,9 @@ from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.stored import to_arrays
 from harness.registry import SPECS
 from harness.run import given
-from harness.run.cache import Kept, as_bytes
 from harness.run.experts import EXPERT, REPLAYED, REPLAYS, Expert, Shared
 from harness.run.stages import Task, learned_by
+from harness.store.cache import Kept, as_bytes
 
 
 def prepare(env: str, seed: int, conditions: Conditions) -> dict[str, bytes]:

@@ -27,7 +27,7 @@ import numpy as np
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of, row_of
 from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
-from harness.run.store import RunDirectory
+from harness.store.store import RunDirectory
 
 
 class Panic(BaseException):

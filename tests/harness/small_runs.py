@@ -8,9 +8,9 @@ import pytest
 
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
-from harness.run.codec import checksum
-from harness.run.files import sha256, write_atomic
-from harness.run.opening import open_for_run
+from harness.store.codec import checksum
+from harness.store.files import sha256, write_atomic
+from harness.store.opening import open_for_run
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)

@@ -15,12 +15,12 @@ from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.judge.statistics import probability_of_improvement
 from harness.registry import BadInput
 from harness.run import baseline, keys, store
-from harness.run.codec import checksum
 from harness.run.environment import numeric
-from harness.run.files import append, sha256
-from harness.run.opening import open_for_run
-from harness.run.sums import SUMS, as_lines
 from harness.show import compare
+from harness.store.codec import checksum
+from harness.store.files import append, sha256
+from harness.store.opening import open_for_run
+from harness.store.sums import SUMS, as_lines
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 
 MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))

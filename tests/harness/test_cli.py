@@ -15,7 +15,7 @@ import pytest
 
 from harness import cli, registry
 from harness.judge.results import Conditions, Request
-from harness.run.request import write_request
+from harness.store.request import write_request
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
 

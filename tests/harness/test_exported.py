@@ -23,11 +23,11 @@ from harness.exported import FACTS, export, load_learned
 from harness.judge.results import Cell, Conditions, Request, artifact_of
 from harness.learn.seeds import evaluation_seeds
 from harness.registry import ENVS, PLUGINS, SPECS, BadInput
-from harness.run.artifacts import artifact, read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.files import sha256_of
-from harness.run.opening import open_for_run, open_to_verify
+from harness.store.artifacts import artifact, read_artifact
+from harness.store.files import sha256_of
+from harness.store.opening import open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", "shaped", 0), Cell("cartpole_discrete", "bc", 0)]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from harness import cli, commands, outcome
 from harness.judge.results import Cell, CellResult, Request
 from harness.registry import ENVS, METHODS, VARIANTS
-from harness.run.store import RunDirectory
+from harness.store.store import RunDirectory
 from methods.base import Episodes
 
 Tried = Callable[[str, Counter[str]], None]

@@ -27,7 +27,7 @@ from harness.registry import SPECS
 from harness.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES, _study
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.request import existing
+from harness.store.request import existing
 from methods.shaped import Shaped
 
 

@@ -19,8 +19,8 @@ from harness.learn.stored import compact, from_arrays, to_arrays
 from harness.learn.world import Features
 from harness.registry import SPECS, BadInput
 from harness.run import artifacts
-from harness.run.artifacts import NOT_KEPT, artifact, read_artifact
-from harness.run.cache import Kept, as_bytes
+from harness.store.artifacts import NOT_KEPT, artifact, read_artifact
+from harness.store.cache import Kept, as_bytes
 from methods.fourier import FourierFeatures
 from methods.network import Network
 from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward

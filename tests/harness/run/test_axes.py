@@ -38,13 +38,13 @@ from harness.judge.results import (
 )
 from harness.learn.seeds import rng_for
 from harness.registry import BadInput
-from harness.run.artifacts import read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.experts import demonstrations_for
-from harness.run.opening import open_for_report, open_for_run
-from harness.run.request import REQUEST, existing, merged, write_request
-from harness.run.store import CELL_FILE
+from harness.store.artifacts import read_artifact
+from harness.store.opening import open_for_report, open_for_run
+from harness.store.request import REQUEST, existing, merged, write_request
+from harness.store.store import CELL_FILE
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
 

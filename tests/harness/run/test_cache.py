@@ -15,10 +15,10 @@ from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
 from harness.run import cache, experts, packages
-from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
 from harness.run.keys import experts_version, program
+from harness.store.cache import Kept, cache_file, kept, load
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})

@@ -24,10 +24,10 @@ from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
 from harness.run import stages
-from harness.run.artifacts import learned_in, read_artifact
 from harness.run.cells import prepare, run_cell
 from harness.run.experts import demonstrations_for, expert_for
 from harness.run.phases import phase_of
+from harness.store.artifacts import learned_in, read_artifact
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
 

@@ -29,9 +29,9 @@ from harness.judge.results import (
     Request,
     Row,
 )
-from harness.run.codec import checksum, decode, encode, printable
 from harness.run.reporting import write_report
 from harness.show import figures
+from harness.store.codec import checksum, decode, encode, printable
 
 ODD: list[Any] = [
     *(

@@ -209,7 +209,7 @@ def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> Non
             batch = chunk.to_record_batch()
             ends[chunk.entity_path.rpartition("/")[2]] = batch.column("Scalars:scalars").to_pylist()[-1][0]
     assert ends.keys() == {"expert", "bc_pi_star"}
-    from harness.run.artifacts import read_artifact
+    from harness.store.artifacts import read_artifact
 
     learned = read_artifact(tmp_path / "artifacts/cartpole__bc__seed0.safetensors")
     first = evaluate(SPEC, learned["pi_star"], evaluation_seeds(0, 1))

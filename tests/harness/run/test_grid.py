@@ -11,15 +11,15 @@ import pytest
 
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of
 from harness.run import grid
-from harness.run.codec import encode
 from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.files import sha256_of
 from harness.run.grid import Grid, Schedule
 from harness.run.plan import Silent, Simulated
 from harness.run.progress import Progress
 from harness.run.tally import Tally
+from harness.store.codec import encode
+from harness.store.files import sha256_of
 from tests.harness.fake_runs import Found
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")

@@ -26,8 +26,8 @@ from harness.learn.seeds import demonstration_seeds, evaluation_seeds
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS, load_method
 from harness.run import stages
-from harness.run.codec import decode, encode
 from harness.run.experts import expert_for
+from harness.store.codec import decode, encode
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 

@@ -12,9 +12,9 @@ import pytest
 from harness.cli import main
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.run.files import appending, read, write_atomic
-from harness.run.opening import open_for_report, open_for_run
-from harness.run.sums import SUMS
+from harness.store.files import appending, read, write_atomic
+from harness.store.opening import open_for_report, open_for_run
+from harness.store.sums import SUMS
 from tests.harness.small_runs import RECORDING, REQUEST, run, snapshot, strange
 
 __all__ = ["run"]

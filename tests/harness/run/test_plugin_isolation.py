@@ -19,11 +19,11 @@ from harness.judge import effort
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import PLUGINS, SPECS, VARIANTS, BadInput, load_method
 from harness.run import cluster, environment, isolated, keys, plan, plugin_sources, plugins
-from harness.run.codec import decode
 from harness.run.costs import Costs
 from harness.run.engines import Inline, Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.run.grid import Grid
+from harness.store.codec import decode
 from methods.settings import settings_for
 from tests.harness.plugged import MINE
 

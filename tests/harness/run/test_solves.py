@@ -20,10 +20,10 @@ from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
 from harness.run import experts, stages
-from harness.run.codec import checksum, decode, encode
 from harness.run.experts import Expert, Shared
-from harness.run.request import merged, stored_request, write_request
 from harness.run.stages import JUDGING_EPISODES, Task
+from harness.store.codec import checksum, decode, encode
+from harness.store.request import merged, stored_request, write_request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 

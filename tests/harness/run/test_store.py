@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from harness.judge.results import FORMATS, LARGEST, Cell, CellResult, Conditions, Request, Row
 from harness.registry import BadInput
 from harness.run import marked, packages
-from harness.run.codec import checksum, decode, encode
-from harness.run.files import sha256_of, write_atomic
-from harness.run.opening import open_for_report, open_for_run, open_to_verify
-from harness.run.sums import SUMS
+from harness.store.codec import checksum, decode, encode
+from harness.store.files import sha256_of, write_atomic
+from harness.store.opening import open_for_report, open_for_run, open_to_verify
+from harness.store.sums import SUMS
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)

@@ -21,14 +21,14 @@ from harness.cli import main
 from harness.judge.results import Cell, artifact_of
 from harness.registry import BadInput
 from harness.run import baseline
-from harness.run.artifacts import artifact
-from harness.run.codec import checksum
 from harness.run.environment import numeric
-from harness.run.files import new_folder, opened_below, sha256, sha256_of
-from harness.run.opening import open_for_run, open_to_verify
-from harness.run.request import REQUEST as REQUEST_FILE
-from harness.run.sums import SUMS, readable, why_damaged
 from harness.show import view
+from harness.store.artifacts import artifact
+from harness.store.codec import checksum
+from harness.store.files import new_folder, opened_below, sha256, sha256_of
+from harness.store.opening import open_for_run, open_to_verify
+from harness.store.request import REQUEST as REQUEST_FILE
+from harness.store.sums import SUMS, readable, why_damaged
 from methods.network import Network
 from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
 

@@ -14,7 +14,7 @@ import pytest
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.run import streams
-from harness.run.opening import open_for_run
+from harness.store.opening import open_for_run
 from tests.harness.fake_runs import PER_SEED
 
 HERE = Path(__file__).parents[1]

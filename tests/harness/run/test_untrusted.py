@@ -11,11 +11,11 @@ import pytest
 from safetensors import SafetensorError, safe_open
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
-from harness.run.cache import Kept, cache_file, kept
-from harness.run.codec import encode
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.opening import open_for_run
-from harness.run.sums import SUMS
+from harness.store.cache import Kept, cache_file, kept
+from harness.store.codec import encode
+from harness.store.opening import open_for_run
+from harness.store.sums import SUMS
 
 ROOT = Path(__file__).parents[3]
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

@@ -12,11 +12,11 @@ from harness.cli import main
 from harness.judge.results import Cell, CellResult
 from harness.registry import BadInput
 from harness.reproduce import open_study
-from harness.run.codec import encode
-from harness.run.files import append, write_atomic
-from harness.run.opening import open_for_report, open_for_run, open_to_verify
-from harness.run.request import write_request
-from harness.run.sums import SUMS
+from harness.store.codec import encode
+from harness.store.files import append, write_atomic
+from harness.store.opening import open_for_report, open_for_run, open_to_verify
+from harness.store.request import write_request
+from harness.store.sums import SUMS
 from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
 
 __all__ = ["run"]
@@ -202,7 +202,7 @@ def test_folders_that_cannot_be_read_are_told(run: Path, monkeypatch: pytest.Mon
             raise PermissionError(13, "Permission denied")
         return listdir(folder)
 
-    monkeypatch.setattr("harness.run.store.os.listdir", refuse)
+    monkeypatch.setattr("harness.store.store.os.listdir", refuse)
     with (
         pytest.raises(BadInput, match=r"cannot read .*cells: Permission denied"),
         open_to_verify(run) as opened,
@@ -288,7 +288,7 @@ def test_a_file_system_that_cannot_sync_folders_will_do(
             raise OSError(22, "Invalid argument")
         fsync(handle)
 
-    monkeypatch.setattr("harness.run.files.os.fsync", refuse)
+    monkeypatch.setattr("harness.store.files.os.fsync", refuse)
     write_atomic(tmp_path / "file", "text")
     assert (tmp_path / "file").read_text() == "text"
 

@@ -15,11 +15,11 @@ from envs.spec import Array
 from harness.judge.results import Cell
 from harness.learn.simulator import Simulator, Trajectory
 from harness.registry import SPECS
-from harness.run.files import write_atomic
 from harness.show.comparison import Ghost, identity_of
 from harness.show.comparison import record as record_compared
 from harness.show.recordings import Advantage, Episode, record
 from harness.show.scenes import LONG, Flat, Solid, scene
+from harness.store.files import write_atomic
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 SPEC = SPECS["cartpole"]

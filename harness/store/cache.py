@@ -16,8 +16,8 @@ from typing import Any
 import safetensors.numpy
 
 from harness.run.environment import cache_folder
-from harness.run.files import can_write, opened, write_atomic
 from harness.run.keys import expert_key, machine
+from harness.store.files import can_write, opened, write_atomic
 
 COMPILED_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 

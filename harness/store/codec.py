@@ -1,4 +1,4 @@
-"""Cells as JSON with a checksum, and the door that checks whatever claims to be one."""
+"""JSON of what a run stores, and the door that checks whatever claims to be such JSON."""
 
 from __future__ import annotations
 
@@ -17,27 +17,15 @@ LONGEST_REASON = 100
 """Characters of a reason's beginning and of its end, where it is longer."""
 
 
-def encode(result: CellResult) -> str:
-    """JSON of the result and its checksum; numbers that are not `usable` become null. Raises TypeError for no
-    JSON."""
-    payload = _plain(msgspec.to_builtins(result, enc_hook=_as_builtin))
-    flat = json.dumps({"sha256": checksum(payload), "result": payload})
-    return msgspec.json.format(flat, indent=1) + "\n"
+def encode(value: object) -> str:
+    """Return the JSON of a dataclass; numbers that are not `usable` become null. Raises TypeError for values
+    that JSON cannot hold."""
+    return json.dumps(_plain(msgspec.to_builtins(value, enc_hook=_as_builtin)))
 
 
 def decode(data: bytes | str) -> CellResult:
-    """The inverse of `encode`. Raises ValueError for anything that it did not write."""
-    try:
-        stored = json.loads(data, parse_constant=_refuse)
-        payload = stored["result"]
-        if stored["sha256"] != checksum(payload):
-            raise ValueError("its checksum does not match")
-        known = _nan_for_none(payload)
-    except (KeyError, TypeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
-        raise ValueError("it is no stored cell") from error
-    result = checked(known, CellResult)
-    if not _holds(_plain(msgspec.to_builtins(result)), payload):
-        raise ValueError("it holds more than a cell does")
+    """Return the result that `encode` wrote. Raises ValueError for anything that it did not write."""
+    result = parsed(data, CellResult)
     cell = result.cell
     for row in result.rows:
         if Cell(row.env, row.method, row.seed, row.shown, row.dynamics) != cell:
@@ -49,8 +37,21 @@ def decode(data: bytes | str) -> CellResult:
     return result
 
 
+def parsed(data: bytes | str, kind: type[T]) -> T:
+    """Return the dataclass of this kind that `encode` wrote; fields that the data lacks have their defaults.
+    Raises ValueError where the data is anything else."""
+    try:
+        stored = json.loads(data, parse_constant=_refuse)
+        value = checked(_nan_for_none(stored), kind)
+    except (TypeError, RecursionError, json.JSONDecodeError, UnicodeError) as error:
+        raise ValueError("it is no JSON of a run") from error
+    if not _holds(_plain(msgspec.to_builtins(value)), stored):
+        raise ValueError(f"it holds more than a {kind.__name__}")
+    return value
+
+
 def checked(data: Any, kind: type[T]) -> T:
-    """What JSON held, as `kind`. Raises ValueError, with the place, where it is none."""
+    """Return parsed JSON as `kind`. Raises ValueError, with the place, where it is none."""
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
@@ -61,13 +62,13 @@ def checked(data: Any, kind: type[T]) -> T:
 
 
 def checksum(payload: Any) -> str:
-    """Of JSON, however it is written. Raises TypeError for no JSON."""
+    """Return the SHA-256 of JSON, however it is written. Raises TypeError for what JSON cannot hold."""
     return hashlib.sha256(json.dumps(payload, sort_keys=True).encode()).hexdigest()
 
 
 def printable(text: str) -> str:
-    """The text with everything escaped that would change how it is shown."""
-    return re.sub(f"[{CONTROL_CHARACTERS}]", lambda found: ascii(found[0])[1:-1], text)
+    """Return the text with every character escaped that would change how it is shown."""
+    return re.sub(f"[{CONTROL_CHARACTERS}]", lambda match: ascii(match[0])[1:-1], text)
 
 
 def _refuse(constant: str) -> NoReturn:
@@ -75,7 +76,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _holds(known: Any, stored: Any) -> bool:
-    """Whether nothing is stored that is not known; fields that were not there yet have their defaults."""
+    """Return whether everything that is stored is known."""
     if known == stored:
         return True
     if isinstance(known, dict) and isinstance(stored, dict):
@@ -86,7 +87,7 @@ def _holds(known: Any, stored: Any) -> bool:
 
 
 def _as_builtin(value: Any) -> Any:
-    """NumPy's kinds of float and str are Python's as well, and others may be."""
+    """Return NumPy's and other subclasses of float, int and str as Python's own."""
     for kind in (float, int, str):
         if isinstance(value, kind):
             return kind(value)
