@@ -16,7 +16,6 @@ from typing import Any
 from harness.judge.results import LEARNED, PROGRAM_NAME, Cell, CellResult, Request, files_of
 from harness.registry import BadInput
 from harness.run.keys import origin, task_version
-from harness.store.artifacts import learned_in
 from harness.store.codec import decode, encode
 from harness.store.database import FILE, Database
 from harness.store.files import append, sha256_of, write_atomic
@@ -87,6 +86,8 @@ class StoredCells:
     def read_learned(self, result: CellResult) -> dict[str, Any]:
         """Return what a cell learned, by name, as `learned_in` does. Raises BadInput where it is damaged, or
         not what was stored with the result."""
+        from harness.store.artifacts import learned_in  # libraries that `verify` needs no memory for
+
         try:
             return learned_in(self._learned(result), result.cell)
         except (ValueError, MemoryError) as error:

@@ -194,8 +194,10 @@ def open_to_write(file: Path) -> Iterator[Database]:
             if why := database.why_damaged():
                 raise Damaged(file, why)
             yield database
-    except sqlite3.Error as error:
+    except sqlite3.OperationalError as error:
         raise BadInput(f"cannot write to {file}: {error}") from error
+    except sqlite3.DatabaseError as error:
+        raise Damaged(file, error) from error
 
 
 def move_aside(file: Path) -> Path:
@@ -211,6 +213,7 @@ def move_aside(file: Path) -> Path:
 def rescue(damaged: Path, database: Database) -> None:
     """Copy the rows of a damaged database that can be read."""
     with suppress(sqlite3.Error), _connected(damaged, "rw") as connection, database.writing():
+        connection.execute("PRAGMA writable_schema = ON")  # or a file that was cut is not read at all
         for table in TABLES:
             for name, data, why in Database(damaged, connection).rows(table):
                 if not why:

@@ -27,7 +27,7 @@ import numpy as np
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of, row_of
 from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
-from harness.store.store import RunDirectory
+from harness.store.store import Store
 
 
 class Panic(BaseException):
@@ -222,7 +222,7 @@ def install() -> None:
     grid = harness.run.grid.Grid
 
     def told_where(
-        conditions: Conditions, run: RunDirectory, engine: Engine, *more: object
+        conditions: Conditions, run: Store, engine: Engine, *more: object
     ) -> harness.run.grid.Grid:
         os.environ[FOLDER] = str(run.path.absolute())
         return grid(conditions, run, engine, *more)

@@ -1,6 +1,5 @@
 """A run whose methods are shown the demonstrations of a file, with and without an expert."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from harness.run import experts, given
 from harness.run.cells import prepare, run_cell
 from harness.run.experts import Shared
 from tests.harness.made_demonstrations import SWINGUP, made, same
+from tests.harness.small_runs import stored as asked
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -122,7 +122,7 @@ def test_other_content_is_another_run_and_another_key(
     assert not (tmp_path / "run").exists()
     assert not (tmp_path / "cache").exists()
     main([*run, str(tmp_path / "one.npz")])
-    stored = json.loads((tmp_path / "run/run.json").read_text())
+    stored = asked(tmp_path / "run", "request", "run")["conditions"]
     assert stored["demonstrations"].endswith(": 2 episodes, 17 steps")
     assert "--demos-from FILE" in (tmp_path / "run/leaderboard.md").read_text()
     capsys.readouterr()

@@ -24,6 +24,7 @@ from harness.cli import main
 from harness.registry import SPECS, BadInput
 from harness.run.environment import CACHE_VARIABLE
 from tests.harness.made_minari import FORMS, minari_folder
+from tests.harness.small_runs import stored as asked
 
 FLAGS = ("terminations", "truncations")
 SWINGUP, CHOICES = SPECS["swingup"], SPECS["cartpole_discrete"]
@@ -402,5 +403,5 @@ def test_a_run_is_shown_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("harness.run.grid.Grid.run", lambda self, cells: None)
     path, out = minari_folder(tmp_path / "d", "hdf5", **made()), tmp_path / "run"
     main(["run", "--methods", "bc", "--envs", "swingup", "--out", str(out), "--demos-from", str(path)])
-    stored = json.loads((out / "run.json").read_text())
+    stored = asked(out, "request", "run")["conditions"]
     assert stored["demonstrations"] == str(demos.read(path, SWINGUP))

@@ -164,7 +164,7 @@ EDITS = {
     "harness/learn/rl.py": {*KEYED},
     "harness/run/stages.py": {*KEYED},
     "harness/run/cells.py": {*KEYED},
-    "harness/run/store.py": {*KEYED},
+    "harness/store/store.py": {*KEYED},
     "harness/registry.py": {*KEYED},
     "harness/show/recordings.py": set(),
     "harness/judge/leaderboard.py": set(),
