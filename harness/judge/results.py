@@ -46,7 +46,8 @@ Seed = Annotated[int, Meta(ge=0, lt=MOST_SEEDS)]
 Count = Annotated[int, Meta(ge=0, le=10**15)]
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 
-Setting = bool | int | float | Text | list[bool | int | float | Text]
+# A text with limits in this union crashes msgspec 0.22 when the process ends.
+Setting = bool | int | float | str | list[bool | int | float | str]
 Settings = dict[Text, Annotated[dict[Text, Setting], Meta(max_length=100)]]
 """Hyper-parameters by name, of 'method', 'learner' and 'budget'."""
 

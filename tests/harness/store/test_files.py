@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.store.files import BLOCK, read
+from harness.store.files import read
+
+BLOCK = 1 << 16
 
 
 def test_reading_asks_for_memory_for_what_there_is_and_not_for_the_most_that_may_be(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Files that a run did not write: none is deleted, written over, followed or called damaged."""
 
 import os
+import pickle
 import stat
 import subprocess
 import sys
@@ -12,10 +13,11 @@ import pytest
 from harness.cli import main
 from harness.registry import BadInput
 from harness.reproduce import open_study
+from harness.store.database import FILE
 from harness.store.files import appending, read, write_atomic
 from harness.store.opening import open_for_report, open_for_run
 from harness.store.sums import SUMS
-from tests.harness.small_runs import RECORDING, REQUEST, run, snapshot, strange
+from tests.harness.small_runs import RECORDING, REQUEST, execute, run, snapshot, store, stored, strange
 
 __all__ = ["run"]
 
@@ -26,13 +28,10 @@ def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> 
     mine = [
         "notes.txt",
         "leaderboard.xlsx",
-        "figures/mine.png",
         "recordings/mine.rrd",
         ".notes.tmp",
-        "cells/a.txt",
-        "cells/notes.json",
     ]
-    mine += ["figures/.draft.tmp", "scores.csv.bak", ".report.html.swp", "cells/.#a.json"]
+    mine += ["recordings/.draft.tmp", "scores.csv.bak", ".report.html.swp"]
     for name in mine:
         (run / name).write_text("mine")
     for command in ("verify", "report", "verify"):
@@ -43,9 +42,7 @@ def test_a_users_own_files_in_a_runs_directory_are_nobodys_damage(run: Path) -> 
     assert "mine.rrd" not in (run / "report.html").read_text()
 
 
-@pytest.mark.parametrize(
-    "content", [{"SHA256SUMS": ""}, {"run.log": ""}, {"scores.csv": "a"}, {"cells/x": "a"}]
-)
+@pytest.mark.parametrize("content", [{SUMS: ""}, {"run.log": ""}, {"scores.csv": "a"}, {"recordings/x": "a"}])
 @pytest.mark.parametrize("command", ["run", "reproduce"])
 def test_a_directory_of_somebody_elses_is_refused_and_left_as_it_was(
     tmp_path: Path, content: dict[str, str], command: str, capsys: pytest.CaptureFixture[str]
@@ -84,7 +81,7 @@ def test_reproduce_writes_to_no_committed_results_unless_told() -> None:
     assert parser().parse_args(["reproduce"]).out == Path("results/reproduce")
 
 
-@pytest.mark.parametrize("folder", ["cells", "recordings", "figures"])
+@pytest.mark.parametrize("folder", ["recordings", "figures"])
 @pytest.mark.parametrize("command", ["run", "report", "verify"])
 def test_a_folder_that_leads_elsewhere_is_refused(run: Path, folder: str, command: str) -> None:
     elsewhere = run.parents[1] / "elsewhere"
@@ -100,9 +97,7 @@ def test_a_folder_that_leads_elsewhere_is_refused(run: Path, folder: str, comman
     assert snapshot(elsewhere) == before
 
 
-@pytest.mark.parametrize(
-    "name", ["scores.csv", "leaderboard.md", "report.html", "figures/cartpole_scores.png"]
-)
+@pytest.mark.parametrize("name", ["scores.csv", "leaderboard.md", "report.html", SUMS])
 def test_a_file_that_leads_elsewhere_is_replaced_and_not_followed(run: Path, name: str) -> None:
     elsewhere = run.parents[1] / "mine"
     elsewhere.write_text("mine")
@@ -114,7 +109,7 @@ def test_a_file_that_leads_elsewhere_is_replaced_and_not_followed(run: Path, nam
     assert not (run / name).is_symlink()
 
 
-@pytest.mark.parametrize("name", [".lock", "run.log", SUMS])
+@pytest.mark.parametrize("name", [".lock", "run.log"])
 @pytest.mark.parametrize(
     ("link", "reason"), [(Path.symlink_to, "is a link"), (Path.hardlink_to, "other names")]
 )
@@ -171,15 +166,15 @@ def test_verify_writes_nothing(run: Path) -> None:
 
 
 def test_a_run_deletes_what_a_killed_run_left_half_written(run: Path) -> None:
-    half = [".run.json.0123456789abcdef.tmp", "cells/.cartpole__bc__seed0.json.0123456789abcdef.tmp"]
-    mine = [".notes.0123456789abcdef.tmp", "figures/.a.svg.0123456789abcdef.tmp"]
+    half = [".scores.csv.0123456789abcdef.tmp", "recordings/.a.rrd.0123456789abcdef.tmp"]
+    mine = [".notes.0123456789abcdef.tmp", "recordings/.a.svg.0123456789abcdef.tmp"]
     for name in half + mine:
         (run / name).write_text("{")
-    (run / "figures/.a.png.0123456789abcdef.tmp").mkdir()
+    (run / "recordings/.b.rrd.0123456789abcdef.tmp").mkdir()
     with open_for_run(run, REQUEST):
         assert not any((run / name).exists() for name in half)
     assert all((run / name).exists() for name in mine)
-    assert (run / "figures/.a.png.0123456789abcdef.tmp").is_dir()
+    assert (run / "recordings/.b.rrd.0123456789abcdef.tmp").is_dir()
 
 
 @pytest.mark.parametrize("text", ["another program's", "4242", "irl-bench 1\n"])
@@ -220,12 +215,55 @@ def test_folders_are_not_made_for_what_is_refused(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "new").exists()
 
 
+# A stranger's run: nothing in it is executed, nothing outside it is written.
+
+OUTSIDE = ("../outside", "../../outside", "/tmp/irl-bench-outside", "..", "a/../../../outside")
+
+
+class Payload:
+    """Whoever unpickles it makes a file."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[object, tuple[Path]]:
+        return Path.touch, (self.marker,)
+
+
+def test_a_strangers_run_is_read_and_never_executed(run: Path, tmp_path: Path) -> None:
+    payload = pickle.dumps(Payload(tmp_path / "executed"))
+    pickle.loads(payload)
+    (tmp_path / "executed").unlink()  # raises if it had done nothing
+    bad = ["cartpole__pickle__seed0", *OUTSIDE]
+    for name in bad:
+        store(run, payload, name)
+        store(run, payload, name, "learned")
+    for number, name in enumerate(OUTSIDE):
+        for kind in ("env", "method"):
+            cell = stored(run)
+            cell["cell"][kind] = cell["rows"][0][kind] = name
+            bad.append(f"cartpole__{kind}{number}__seed0")
+            store(run, cell, bad[-1])
+    execute(run, "UPDATE cells SET data = ? WHERE name = '..'", "[" * 100_000)
+    for name in ("cell.pkl", "recordings/a.rrd", "run.log", "model.pt"):
+        (run / name).write_bytes(payload)
+    before = snapshot(tmp_path).keys()
+    command = [sys.executable, "-m", "harness"]
+    for words, code in ((["report"], 1), (["verify"], 1), (["compare", str(run)], 0)):
+        done = subprocess.run(
+            [*command, *words, str(run)], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == code
+        assert all(name in done.stderr + done.stdout for name in ("a plain name", "no JSON of a run"))
+    assert (run / "leaderboard.md").read_text().count("| bc |") == 2  # scores, and costs
+    assert snapshot(tmp_path).keys() == before
+    assert not Path(OUTSIDE[2]).exists()
+
+
 # Special files, and what may not be read.
 
 
-@pytest.mark.parametrize(
-    "name", ["cells/cartpole__bc__seed0.json", "scores.csv", SUMS, f"recordings/{RECORDING}"]
-)
+@pytest.mark.parametrize("name", [FILE, "scores.csv", SUMS, f"recordings/{RECORDING}"])
 @pytest.mark.parametrize("kind", ["pipe", "folder", "device", "link", "huge", "binary"])
 def test_special_files_block_nobody(run: Path, name: str, kind: str) -> None:
     file = run / name
@@ -240,14 +278,13 @@ def test_special_files_block_nobody(run: Path, name: str, kind: str) -> None:
         file.symlink_to("/etc/hostname")
     elif kind == "huge":
         with file.open("wb") as handle:
-            handle.truncate(1 << 34)
+            handle.truncate(1 << 36)
     else:
         file.write_bytes(bytes(range(256)))
-    assert main(["verify", str(run)]) == 1
-    # Of the one cell there is no report, and what is a folder cannot be replaced.
-    refused = name.startswith("cells") or (kind == "folder" and "/" not in name)
-    told = name == SUMS or name.startswith("recordings")
-    assert main(["report", str(run)]) == (2 if refused else 1 if told else 0)
+    assert main(["verify", str(run)]) == (2 if name == FILE else 1)
+    # What is a folder cannot be replaced.
+    refused = name == FILE or (kind == "folder" and "/" not in name)
+    assert main(["report", str(run)]) == (2 if refused else 1 if name.startswith("recordings") else 0)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder", "link", "unreadable"])

@@ -18,19 +18,30 @@ import pytest
 import irl_bench
 from harness import exported
 from harness.cli import main
-from harness.judge.results import Cell, artifact_of
+from harness.judge.results import LEARNED, Cell
 from harness.registry import BadInput
 from harness.run import baseline
 from harness.run.environment import numeric
 from harness.show import view
 from harness.store.artifacts import artifact
-from harness.store.codec import checksum
-from harness.store.files import new_folder, opened_below, sha256, sha256_of
+from harness.store.files import new_folder, opened_below, sha256_of
 from harness.store.opening import open_for_run, open_to_verify
-from harness.store.request import REQUEST as REQUEST_FILE
-from harness.store.sums import SUMS, readable, why_damaged
 from methods.network import Network
-from tests.harness.small_runs import CONDITIONS, RECORDING, REQUEST, result, run, snapshot, strange
+from tests.harness.small_runs import (
+    CONDITIONS,
+    NAME,
+    RECORDING,
+    REQUEST,
+    damage,
+    delete,
+    execute,
+    recorded,
+    result,
+    run,
+    snapshot,
+    store,
+    stored,
+)
 
 __all__ = ["run"]
 
@@ -60,24 +71,16 @@ def secret(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Path:
+def unreported(tmp_path: Path) -> Path:
     """A run with a recording, and without a report."""
     path = tmp_path / "recorded"
-    data = b"a recording"
     with open_for_run(path, REQUEST) as directory:
-        found = dataclasses.replace(result(), recordings={RECORDING: sha256_of(data)})
-        directory.save(found, {f"recordings/{RECORDING}": data})
+        directory.save(*recorded())
     return path
 
 
-def note(run: Path, name: str, digest: str) -> None:
-    """The list of checksums says so."""
-    with (run / SUMS).open("a") as sums:
-        sums.write(f"{digest}  {name}\n")
-
-
 def leads_away(run: Path, secret: Path, kind: str) -> None:
-    """A recording of the run is something else, which the list of checksums calls right."""
+    """A recording of the run is something else, which its cell calls right."""
     recording = run / "recordings" / RECORDING
     recording.unlink()
     match kind:
@@ -96,33 +99,33 @@ def leads_away(run: Path, secret: Path, kind: str) -> None:
             shutil.move(run / "recordings", secret.parent / "elsewhere")
             (secret.parent / "elsewhere" / RECORDING).write_bytes(SECRET)
             (run / "recordings").symlink_to(secret.parent / "elsewhere")
-    note(run, f"recordings/{RECORDING}", sha256_of(SECRET))
+    store(run, stored(run) | {"recordings": {RECORDING: sha256_of(SECRET)}})
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "device", "folder", "large", "folder of links"])
 @pytest.mark.usefixtures("viewer")
 def test_a_recording_that_is_no_file_of_the_run_is_neither_copied_nor_served(
-    recorded: Path,
+    unreported: Path,
     secret: Path,
     kind: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(view, "serve", lambda *its: pytest.fail("it is served"))
-    leads_away(recorded, secret, kind)
+    leads_away(unreported, secret, kind)
     new = secret.parent / "new"
     for words in (["--export", str(new / "page")], ["--web"]):
-        assert main(["view", str(recorded), *words]) == 2
+        assert main(["view", str(unreported), *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert not new.exists()
 
 
 @pytest.mark.usefixtures("viewer")
-def test_only_recordings_as_they_were_written_are_exported(recorded: Path, tmp_path: Path) -> None:
-    assert main(["view", str(recorded), "--export", str(tmp_path / "page")]) == 0
+def test_only_recordings_as_they_were_written_are_exported(unreported: Path, tmp_path: Path) -> None:
+    assert main(["view", str(unreported), "--export", str(tmp_path / "page")]) == 0
     assert (tmp_path / "page/recordings" / RECORDING).read_bytes() == b"a recording"
-    (recorded / "recordings" / RECORDING).write_bytes(b"another one")
-    assert main(["view", str(recorded), "--export", str(tmp_path / "other")]) == 2
+    (unreported / "recordings" / RECORDING).write_bytes(b"another one")
+    assert main(["view", str(unreported), "--export", str(tmp_path / "other")]) == 2
     assert not (tmp_path / "other").exists()
 
 
@@ -170,13 +173,13 @@ def test_a_folder_that_cannot_be_filled_is_not_left(tmp_path: Path, secret: Path
 
 @pytest.mark.usefixtures("viewer")
 def test_an_export_that_fails_leaves_nothing(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unreported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*its: object, **options: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "page")
 
     monkeypatch.setattr("gzip.compress", full)
-    assert main(["view", str(recorded), "--export", str(tmp_path / "new/page")]) == 2
+    assert main(["view", str(unreported), "--export", str(tmp_path / "new/page")]) == 2
     assert not (tmp_path / "new").exists()
 
 
@@ -189,9 +192,7 @@ def learned(tmp_path: Path) -> Path:
         for method, level in (("bc", 1.0), ("gail", 2.0)):
             found = result(method)
             data, _ = artifact(found.cell, CONDITIONS, {"pi_star": policy(level), "reward": None})
-            name = artifact_of(found.cell)
-            digests = {name.partition("/")[2]: sha256_of(data)}
-            directory.save(dataclasses.replace(found, artifacts=digests), {name: data})
+            directory.save(dataclasses.replace(found, learned=sha256_of(data)), {LEARNED: data})
     return path
 
 
@@ -199,44 +200,35 @@ def policy(level: float) -> Network:
     return Network(np.zeros(4), np.ones(4), (np.full((4, 1), level),), (np.zeros(1),), tanh=True)
 
 
+OTHER = "cartpole__gail__seed0"
+
+
 def artifact_of_another_cell(run: Path) -> None:
-    names = [artifact_of(Cell("cartpole", method, 0)) for method in ("bc", "gail")]
-    (run / names[0]).write_bytes((run / names[1]).read_bytes())
-    note(run, names[0], sha256(run / names[0]))
+    ((data,),) = execute(run, "SELECT data FROM learned WHERE name = ?", OTHER)
+    store(run, data, NAME, "learned")
 
 
 def artifact_without_numbers(run: Path) -> None:
     data, _ = artifact(Cell("cartpole", "bc", 0), CONDITIONS, {"pi_star": policy(math.nan), "reward": None})
-    name = artifact_of(Cell("cartpole", "bc", 0))
-    (run / name).write_bytes(data)
-    note(run, name, sha256_of(data))
+    store(run, data, NAME, "learned")
 
 
 def cell_with_another_artifact(run: Path) -> None:
     """Even its own checksums are right."""
     artifact_of_another_cell(run)
-    file, name = run / "cells/cartpole__bc__seed0.json", artifact_of(Cell("cartpole", "bc", 0))
-    stored = json.loads(file.read_text())
-    stored["result"]["artifacts"] = {Path(name).name: sha256(run / name)}
-    file.write_text(json.dumps(stored | {"sha256": checksum(stored["result"])}))
-    note(run, "cells/cartpole__bc__seed0.json", sha256(file))
+    store(run, stored(run) | {"learned": stored(run, OTHER)["learned"]})
 
 
-def cell_changed(run: Path) -> None:
-    strange(run, return_mean=999.0)
+def no_artifact(run: Path) -> None:
+    delete(run, NAME, "learned")
 
 
-def list_without_the_cell(run: Path) -> None:
-    lines = (run / SUMS).read_text().splitlines(keepends=True)
-    (run / SUMS).write_text("".join(line for line in lines if "cells/cartpole__bc" not in line))
+def cell_of_another_name(run: Path) -> None:
+    store(run, stored(run, OTHER), NAME)
 
 
-def no_list(run: Path) -> None:
-    (run / SUMS).unlink()
-
-
-ARTIFACTS = (artifact_of_another_cell, artifact_without_numbers, cell_with_another_artifact)
-CELLS = (cell_changed, list_without_the_cell, no_list)
+ARTIFACTS = (artifact_of_another_cell, artifact_without_numbers, cell_with_another_artifact, no_artifact)
+CELLS = (damage, cell_of_another_name)
 
 
 @pytest.mark.parametrize("damage", [*ARTIFACTS, *CELLS])
@@ -256,9 +248,9 @@ def test_cells_that_are_not_as_they_were_written_are_compared_with_nothing(
     learned: Path, damage: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     damage(learned)
-    assert main(["compare", str(learned), str(learned)]) == (2 if damage is no_list else 0)
+    assert main(["compare", str(learned), str(learned)]) == 0
     assert "left out: " in (said := capsys.readouterr().err)
-    assert "cartpole__bc__seed0.json" in said
+    assert NAME in said
     with open_to_verify(learned) as run:
         assert Cell("cartpole", "bc", 0) not in run.load()[0]
         assert run.damaged()
@@ -268,7 +260,7 @@ def test_cells_that_are_not_as_they_were_written_are_compared_with_nothing(
     except BadInput as error:
         found, left_out = [], [str(error)]
     assert Cell("cartpole", "bc", 0) not in {result.cell for result in found}
-    assert any("cartpole__bc__seed0.json" in line for line in left_out)
+    assert any(NAME in line for line in left_out)
 
 
 def test_tables_that_are_not_as_they_were_written_are_not_loaded(run: Path) -> None:
@@ -279,8 +271,8 @@ def test_tables_that_are_not_as_they_were_written_are_not_loaded(run: Path) -> N
         with pytest.raises(BadInput, match=f"{name}: its checksum does not match"):
             irl_bench.load(run)
         (run / name).write_bytes(whole)
-    (run / SUMS).unlink()
-    with pytest.raises(BadInput, match=f"{SUMS}: No such file"):
+    delete(run, "report", "run")
+    with pytest.raises(BadInput, match=r"scores\.csv: it has no checksum"):
         irl_bench.load(run)
 
 
@@ -300,7 +292,7 @@ def test_parts_of_two_exports_are_no_export(learned: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("leads", ["to an empty folder", "nowhere", "to the folder above"])
 def test_nothing_is_exported_through_a_link(
-    recorded: Path, learned: Path, tmp_path: Path, leads: str, capsys: pytest.CaptureFixture[str]
+    unreported: Path, learned: Path, tmp_path: Path, leads: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = {"to an empty folder": tmp_path / "empty", "nowhere": tmp_path / "none"}.get(leads, tmp_path)
     (tmp_path / "empty").mkdir()
@@ -309,7 +301,7 @@ def test_nothing_is_exported_through_a_link(
     asked = ["--env", "cartpole", "--method", "bc", "--to", str(tmp_path / "link")]
     for words in (
         ["export", str(learned), *asked],
-        ["view", str(recorded), "--export", str(tmp_path / "link")],
+        ["view", str(unreported), "--export", str(tmp_path / "link")],
     ):
         assert main(words) == 2
         assert "is there already" in capsys.readouterr().err
@@ -319,46 +311,14 @@ def test_nothing_is_exported_through_a_link(
 def test_verify_names_each_damage_once_and_what_no_checksum_covers(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording, figure = run / "recordings" / RECORDING, run / "figures/stale.png"
-    figure.write_text("of an earlier version")
-    (run / "figures/notes.txt").write_text("mine")
+    recording, mine = run / "recordings" / RECORDING, [run / "notes.txt", run / "recordings/mine.rrd"]
+    for file in mine:
+        file.write_text("mine")
+    uncovered = [f"{file}: covered by no checksum" for file in mine]
     assert main(["verify", str(run)]) == 0
-    said = capsys.readouterr().out
-    assert said.splitlines() == [
-        f"{figure}: covered by no checksum",
-        f"{run}: every file that has a checksum is as it was written",
-    ]
+    whole = f"{run}: every file that has a checksum is as it was written"
+    assert capsys.readouterr().out.splitlines() == [*uncovered, whole]
     recording.write_text("{")
     assert main(["verify", str(run)]) == 1
-    assert capsys.readouterr().out.splitlines() == [
-        f"{recording}: its checksum does not match",
-        f"{figure}: covered by no checksum",
-    ]
-
-
-def test_a_figure_that_is_not_drawn_any_more_goes_with_its_line(run: Path) -> None:
-    stale, mine = run / "figures/stale.png", run / "figures/mine.png"
-    for file in (stale, mine):
-        file.write_text("a figure")
-    note(run, "figures/stale.png", sha256(stale))
-    note(run, "figures/mine.png", "0" * 64)
-    note(run, "figures/../../mine.png", sha256(stale))
-    (run.parent / "mine.png").write_text("a figure")
-    assert main(["report", str(run)]) == 0
-    assert not stale.exists()
-    assert mine.exists()
-    assert (run.parent / "mine.png").exists()
-    assert main(["verify", str(run)]) == 0
-
-
-def noted(run: Path, file: Path) -> str:
-    return readable((run / SUMS).read_bytes())[file.relative_to(run).as_posix()]
-
-
-def test_figures_of_committed_runs_are_those_of_their_reports() -> None:
-    runs = [file.parent for file in (ROOT / "results/reference").rglob(REQUEST_FILE)]
-    assert len(runs) > 30
-    for path in runs:
-        with open_to_verify(path) as run:
-            assert run.uncovered() == [], path
-        assert not [file for file in path.glob("figures/*") if why_damaged(file, noted(path, file))]
+    damaged = f"{recording}: its checksum does not match"
+    assert capsys.readouterr().out.splitlines() == [damaged, *uncovered]
