@@ -23,7 +23,7 @@ from harness.run.plugin_sources import Sources
 from harness.run.plugins import settings_for
 
 RUNNING = (
-    *("harness.run.grid", "harness.store.opening", "harness.run.cluster", "harness.run.node"),
+    *("harness.run.grid", "harness.store.store", "harness.run.cluster", "harness.run.node"),
     *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.run.cells"),
 )
 """Modules that feed, start, compute and store cells."""

@@ -1,5 +1,7 @@
-"""What is computed once and kept for other runs: arrays and a few facts, in a file whose name says all that
-can change them. `harness.run.environment.cache_folder` says where."""
+"""The cache: arrays and facts that are computed once, in files whose names say all that can change them.
+
+`harness.run.environment.cache_folder` says where they lie.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,17 @@ COMPILED_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 
 @dataclass(frozen=True)
 class Kept:
-    """Arrays by name, and what JSON can hold."""
+    """Arrays by name, and facts that JSON can hold."""
 
     arrays: dict[str, Any]
     facts: dict[str, Any]
 
 
 def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kept:
-    """What an earlier call with the same arguments computed, or what `compute` returns now. asked: what JSON
-    can hold. Where the cache cannot be written to, that is kept with the run's temporary files."""
+    """Return what an earlier call with the same arguments computed, or else what `compute` returns now.
+
+    asked: any JSON. Where the cache cannot be written to, the run's temporary files keep it.
+    """
     path = cache_file(name, env, asked)
     spare = Path(tempfile.gettempdir()) / "cache" / path.name
     if found := load(path) or load(spare):
@@ -64,12 +68,12 @@ def compiled_once(spare: Path | None = None) -> dict[str, str]:
 
 
 def as_bytes(what: Kept) -> bytes:
-    """What `from_bytes` and `load` read."""
+    """Return the bytes that `from_bytes` and `load` read; the same things are the same bytes."""
     facts = json.dumps(what.facts)
     metadata = {"facts": facts, "checksum": _checksum(what.arrays, facts)}
     data = safetensors.numpy.save(what.arrays, metadata)
     size = int.from_bytes(data[:8], "little")
-    # It writes its header's entries in any order; the same things are the same bytes here.
+    # The library writes its header's entries in any order.
     header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True).encode()
     header += b" " * (-len(header) % 8)
     return len(header).to_bytes(8, "little") + header + data[8 + size :]
@@ -81,7 +85,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def from_bytes(data: bytes) -> Kept:
-    """The inverse of `as_bytes`. Raises ValueError for anything that it did not write."""
+    """Return what `as_bytes` wrote. Raises ValueError for anything else."""
     try:
         arrays = safetensors.numpy.load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -94,7 +98,7 @@ def from_bytes(data: bytes) -> Kept:
 
 
 def load(path: Path) -> Kept | None:
-    """None where there is no such file or it is not as it was written."""
+    """Return what a file holds, None where it is absent or damaged."""
     try:
         with opened(path) as file:
             return from_bytes(file.read())
@@ -103,7 +107,7 @@ def load(path: Path) -> Kept | None:
 
 
 def cache_file(name: str, env: str, asked: object) -> Path:
-    """Where something of this environment's expert is kept."""
+    """Return the file in which something of this environment's expert is kept."""
     return cache_folder() / f"{name}__{env}__{expert_key(env, [env, asked])}.safetensors"
 
 

@@ -30,8 +30,8 @@ OTHER_VERSION = "computed by another version of the program, its packages or its
 class StoredCells:
     """The cells of an open run's directory.
 
-    request: what the run was asked for. keys: for each cell, the key that a result needs to count; empty
-    where all of one version count. lost: files that were damaged, and why.
+    keys: for each cell, the key that a result needs to count; empty where all of one version count.
+    lost: files that were damaged, and why.
     """
 
     def __init__(

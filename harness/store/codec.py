@@ -1,4 +1,4 @@
-"""JSON of what a run stores, and the door that checks whatever claims to be such JSON."""
+"""JSON of everything that a run stores, and the checks of whatever claims to be such JSON."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def parsed(data: bytes | str, kind: type[T]) -> T:
 
 
 def checked(data: Any, kind: type[T]) -> T:
-    """Return parsed JSON as `kind`. Raises ValueError, with the place, where it is none."""
+    """Return parsed JSON as `kind`. Raises ValueError, with the place, where it does not fit."""
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:

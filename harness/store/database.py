@@ -1,9 +1,9 @@
 """The database of a run: one SQLite file, whose rows have checksums. It may be a stranger's.
 
-run        'request', and 'report': what the run's tables were rebuilt from
-cells      the result of each cell, as JSON
-baseline   the results of other runs' cells that the run is shown beside
-learned    what each cell learned (`harness.store.artifacts`)
+- `run`: the request, and what the run's tables were rebuilt from.
+- `cells`: the result of each cell, as JSON.
+- `baseline`: the results of other runs' cells that the run is shown beside.
+- `learned`: what each cell learned (`harness.store.artifacts`).
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Database:
         return digests
 
     def read(self, table: Table, name: str) -> bytes | None:
-        """Return the data of a row, None where there is none. Raises ValueError where it is damaged."""
+        """Return the data of a row, None for an absent one. Raises ValueError for a damaged one."""
         statement = f"SELECT data, sha256 FROM {table} WHERE name = ?"
         try:
             row = self._connection.execute(statement, (name,)).fetchone()
@@ -159,7 +159,7 @@ class Database:
 def open_to_read(file: Path) -> Iterator[Database]:
     """Open the database of a run; nothing is written. A transaction that was cut off is undone in a copy.
 
-    Raises BadInput where the file is none, or has another format, and Damaged where it cannot be read.
+    Raises BadInput for any other file and for another format, and Damaged where it cannot be read.
     """
     _check(file)
     with ExitStack() as stack:
@@ -182,7 +182,7 @@ def open_to_read(file: Path) -> Iterator[Database]:
 def open_to_write(file: Path) -> Iterator[Database]:
     """Open the database of a run, or create it. A transaction that was cut off is undone.
 
-    Raises BadInput where the file is none, or has another format, and Damaged where it is not whole.
+    Raises BadInput for any other file and for another format, and Damaged for one that is not whole.
     """
     if os.path.lexists(file) and file.lstat().st_size:
         _check(file, alone=True)
@@ -241,8 +241,8 @@ def _parts(file: Path) -> tuple[Path, Path]:
 
 
 def _check(file: Path, alone: bool = False) -> None:
-    """Raise BadInput where the file is no run's database, Damaged where it begins otherwise. alone: as of
-    `opened`."""
+    """Raise BadInput for a file that is no run's database, Damaged for a run's that begins otherwise.
+    alone: as of `opened`."""
     try:
         with opened(file, LARGEST_FILE, alone) as stream:
             header = stream.read(100)

@@ -82,7 +82,7 @@ def opened(path: Path, most: int | None = None, alone: bool = False) -> Iterator
 def opened_below(folder: Path, name: str, most: int = LARGEST_HASHED) -> Iterator[BinaryIO]:
     """Open the regular file `name`, a path below `folder`, for reading.
 
-    Raises OSError as `opened` does, for a link anywhere below `folder`, and for a path that leaves it.
+    Raises OSError as `opened` does, and where a link below `folder` or a path out of it is followed.
     """
     path, relative = folder / name, PurePosixPath(name)
     parts = relative.parts

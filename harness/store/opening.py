@@ -38,8 +38,8 @@ def open_for_run(path: Path, request: Request, variables: Mapping[str, str] | No
     """Start a run in `path`, which is made, or continue the one there; hold it until the context ends.
 
     variables: those of the engine that computes the run. A damaged database is moved aside, and the run goes
-    on with what can be read of it. Raises BadInput, having changed nothing, where `path` is no run's
-    directory, holds a run under other conditions, cannot be written, or is held by another process.
+    on with what can be read of it. Raises BadInput, having changed nothing, for any other directory, for a
+    run under other conditions, and where `path` cannot be written or another process holds it.
     """
     with suppress(Damaged):
         merged(path, request)
@@ -130,7 +130,7 @@ def merged(path: Path, request: Request) -> Request:
 
 
 def stored_request(path: Path) -> Request | None:
-    """Return the request of the run in `path`, None where there is none yet. Raises BadInput for all else."""
+    """Return the request of the run in `path`, None before there is one. Raises BadInput for all else."""
     if not holds_run(path):
         return None
     with shared(path), open_to_read(path / FILE) as database:
@@ -170,7 +170,7 @@ def _open_or_rescue(path: Path) -> Iterator[tuple[Database, dict[Path, str]]]:
 
 
 def _stored(database: Database) -> Request | None:
-    """Return the request in the database, None where there is none. Raises Damaged where it is damaged."""
+    """Return the request in the database, None for an absent one. Raises Damaged for a damaged one."""
     try:
         text = database.read("run", REQUEST)
         return None if text is None else request_in(text)
@@ -179,7 +179,7 @@ def _stored(database: Database) -> Request | None:
 
 
 def _request_of(database: Database) -> Request:
-    """Return the same. Raises BadInput where there is none."""
+    """Return the request in the database. Raises BadInput for an absent one, as `_stored` for another."""
     request = _stored(database)
     if request is None:
         raise BadInput(f"{database.file} holds no run")

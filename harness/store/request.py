@@ -1,4 +1,4 @@
-"""What a run was asked to compute: how a directory's request grows by another one."""
+"""The request of a run's directory, and how it grows by another one."""
 
 from __future__ import annotations
 

@@ -32,15 +32,14 @@ UNLISTED = (FILE, f"{FILE}-journal", LOG, SUMS)
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What the last report was made of, and the files that it left.
-
-    key: of `report_key`. cells: the SHA-256 of each cell's row, rows that are gone included. files: the
-    SHA-256 of each table and recording, by its path in the directory.
-    """
+    """The last report: its cells, and the files that it left."""
 
     key: str = ""
+    """The key of its cells and of the program (`report_key`)."""
     cells: dict[str, str] = dataclasses.field(default_factory=dict)
+    """The SHA-256 of each cell's row, rows that are gone included."""
     files: dict[str, str] = dataclasses.field(default_factory=dict)
+    """The SHA-256 of each table and recording, by its path in the directory."""
 
     @property
     def sums(self) -> bytes:

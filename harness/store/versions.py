@@ -1,4 +1,4 @@
-"""Which results of a run are of one version, and so can be compared."""
+"""Versions of results: those of one version can be compared."""
 
 from __future__ import annotations
 
