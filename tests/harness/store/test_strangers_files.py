@@ -10,7 +10,6 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from harness.run import baseline
 from harness.run.environment import numeric
 from harness.show import view
 from harness.store.artifacts import artifact
-from harness.store.files import new_folder, opened_below, sha256_of
+from harness.store.files import sha256_of
 from harness.store.opening import open_for_run, open_to_verify
 from methods.network import Network
 from tests.harness.small_runs import (
@@ -127,48 +126,6 @@ def test_only_recordings_as_they_were_written_are_exported(unreported: Path, tmp
     (unreported / "recordings" / RECORDING).write_bytes(b"another one")
     assert main(["view", str(unreported), "--export", str(tmp_path / "other")]) == 2
     assert not (tmp_path / "other").exists()
-
-
-def read_below(*its: Any) -> bytes:
-    with opened_below(*its) as file:
-        return file.read()
-
-
-def test_no_link_below_a_folder_is_followed(tmp_path: Path, secret: Path) -> None:
-    (tmp_path / "run/a").mkdir(parents=True)
-    (tmp_path / "run/a/file").write_text("mine")
-    (tmp_path / "run/link").symlink_to(secret)
-    (tmp_path / "run/folder").symlink_to(tmp_path / "run/a")
-    assert read_below(tmp_path / "run", "a/file") == b"mine"
-    for name in ("link", "folder/file", "../secret", str(secret), "a/../../secret", "a", "none", "", "x\0"):
-        with pytest.raises(OSError, match=r"link|leads out|no regular|No such|null"):
-            read_below(tmp_path / "run", name)
-    with pytest.raises(OSError, match="larger than"):
-        read_below(tmp_path / "run", "a/file", 3)
-
-
-def interrupted(target: Path) -> None:
-    with new_folder(target) as folder:
-        (folder / "half").write_text("half")
-        raise KeyboardInterrupt
-
-
-def test_a_folder_that_cannot_be_filled_is_not_left(tmp_path: Path, secret: Path) -> None:
-    for there in (False, True):
-        target = tmp_path / "deep/er/page"
-        if there:
-            target.mkdir(parents=True)
-        with pytest.raises(KeyboardInterrupt):
-            interrupted(target)
-        assert target.exists() == (tmp_path / "deep").exists() == there
-        if there:
-            assert [*target.iterdir()] == []
-    with new_folder(target) as folder:
-        (folder / "whole").write_text("whole")
-    assert [file.name for file in target.iterdir()] == ["whole"]
-    with new_folder(tmp_path / "another/one") as folder:
-        (folder / "whole").write_text("whole")
-    assert [file.name for file in (tmp_path / "another").rglob("*")] == ["one", "whole"]
 
 
 @pytest.mark.usefixtures("viewer")
