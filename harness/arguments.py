@@ -245,6 +245,9 @@ def parser() -> argparse.ArgumentParser:
             add.add_argument("--budget", choices=BUDGETS, help=f"{of_others}; default full")
             add.add_argument("--seeds", type=seeds, metavar="K|A,B-C", help=f"{of_others}; default 5")
     add = commands.add_parser("list", help="methods and environments", allow_abbrev=False)
+    add.add_argument("method", nargs="?", metavar="METHOD", help="list its settings, in the task of --env")
+    add.add_argument("--env", metavar="ENV", help="the task in which a method's settings are listed")
+    add.add_argument("--budget", choices=BUDGETS, default="full", help="the budget of those; default full")
     _add_plugins(add)
     return top
 

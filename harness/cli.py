@@ -126,7 +126,7 @@ def _dispatch(argv: list[str]) -> int:
 
 def _do(args: argparse.Namespace) -> int:
     if args.command == "list":
-        return _list(args.plugin)
+        return _list(args.plugin) if args.method is args.env is None else _list_settings(args)
     _check_python()
     if args.command == "verify":
         return _verify(args.directory)
@@ -192,9 +192,31 @@ def _list(named: Sequence[str]) -> int:
     return 0
 
 
+def _list_settings(args: argparse.Namespace) -> int:
+    """Print the settings of a method, and of the learner and the budget, in an environment."""
+    if args.method is None or args.env is None:
+        raise BadInput("settings are of a method in an environment: irl-bench list METHOD --env ENV")
+    plugins.add(args.plugin, [args.method, args.env])
+    env = plugins.task_or_name(args.env)
+    for kind, name, known in (("method", args.method, (*METHODS, *VARIANTS)), ("env", env, ENVS)):
+        if choose(kind, name, known) != (name,):
+            raise BadInput(f"one {kind} is needed, not {name!r:.80}")
+    plugins.load([args.method], [env])
+    with importing():
+        from harness.judge.results import Conditions
+        from harness.run.resolved import settings_of
+
+    conditions = Conditions(args.budget, "absorbing", "sbx")
+    for part, settings in settings_of(args.method, env, conditions).items():
+        print(f"{part}:")
+        for name, value in settings.items():
+            print(f"  {name:{max(map(len, settings))}} {json.dumps(value)}")
+    return 0
+
+
 def _verify(directory: Path) -> int:
-    from harness.run.opening import open_to_verify
     from harness.run.progress import say
+    from harness.store.opening import open_to_verify
 
     with open_to_verify(directory) as run:
         damaged, uncovered = run.damaged(), run.uncovered()

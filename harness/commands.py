@@ -33,13 +33,20 @@ from harness.registry import (
 from harness.run import baseline, keys, plugins, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
-from harness.run.files import can_write
-from harness.run.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
 from harness.run.processes import let_cells_sleep
 from harness.run.progress import progress_for, say, tell
-from harness.run.request import merged, stored_request
 from harness.run.signals import stop_cleanly
-from harness.run.store import LOG, RunDirectory
+from harness.store.cells import LOG
+from harness.store.files import can_write
+from harness.store.opening import (
+    holds_run,
+    merged,
+    open_for_report,
+    open_for_run,
+    open_to_plan,
+    open_to_verify,
+)
+from harness.store.store import Store
 
 if TYPE_CHECKING:
     from harness.demonstrations.reading import Demonstrations
@@ -272,7 +279,7 @@ def _is_deterministic(args: argparse.Namespace) -> bool:
 def _check_all_inline(directory: Path, engine: Engine) -> None:
     """Raises BadInput where the directory holds cells of the other engine that still count, which inline ones
     would replace."""
-    if stored_request(directory) is None:
+    if not holds_run(directory):
         return
     with open_to_verify(directory) as run:
         results, _ = run.load()
@@ -324,7 +331,7 @@ def _missing(
 
 
 def _compute(
-    run: RunDirectory, request: Request, args: argparse.Namespace, engine: Engine, programs: TextIO | None
+    run: Store, request: Request, args: argparse.Namespace, engine: Engine, programs: TextIO | None
 ) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then. programs:
     of `outcome.for_programs`."""
@@ -349,7 +356,7 @@ def _compute(
         grid.run(lost)
         results, unusable = run.load()
         for cell in [cell for cell in lost if cell not in results]:
-            reason = unusable.get(run.path / "cells" / f"{cell.name}.json", "it is gone")
+            reason = unusable.get(run.place(cell.name), "it is gone")
             results[cell] = failed_rows(
                 cell, conditions.protocol, f"its stored result cannot be used: {reason}"
             )
@@ -362,7 +369,7 @@ def _compute(
     return results
 
 
-def _beside(run: RunDirectory, request: Request, engine: Engine) -> dict[Cell, CellResult]:
+def _beside(run: Store, request: Request, engine: Engine) -> dict[Cell, CellResult]:
     """What the run is shown beside and need not compute."""
     found, unusable = run.beside()
     outcome.tell_unusable(unusable, "left out of the baseline")

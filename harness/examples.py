@@ -25,7 +25,7 @@ EXAMPLES = {
     ),
     "irl-bench verify": (
         "irl-bench verify results/latest",
-        "irl-bench verify results/reference/board/highway",
+        "irl-bench verify results/reference/quick_one_seed",
     ),
     "irl-bench export": (
         "irl-bench export results/latest --env highway --method shaped --to learned",
@@ -82,6 +82,7 @@ EXAMPLES = {
     "irl-bench list": (
         "irl-bench list",
         "irl-bench list --plugin my_method.py",
+        "irl-bench list gail --env hopper --budget full",
     ),
 }
 

@@ -17,10 +17,10 @@ from harness.arguments import installed_version
 from harness.judge.results import CellResult, Conditions, Request
 from harness.registry import ENVS, SPECS, BadInput, Demonstrator, choose
 from harness.run import baseline, keys, plugins
-from harness.run.files import new_folder, write_atomic
-from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
 from harness.run.signals import stop_cleanly
+from harness.store.files import new_folder, write_atomic
+from harness.store.opening import open_to_verify
 from methods.base import Array
 
 

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from envs import EnvSpec
 from envs.checks import number
-from harness.judge.results import NOMINAL, REFERENCE, CellResult, PolicyName, artifact_of
+from harness.judge.results import NOMINAL, REFERENCE, CellResult, PolicyName
 from harness.learn.stored import from_arrays, to_arrays
 from harness.registry import ENVS, SPECS, BadInput, choose
 from harness.run import plugins
-from harness.run.artifacts import NOT_KEPT, read_artifact
-from harness.run.cache import Kept, as_bytes, from_bytes
-from harness.run.codec import checksum, printable
-from harness.run.files import LARGEST_OF_CELL, new_folder, read, sha256_of, write_atomic
-from harness.run.opening import open_to_verify
+from harness.store.artifacts import NOT_KEPT
+from harness.store.cache import Kept, as_bytes, from_bytes
+from harness.store.codec import checksum, printable
+from harness.store.files import LARGEST_OF_CELL, new_folder, read, sha256_of, write_atomic
+from harness.store.opening import open_to_verify
 from methods.base import Array, Policy, Reward
 
 FORMAT = 1
@@ -166,11 +166,12 @@ def _learned(directory: Path, env: str, method: str, seed: int) -> tuple[CellRes
     if env not in ENVS:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
     result = results[cells[0]]
-    if not result.artifacts:
+    if not result.learned:
         failed = [row.reason for row in result.rows if row.status == "failed"]
         why = "; ".join([*failed[:1], *result.warnings]) or "it learned nothing"
         raise BadInput(f"{directory} kept nothing of {result.cell.name}: {why}", page="commands")
-    return result, read_artifact(directory / artifact_of(result.cell), result)
+    with open_to_verify(directory) as run:
+        return result, run.read_learned(result)
 
 
 def load_learned(folder: Path | str) -> Exported:

@@ -21,9 +21,9 @@ from harness.registry import BadInput
 from harness.report.spreadsheet import read_csv
 from harness.run import ours
 from harness.run import plugins as plugged_in
-from harness.run.files import opened
-from harness.run.opening import open_to_verify
-from harness.run.request import REQUEST
+from harness.store.database import FILE
+from harness.store.files import opened
+from harness.store.opening import open_to_verify
 
 DEFAULT = Path("results/latest")
 NUMBERS = ("int", "float", "bool", "Count", "Seed")
@@ -111,7 +111,7 @@ def load(directory: Path | str) -> Frames:
     folder = Path(directory)
     files = [folder / f"{name}.csv" for name in ("scores", "leaderboard")]
     try:
-        if not os.path.lexists(folder / REQUEST):
+        if not os.path.lexists(folder / FILE):
             return Frames(*(_table(file, opened) for file in files))
         with open_to_verify(folder) as run:
             return Frames(*(_table(file, run.opened) for file in files))

@@ -11,8 +11,7 @@ from typing import TextIO
 from harness.judge import effort
 from harness.judge.results import CellResult
 from harness.run.progress import say, tell
-from harness.run.store import RunDirectory
-from harness.run.sums import SUMS
+from harness.store.store import Store
 
 MOST_NAMED = 20
 """Files that a line names, but for the first; cells that failed, a line each."""
@@ -31,7 +30,7 @@ def for_programs(asked: bool) -> Iterator[TextIO | None]:
 
 
 def report(
-    run: RunDirectory,
+    run: Store,
     results: list[CellResult],
     anew: bool,
     tables: bool = False,
@@ -44,18 +43,17 @@ def report(
     from harness.report.model import build
     from harness.run.events import Reported, write
 
-    incomplete = run.why_incomplete(results) if anew else ""
-    forgotten = run.forgotten(results)
+    forgotten = run.forgotten()
     damaged = run.damaged_files(results)
     beside, unusable = run.beside()
     shown = [*results, *beside]
-    if anew or not run.is_sealed(results):
+    if anew or not run.is_sealed():
         recorded = results if run.request.conditions.record != "none" else []
         compared = []
         if recorded:
             from harness.recordings.ghosts import write_compared  # rerun is 30 MB
 
-            compared = write_compared(run.path, recorded, run.is_as_written)
+            compared = write_compared(run, recorded)
         built = build(run.request, shown, recorded_in(run.path))
         run.seal(results, [*compared, *write_report(run.path, built)])
     else:
@@ -75,9 +73,7 @@ def report(
     tell_unusable(damaged | unusable, "damaged")
     if forgotten:
         tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
-    if incomplete:
-        tell(f"damaged: {run.path / SUMS}: {incomplete}; what was stored once and is gone cannot be told")
-    return not (forgotten or damaged or unusable or incomplete)
+    return not (forgotten or damaged or unusable)
 
 
 def _and_more(names: Sequence[str]) -> str:

@@ -19,12 +19,12 @@ from harness.cell.shipped import ShippedExpert, from_file, to_file
 from harness.judge.results import Conditions
 from harness.learn.seeds import held_out_seeds, rng_for
 from harness.registry import SPECS, BadInput
-from harness.run.files import LARGEST_OF_CELL, read, sha256, write_atomic
 from harness.run.keys import EXPERTS, ROOT
-from harness.run.marked import open_marked
 from harness.run.processes import NAME, fresh_processes
 from harness.run.progress import say, tell
-from harness.run.sums import SUMS, as_lines
+from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
+from harness.store.marked import open_marked
+from harness.store.sums import SUMS, as_lines
 from methods.base import Policy
 
 MOST_TRIED = 20

@@ -24,9 +24,9 @@ from harness.registry import BadInput, LearnerName
 from harness.report.columns import score
 from harness.report.figures import BLUE, ORANGE, plot_seeds, styled
 from harness.report.spreadsheet import as_csv, frame_of
-from harness.run.files import write_atomic
-from harness.run.marked import open_marked
-from harness.run.request import STUDY
+from harness.store.files import write_atomic
+from harness.store.marked import open_marked
+from harness.store.opening import STUDY
 
 ENVS, PROTOCOLS = ("cartpole", "pendulum"), ("absorbing", "native")
 TRAJECTORIES = (1, 5, 20, 100)
@@ -83,7 +83,7 @@ def write_study(directory: Path, runs: Runs) -> None:
     write_atomic(directory / "study.md", _markdown(table))
     for env in dict.fromkeys(entry.env for entry in entries):
         with styled():
-            write_atomic(directory / f"{env}_figure_5_3.png", png(_figure_5_3(env, runs)))
+            write_atomic(directory / f"{env}_figure_5_3.png", as_file(_figure_5_3(env, runs), "png"))
 
 
 def closing_lines(runs: Runs, directory: Path) -> list[str]:

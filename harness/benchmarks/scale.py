@@ -31,12 +31,12 @@ from harness.judge.results import (
 from harness.registry import ENVS
 from harness.report.files import recorded_in, write_report
 from harness.report.model import build
-from harness.run.codec import encode
 from harness.run.engines import Job, Outcome
 from harness.run.keys import origin
-from harness.run.opening import open_for_run
 from harness.schedule.grid import Grid, Sink
 from harness.schedule.plan import Silent, Simulated
+from harness.store.codec import encode
+from harness.store.opening import open_for_run
 
 MANY, STORED, WORKERS = 100_000, 10_000, 1000
 TASKS, METHODS = 10, ("bc", "shaped")

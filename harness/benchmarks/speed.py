@@ -12,13 +12,13 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.benchmarks.measure import QUICK, REPEATS, SCORE, Measure, command, compare, compute
+from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell
 from harness.learn.rl import Agent
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run.experts import expert_for
 from harness.run.isolated import Isolated
 from methods.base import Policy
 
@@ -38,7 +38,7 @@ FIT_STEPS = 100_000
 def measures() -> Iterator[Measure]:
     """Take each measure in turn."""
     for env, bar in (("cartpole", 10.0), ("pendulum", 3.0)):
-        spec, policy = SPECS[env], expert_for(env, 0, QUICK).policy
+        spec, policy = SPECS[env], source_for(env, 0, QUICK).expert.policy
         name = f"{env}, {EPISODES} episodes of a policy, against one after the other"
         yield compare(name, partial(_together, spec, policy), partial(_one_by_one, spec, policy), bar)
     for env, bar in SOLVES.items():
@@ -85,7 +85,7 @@ def _solve(env: str, seed: int) -> tuple[float, float]:
     started = time.process_time()
     solution = Agent(spec, "absorbing", rng, "sbx").solve(None, spec.rl_steps["full"])
     seconds = time.process_time() - started
-    seeds, expert = evaluation_seeds(seed, EPISODES), expert_for(env, seed, QUICK)
+    seeds, expert = evaluation_seeds(seed, EPISODES), source_for(env, seed, QUICK).expert
     policies: list[Policy] = [lambda obs: spec.random_actions(len(obs), rng), expert.policy, solution.policy]
     least, most, reached = (evaluate(spec, policy, seeds).returns.mean() for policy in policies)
     return seconds, float((reached - least) / (most - least))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from harness.demonstrations.arrays import to_arrays
 from harness.registry import BadInput
-from harness.run.cache import Kept, as_bytes, load
 from harness.run.environment import cache_folder
-from harness.run.files import write_atomic
+from harness.store.cache import Kept, as_bytes, load
+from harness.store.files import write_atomic
 from methods.base import Array, Episodes
 
 

@@ -11,10 +11,11 @@ from harness.cell.scoring import Scored, means, score
 from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
-from harness.judge.results import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
+from harness.judge.results import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
 from harness.run import plugins
-from harness.run.artifacts import KIND, artifact
-from harness.run.files import sha256_of
+from harness.run.resolved import settings_of
+from harness.store.artifacts import artifact
+from harness.store.files import sha256_of
 from methods.base import Policy, Reward
 
 Files = dict[str, bytes]
@@ -51,15 +52,16 @@ def run_cell(
         endings={name: evaluation.endings for name, evaluation in scored.evaluations.items()},
         warnings=warnings,
         recordings={name: sha256_of(data) for name, data in recordings.items()},
-        artifacts={name: sha256_of(data) for name, data in learned.items()},
+        learned=sha256_of(learned) if learned else "",
         below_bar=bool(scored.below_bar),
         details={name: value for one in scored.candidates for name, value in one.details.items()},
         like=list(plugins.like(cell.method)),
         solves=list(scored.solves),
         seconds=added(scored.seconds, storing, recording),
+        settings=settings_of(cell.method, cell.env, conditions),
     )
-    folders = {"recordings": recordings, "artifacts": learned}
-    return result, {f"{at}/{name}": data for at, files in folders.items() for name, data in files.items()}
+    files = {f"recordings/{name}": data for name, data in recordings.items()}
+    return result, files | ({LEARNED: learned} if learned else {})
 
 
 def _retrained(inputs: Inputs) -> Retrained:
@@ -69,8 +71,8 @@ def _retrained(inputs: Inputs) -> Retrained:
     return retrain(inputs, fit_control(inputs) if inputs.cell.method in CONTROLS else fit(inputs))
 
 
-def learned_file(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
-    """Return what was learned as a file by its name, warnings of what is not in it, and the wall time."""
+def learned_file(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str], Seconds]:
+    """Return what was learned as bytes, warnings of what is not in them, and the wall time."""
     candidates = scored.candidates
     learned: dict[str, Policy | Reward | None] = {
         one.name: one.policy for one in candidates if one.policy and one.name != "random"
@@ -79,8 +81,7 @@ def learned_file(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seco
         learned["reward"] = candidates[0].reward
     with inputs.stage(f"record; {means(scored.evaluations)}") as stopwatch:
         data, warnings = artifact(inputs.cell, inputs.conditions, learned)
-    files = {f"{inputs.cell.name}.{KIND}": data} if data else {}
-    return files, warnings, {"record": stopwatch.seconds}
+    return data, warnings, {"record": stopwatch.seconds}
 
 
 def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:

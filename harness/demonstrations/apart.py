@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from harness.demonstrations import imitation, minari, npz
 from harness.demonstrations.recording import Recording
 from harness.registry import BadInput
-from harness.run.codec import printable
+from harness.store.codec import printable
 
 MEMORY = 2 << 30
 """Bytes that the process may take."""

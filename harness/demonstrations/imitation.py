@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.demonstrations.recording import MOST_EPISODES, Recording, check_observed, endings
-from harness.run.files import read as content
+from harness.store.files import read as content
 
 STATE = "state.json"
 

@@ -29,7 +29,7 @@ from harness.demonstrations.recording import (
     extra,
     opened_to_read,
 )
-from harness.run.files import read as content
+from harness.store.files import read as content
 
 if TYPE_CHECKING:  # which the process that reads does without
     from envs import EnvSpec

@@ -19,7 +19,7 @@ from harness.demonstrations.arrays import from_arrays, split, to_arrays
 from harness.demonstrations.recording import Bounds, Recording
 from harness.demonstrations.units import OPTION, SLACK, Units, units_of
 from harness.registry import BadInput
-from harness.run.files import write_atomic
+from harness.store.files import write_atomic
 from methods.base import Array, Episodes
 
 LARGEST_RETURN = 1e100

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.registry import BadInput
-from harness.run.files import opened
+from harness.store.files import opened
 
 LARGEST = 1 << 30
 """Bytes of a file, and of its numbers at 8 bytes each, at most."""

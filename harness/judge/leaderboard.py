@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Row,
+    Settings,
     Shown,
     usable,
 )
@@ -132,7 +134,11 @@ def scored_rows(results: Sequence[CellResult]) -> list[Row]:
     policies that score 0 and 1 in that task and seed are not both known, or the second is not better than the
     first.
     """
-    rows = [row for result in results for row in result.rows]
+    rows = [
+        dataclasses.replace(row, settings=_in_one_line(result.settings))
+        for result in results
+        for row in result.rows
+    ]
     scales = _scales(rows)
 
     def scored(row: Row) -> Row:
@@ -143,6 +149,10 @@ def scored_rows(results: Sequence[CellResult]) -> list[Row]:
         return dataclasses.replace(row, normalized_score=score if usable(score) else math.nan)
 
     return sorted(map(scored, rows), key=_order)
+
+
+def _in_one_line(settings: Settings) -> str:
+    return json.dumps(settings, separators=(",", ":")) if settings else ""
 
 
 def _scales(rows: Sequence[Row]) -> Scales:

@@ -1,19 +1,14 @@
 """The data model of a run: its request, cells, rows and results, and the layout of its directory.
 
-DIR/run.json                The request, and the format's version.
-DIR/cells/*.json            One file a finished cell, from which all tables and figures are built.
-DIR/baseline/*.json         Cells of other runs that this one is shown beside.
-DIR/scores.csv              One row per (env, method, seed, policy).
-DIR/leaderboard.csv, .md    Means over seeds.
-DIR/report.html             The report.
-DIR/report.key              The cells and the program that the report was built from, with the size and digest
-                            that the list of checksums had.
-DIR/recordings/*.rrd        Recordings of rerun; ENV__compare.rrd is built from the others.
-DIR/artifacts/*.safetensors Each cell's policy and reward (`harness.run.artifacts`).
-DIR/SHA256SUMS              Checksums, as of sha256sum, of all but run.json; a file's last line counts.
-DIR/run.log                 The output of the cells' processes, with full tracebacks.
+DIR/run.sqlite             The request, each cell's result, what it learned, and the baseline's cells.
+DIR/scores.csv             One row per (env, method, seed, policy). This and the next are rebuilt from it.
+DIR/leaderboard.csv, .md   Means over seeds.
+DIR/report.html            The report.
+DIR/recordings/*.rrd       Recordings of rerun; ENV__compare.rrd is rebuilt.
+DIR/SHA256SUMS             Checksums, as of sha256sum, of tables, report and recordings.
+DIR/run.log                The output of the cells' processes, with full tracebacks.
 
-Types bound what a stranger's directory may hold; `harness.run.codec` checks them.
+Types bound what a stranger's directory may hold; `harness.store.codec` checks them.
 """
 
 from __future__ import annotations
@@ -30,8 +25,6 @@ from harness.registry import Demonstrator, Experts, LearnerName, Library, Record
 
 Point = TypeVar("Point")
 
-FORMATS = (7, 8)
-"""Versions of the directory layout that can be read. The first is written where it can hold the run."""
 CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
 """Characters that change how text is shown or cannot be written, as a range of a regular expression."""
 MOST_CURVES, MOST_POINTS, MOST_SOLVES, LONGEST_TEXT = 30, 2000, 1000, 1000
@@ -49,9 +42,15 @@ FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_l
 Seconds = Annotated[float, Meta(ge=0)]
 Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]
 """One line of text for people."""
+LongText = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=100_000)]
 Seed = Annotated[int, Meta(ge=0, lt=MOST_SEEDS)]
 Count = Annotated[int, Meta(ge=0, le=10**15)]
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
+# A text with limits in this union crashes msgspec 0.22 when the process ends.
+Setting = bool | int | float | str | list[bool | int | float | str]
+Settings = dict[Text, Annotated[dict[Text, Setting], Meta(max_length=100)]]
+"""Hyper-parameters by name, of 'method', 'learner' and 'budget'."""
+
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]
 
@@ -217,6 +216,8 @@ class Row:
     """Shown pairs of observation and action; 0 where there are none, or it is unknown."""
     source: Text = ""
     """The run that it was computed for, if another (`harness.run.baseline`)."""
+    settings: LongText = ""
+    """The result's `settings`, as JSON in one line; filled in where results are shown."""
 
     @property
     def task(self) -> str:
@@ -266,8 +267,8 @@ class CellResult:
     """Warnings for the user, such as of an expert that misses its bar."""
     recordings: Recordings = field(default_factory=dict)
     """SHA-256 of each recording, by its file's name."""
-    artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
-    """SHA-256 of the file of what was learned, by its name."""
+    learned: Text = ""
+    """SHA-256 of what was learned (`harness.store.artifacts`), '' where nothing is stored."""
     key: Text = ""
     """The digest of all that can change it (`harness.run.keys`)."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
@@ -286,12 +287,14 @@ class CellResult:
     """The version of its task, experts and scoring (`harness.run.keys.task_version`)."""
     solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
     """Every RL solve of the reward, in order. pi_R is the one judged best; ties go to the first."""
+    settings: Annotated[Settings, Meta(max_length=10)] = field(default_factory=dict)
+    """The settings that it was computed with (`harness.run.resolved`)."""
 
     @property
     def files(self) -> dict[str, str]:
-        """SHA-256 of its other files, by the path in the run's directory."""
-        folders = {"recordings": self.recordings, "artifacts": self.artifacts}
-        return {f"{at}/{name}": digest for at, files in folders.items() for name, digest in files.items()}
+        """SHA-256 of each recording, by its path in the run's directory, and of what was learned, by `LEARNED`."""
+        files = {f"recordings/{name}": digest for name, digest in self.recordings.items()}
+        return files | ({LEARNED: self.learned} if self.learned else {})
 
 
 def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
@@ -345,17 +348,12 @@ def needs(cell: Cell, name: str) -> bool:
     return not is_shown or (cell.method not in UNSHOWN and name == name_of(cell.shown))
 
 
-def artifact_of(cell: Cell) -> str:
-    """Return the path, in the run's directory, of the file of what a cell learned."""
-    return f"artifacts/{cell.name}.safetensors"
-
-
 def files_of(cell: Cell) -> set[str]:
-    """Return the paths, in the run's directory, of files that a cell may have besides its own."""
+    """Return the names that a cell's files may have, as of `CellResult.files`."""
     if cell.seed:
-        return {artifact_of(cell)}
+        return {LEARNED}
     names = {recording_of(cell, policy, which) for policy in policies_of(cell) for which in RECORDED}
-    return {*(f"recordings/{name}" for name in names), artifact_of(cell)}
+    return {*(f"recordings/{name}" for name in names), LEARNED}
 
 
 def recording_of(cell: Cell, policy: PolicyName, which: str) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -27,7 +27,6 @@ from harness.judge.results import (
     NOMINAL,
     REFERENCE,
     CellResult,
-    artifact_of,
     compared_in,
 )
 from harness.learn.seeds import evaluation_seeds
@@ -36,8 +35,8 @@ from harness.recordings import common
 from harness.recordings.episode import send_ending
 from harness.recordings.scenes import Scene, scene
 from harness.registry import ENVS, SPECS, BadInput
-from harness.run.artifacts import read_artifact
-from harness.run.files import write_atomic
+from harness.store.files import write_atomic
+from harness.store.store import Store
 from methods.base import Policy
 
 SEED = 0
@@ -60,20 +59,18 @@ class Ghost:
         return f"{self.method}_{self.policy}" if self.method else self.policy
 
 
-def write_compared(
-    directory: Path, results: Iterable[CellResult], is_as_written: Callable[[Path], bool]
-) -> list[Path]:
+def write_compared(run: Store, results: Iterable[CellResult]) -> list[Path]:
     """Write DIR/recordings/ENV__compare.rrd of each environment with a reference and a method.
 
-    A file of the same artifacts stays where it is as it was written. Return the paths of all files.
+    A file of the same policies stays where it is as it was written. Return the paths of all files.
     """
     files = []
     for env, group in sorted(_by_env(results).items()):
-        file = directory / "recordings" / compared_in(env)
-        digests = [digest for result in group for digest in result.artifacts.values()]
+        file = run.path / "recordings" / compared_in(env)
+        digests = [result.learned for result in group]
         identity = hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
-        if not (is_as_written(file) and identity_of(file) == identity):
-            if len(ghosts := _ghosts(directory, env, group)) < 2:
+        if not (run.is_as_written(file) and identity_of(file) == identity):
+            if len(ghosts := _ghosts(run, env, group)) < 2:
                 continue
             write_atomic(file, record(SPECS[env], identity, ghosts))
         files.append(file)
@@ -86,7 +83,7 @@ def _by_env(results: Iterable[CellResult]) -> dict[str, list[CellResult]]:
     for result in sorted(results, key=lambda one: (one.cell.method != REFERENCE, one.cell.method)):
         cell = result.cell
         is_usual = (cell.seed, cell.dynamics, cell.shown) == (SEED, NOMINAL, ALL_SHOWN)
-        if is_usual and result.artifacts and cell.env in ENVS and cell.method not in CONTROLS:
+        if is_usual and result.learned and cell.env in ENVS and cell.method not in CONTROLS:
             learned.setdefault(cell.env, []).append(result)
     return {
         env: group for env, group in learned.items() if group[0].cell.method == REFERENCE and len(group) > 1
@@ -120,13 +117,13 @@ def record(spec: EnvSpec, identity: str, ghosts: Sequence[Ghost]) -> bytes:
     return common.rrd_file(spec.name, identity, _layout(spec, ghosts), send)
 
 
-def _ghosts(directory: Path, env: str, results: Sequence[CellResult]) -> list[Ghost]:
+def _ghosts(run: Store, env: str, results: Sequence[CellResult]) -> list[Ghost]:
     """Return an episode of each policy that can be read."""
     spec, seed = SPECS[env], evaluation_seeds(SEED, 1)[0]
     policies = [
         ("" if name == "expert" else result.cell.method, name, policy)
         for result in results
-        for name, policy in _policies(directory, result)
+        for name, policy in _policies(run, result)
     ]
     episodes = Simulator(spec, len(policies)).run_each([policy for *_, policy in policies], [seed])
     return [
@@ -135,9 +132,9 @@ def _ghosts(directory: Path, env: str, results: Sequence[CellResult]) -> list[Gh
     ]
 
 
-def _policies(directory: Path, result: CellResult) -> list[tuple[str, Policy]]:
+def _policies(run: Store, result: CellResult) -> list[tuple[str, Policy]]:
     try:
-        learned = read_artifact(directory / artifact_of(result.cell), result)
+        learned = run.read_learned(result)
     except BadInput:  # `verify` reports the damage
         return []
     return [(name, learned[name]) for name in _TITLES if learned.get(name) is not None]

@@ -18,7 +18,7 @@ from harness.report.markdown import as_markdown, leaderboard_md
 from harness.report.model import Board, Report
 from harness.report.spreadsheet import as_csv, frame_of
 from harness.report.tables import Table
-from harness.run.files import write_atomic
+from harness.store.files import write_atomic
 
 ENTRY_FIELDS = [field.name for field in dataclasses.fields(Entry)]
 FIGURES, TABLES = ("pdf", "svg", "png"), ("tex", "md", "csv")

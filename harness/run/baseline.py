@@ -24,10 +24,10 @@ from harness.judge.results import (
     Shown,
 )
 from harness.registry import METHODS, VARIANTS, BadInput
-from harness.run.codec import printable
 from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
-from harness.run.opening import open_to_verify
-from harness.run.request import REQUEST
+from harness.store.codec import printable
+from harness.store.database import FILE
+from harness.store.opening import open_to_verify
 
 MACHINE = ("processor", "family, model, stepping", "instructions", "system")
 """Of what a cell was computed with, what is not packages."""
@@ -100,7 +100,7 @@ def comparable(
 
 def _runs(path: Path) -> list[Path]:
     """The run there, or those in its folders. Raises BadInput where there is none."""
-    runs = [path] if (path / REQUEST).exists() else sorted(file.parent for file in path.rglob(REQUEST))
+    runs = [path] if (path / FILE).exists() else sorted(file.parent for file in path.rglob(FILE))
     if not runs:
         raise BadInput(f"the baseline {path} holds no run", page="plugins")
     return runs
@@ -169,4 +169,4 @@ def _marked(result: CellResult, run: str, alike: bool) -> CellResult:
     others = _other(result, alike)
     source = f"baseline {printable(run)}" + (f", of {' and '.join(others)}" if others else "")
     rows = [dataclasses.replace(row, source=source[:LONGEST_TEXT]) for row in result.rows]
-    return dataclasses.replace(result, rows=rows, recordings={}, artifacts={})
+    return dataclasses.replace(result, rows=rows, recordings={}, learned="")

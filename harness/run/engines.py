@@ -28,12 +28,12 @@ from harness.judge.results import (
     usable,
 )
 from harness.run import plugins
-from harness.run.cache import compiled_once
-from harness.run.codec import decode, encode, printable
 from harness.run.environment import hint, of_this_process
-from harness.run.files import LARGEST_OF_CELL, sha256_of
 from harness.run.keys import cell_keys, machine
 from harness.run.plugins import Plugin
+from harness.store.cache import compiled_once
+from harness.store.codec import decode, encode, printable
+from harness.store.files import LARGEST_OF_CELL, sha256_of
 
 WORK = "harness.cell.run"
 

@@ -27,10 +27,10 @@ from typing import Any, Self
 
 from harness.run.engines import WORK, Job, Outcome, compute, describe, process_restored
 from harness.run.environment import PRELOAD_VARIABLE, numeric
-from harness.run.files import appending, opened, write_atomic
 from harness.run.orphans import PATIENCE, end_descendants, end_orphans
 from harness.run.processes import NAME, SERVER_DIED, begin_cell, bound_memory, fresh_processes, wake_server
 from harness.run.scratch import scratch_folder
+from harness.store.files import appending, opened, write_atomic
 
 MOST_JOBS = 50
 """Jobs that a process does before another takes its place."""

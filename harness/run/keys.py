@@ -23,7 +23,7 @@ from harness.run.plugin_sources import Sources
 from harness.run.plugins import settings_for
 
 RUNNING = (
-    *("harness.schedule.grid", "harness.run.store", "harness.run.cluster", "harness.run.node"),
+    *("harness.schedule.grid", "harness.store.store", "harness.run.cluster", "harness.run.node"),
     *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.cell.run"),
 )
 """Modules that feed, start, compute and store cells."""

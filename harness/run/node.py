@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from harness.cell import given
 from harness.run import plugins
 from harness.run.engines import Job, Outcome
-from harness.run.files import write_atomic
 from harness.run.isolated import Isolated
+from harness.store.files import write_atomic
 
 GIVEN = "given"
 """The name of demonstrations of a file among what a job is sent."""

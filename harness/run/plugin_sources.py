@@ -45,7 +45,7 @@ class Sources:
 
 def sources_of(*modules: str) -> Sources:
     """Return the sources of the modules, which can be imported, and of what they import."""
-    from harness.run.codec import printable  # here, for `--help` does without its packages
+    from harness.store.codec import printable  # here, for `--help` does without its packages
 
     digests, program = dict[str, str](), set[str]()
     waiting, seen = [*modules], set[str]()

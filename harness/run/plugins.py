@@ -590,7 +590,7 @@ def _offered(plugin: Plugin) -> list[Offer]:
     """Import a plug-in, register what it has, and return that. Raises BadInput where it is broken."""
     if plugin.is_file:
         _files[plugin.module] = plugin.place
-    from harness.run.codec import printable  # here, for `--help` does without its packages
+    from harness.store.codec import printable  # here, for `--help` does without its packages
 
     found = []
     with _its_troubles(f"the plug-in {plugin.name} cannot be loaded"):

@@ -22,11 +22,11 @@ import psutil
 
 from harness.registry import BadInput
 from harness.run import orphans
-from harness.run.cache import compiled_once
 from harness.run.environment import for_cells
 from harness.run.keys import program
 from harness.run.scratch import scratch_folder
 from harness.run.signals import STOPS, deaf_to, stops_wait
+from harness.store.cache import compiled_once
 
 NAME = "irl-bench cell"
 SERVER_DIED = 255

@@ -16,9 +16,9 @@ from rich.padding import Padding
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from harness.run.codec import printable
 from harness.run.phases import phase_of, returned
 from harness.run.tally import Tally, clock
+from harness.store.codec import printable
 
 if TYPE_CHECKING:
     from harness.judge.results import Status

@@ -15,7 +15,7 @@ from pathlib import Path
 from filelock import lock_descriptor
 
 from harness.registry import BadInput
-from harness.run.files import opened
+from harness.store.files import opened
 
 NO_NUMBERS = "It makes and deletes temporary folders."
 

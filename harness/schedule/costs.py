@@ -23,7 +23,7 @@ from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, ta
 from harness.run import plugins
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
-from harness.run.files import read, write_atomic
+from harness.store.files import read, write_atomic
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
 

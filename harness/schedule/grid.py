@@ -24,13 +24,13 @@ from harness.judge.results import (
     files_of,
     needs,
 )
-from harness.run.codec import decode
 from harness.run.engines import Engine, Inline, Job, Outcome
 from harness.run.keys import cell_keys
 from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
 from harness.schedule.costs import Costs
+from harness.store.codec import decode
 
 Group = tuple[str, int]
 """An environment and a seed, whose cells share an expert and demonstrations."""

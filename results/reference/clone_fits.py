@@ -12,8 +12,8 @@ import sys
 import time
 
 import numpy as np
-from harness.run.experts import expert_for
 
+from harness.cell.experts import source_for
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
@@ -32,7 +32,7 @@ def fits(name: str, env: str, seed: int) -> list[list[str]]:
     """Return the lines of one task and tuning seed."""
     spec = SPECS[env]
     full = spec.demo_episodes["full"]
-    expert = expert_for(env, seed, CONDITIONS).policy
+    expert = source_for(env, seed, CONDITIONS).expert.policy
     shown = Simulator(spec).run(expert, demonstration_seeds(seed, full + MORE))
     world = TaskWorld(spec, "absorbing", "sbx")
     unit = np.concatenate([t.act for t in shown[:full]]).std(axis=0)

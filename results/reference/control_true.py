@@ -12,8 +12,8 @@ import sys
 import time
 
 import numpy as np
-from harness.run.experts import expert_for
 
+from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import evaluation_seeds, rng_for
@@ -33,7 +33,7 @@ def line(env: str, seed: int) -> list[str]:
     solver = solver_for(spec, "absorbing", rng_for(seed, env, "control_true", "pi_R 0"), "sbx")
     found = solver.solve(None, steps).policy
     took = time.process_time() - started
-    expert = expert_for(name, seed, CONDITIONS).policy
+    expert = source_for(name, seed, CONDITIONS).expert.policy
     least = evaluate(spec, lambda obs: spec.random_actions(len(obs), random), seeds).returns.mean()
     most = evaluate(SPECS[name], expert, seeds).returns.mean()
     score = (evaluate(spec, found, seeds).returns.mean() - least) / (most - least)

@@ -13,9 +13,9 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from harness.run.experts import expert_for
 
 from envs.learners import PPO
+from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
@@ -45,7 +45,7 @@ def score(pays: str, steps: int, settings: PPO, seed: int) -> tuple[float, float
     started = time.process_time()
     found = Agent(SPEC, "absorbing", rng, "sbx", settings).solve(reward, steps).policy
     seconds, seeds = time.process_time() - started, evaluation_seeds(seed, 50)
-    expert = expert_for("highway", seed, Conditions("quick", "absorbing", "sbx")).policy
+    expert = source_for("highway", seed, Conditions("quick", "absorbing", "sbx")).expert.policy
     random = np.random.default_rng(seed)
     policies = (lambda obs: SPEC.random_actions(len(obs), random), expert, found)
     least, most, its = (evaluate(SPEC, policy, seeds).returns.mean() for policy in policies)

@@ -8,8 +8,8 @@ import csv
 import sys
 
 import numpy as np
-from harness.run.experts import demonstrations_for, expert_for
 
+from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
 from harness.judge.results import ALL_SHOWN, LOWER_CONTROLS, Conditions
@@ -28,10 +28,10 @@ def scores(env: str, seed: int) -> list[list[str]]:
     spec, random = SPECS[env], np.random.default_rng(seed)
 
     def shown() -> Episodes:
-        return demonstrations_for(env, seed, ALL_SHOWN, CONDITIONS)
+        return source_for(env, seed, CONDITIONS).demonstrations(ALL_SHOWN)
 
     policies: list[Policy] = [lambda obs: spec.random_actions(len(obs), random)]
-    policies.append(expert_for(env, seed, CONDITIONS).policy)
+    policies.append(source_for(env, seed, CONDITIONS).expert.policy)
     for control in CONTROLS:
         rng = rng_for(seed, env, control, "control")
         reward = control_reward(control, shown, _no_fit, spec.random_actions, rng)

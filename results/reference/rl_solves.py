@@ -16,7 +16,7 @@ from pathlib import Path
 
 from harness.judge.leaderboard import scored_rows
 from harness.judge.results import usable
-from harness.run.opening import open_to_verify
+from harness.store.opening import open_to_verify
 
 COLUMNS = ("env", "method", "seed", "solve", "chosen", "solved", "score", "score_star")
 RETURNS = ("own_return", "own_return_star", "own_return_random")

@@ -28,7 +28,7 @@ from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of
 from harness.report.model import Report
 from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
-from harness.run.store import RunDirectory
+from harness.store.store import Store
 
 
 class Panic(BaseException):
@@ -223,7 +223,7 @@ def install() -> None:
     grid = harness.schedule.grid.Grid
 
     def told_where(
-        conditions: Conditions, run: RunDirectory, engine: Engine, *more: object
+        conditions: Conditions, run: Store, engine: Engine, *more: object
     ) -> harness.schedule.grid.Grid:
         os.environ[FOLDER] = str(run.path.absolute())
         return grid(conditions, run, engine, *more)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import CONTROLS, Cell, CellResult, Conditions, artifact_of
+from harness.judge.results import CONTROLS, LEARNED, Cell, CellResult, Conditions
 from harness.run.isolated import Isolated
 from harness.schedule.grid import Grid
+from tests.harness.small_runs import names, stored
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -30,10 +31,10 @@ class Found:
 
     def save(self, result: CellResult, files: Mapping[str, bytes]) -> None:
         self.results.append(result)
-        self.files |= files
+        self.files |= {f"{result.cell.name} {name}": data for name, data in files.items()}
 
     def learned(self, cell: Cell) -> bytes:
-        return self.files.get(artifact_of(cell), b"")
+        return self.files.get(f"{cell.name} {LEARNED}", b"")
 
     def log(self, printed: bytes) -> None:
         with (self.directory / "run.log").open("ab") as file:
@@ -62,8 +63,7 @@ def computed(directory: Path) -> list[str]:
 
 def scores(directory: Path) -> dict[str, str]:
     """What the stored cells hold, but for when they were stored and how long they took."""
-    found = {}
-    for path in (directory / "cells").iterdir():
-        stored = json.loads(path.read_text())["result"]
-        found[path.name] = json.dumps({**stored, "finished": "", "seconds": {}})
-    return found
+    return {
+        name: json.dumps({**stored(directory, name), "finished": "", "seconds": {}})
+        for name in names(directory)
+    }

@@ -8,7 +8,7 @@ import pytest
 from harness.cell.run import prepare, run_cell
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.files import sha256_of
+from harness.store.files import sha256_of
 
 BC = Cell("cartpole", "bc", 0)
 SMOKE = Conditions("smoke", "absorbing", "sb3")

@@ -1,25 +1,38 @@
-"""A finished run of one cell with a real report, to be harmed."""
+"""A finished run of one cell with a real report, to be harmed; and hands for the rows of its database."""
 
 import dataclasses
+import hashlib
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
-from harness.run.codec import checksum
-from harness.run.files import sha256, write_atomic
-from harness.run.opening import open_for_run
+from harness.store.database import FILE
+from harness.store.files import sha256_of
+from harness.store.opening import open_for_run
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)
-RECORDING = "cartpole__bc__seed0__pi_star.rrd"
+NAME = "cartpole__bc__seed0"
+RECORDING = f"{NAME}__pi_star.rrd"
 
 
-def result(method: str = "bc") -> CellResult:
-    row = Row("cartpole", method, 0, "pi_star", "absorbing", episodes=1, return_mean=1.0, length_mean=1.0)
-    return CellResult(Cell("cartpole", method, 0), [row], {"loss": [(0.0, 1.0), (1.0, 0.5)]})
+def result(method: str = "bc", seed: int = 0) -> CellResult:
+    row = Row("cartpole", method, seed, "pi_star", "absorbing", episodes=1, return_mean=1.0, length_mean=1.0)
+    return CellResult(Cell("cartpole", method, seed), [row], {"loss": [(0.0, 1.0), (1.0, 0.5)]})
+
+
+def recorded() -> tuple[CellResult, dict[str, bytes]]:
+    """A result with a recording, and that file."""
+    data = b"a recording"
+    return dataclasses.replace(result(), recordings={RECORDING: sha256_of(data)}), {
+        f"recordings/{RECORDING}": data
+    }
 
 
 @pytest.fixture
@@ -27,9 +40,7 @@ def run(tmp_path: Path) -> Path:
     """A finished run of a real report."""
     path = tmp_path / "deep/run"
     with open_for_run(path, REQUEST) as directory:
-        write_atomic(path / "recordings" / RECORDING, b"a recording")
-        recordings = {RECORDING: sha256(path / "recordings" / RECORDING)}
-        directory.save(dataclasses.replace(result(), recordings=recordings))
+        directory.save(*recorded())
     assert main(["report", str(path)]) == 0
     assert main(["verify", str(path)]) == 0
     return path
@@ -39,10 +50,42 @@ def snapshot(path: Path) -> dict[str, bytes | None]:
     return {str(file): file.read_bytes() if file.is_file() else None for file in path.rglob("*")}
 
 
+def execute(run: Path, statement: str, *values: object) -> list[tuple[Any, ...]]:
+    """What a statement of SQL finds in a run's database, or changes there."""
+    with closing(sqlite3.connect(run / FILE)) as database, database:
+        return database.execute(statement, values).fetchall()
+
+
+def names(run: Path, table: str = "cells") -> list[str]:
+    return [name for (name,) in execute(run, f"SELECT name FROM {table} ORDER BY name")]
+
+
+def stored(run: Path, name: str = NAME, table: str = "cells") -> dict[str, Any]:
+    """What the row of a cell holds."""
+    ((data,),) = execute(run, f"SELECT data FROM {table} WHERE name = ?", name)
+    found: dict[str, Any] = json.loads(data)
+    return found
+
+
+def store(run: Path, data: object, name: str = NAME, table: str = "cells", digest: str = "") -> None:
+    """A row with any JSON, text or bytes, whose checksum is right unless another is given."""
+    if not isinstance(data, str | bytes):
+        data = json.dumps(data)
+    right = hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
+    execute(run, f"INSERT OR REPLACE INTO {table} VALUES (?, ?, ?)", name, data, digest or right)
+
+
+def damage(run: Path, name: str = NAME, table: str = "cells") -> None:
+    """The row is not as it was written."""
+    execute(run, f"UPDATE {table} SET data = replace(data, '1', '7') WHERE name = ?", name)
+
+
+def delete(run: Path, name: str = NAME, table: str = "cells") -> None:
+    execute(run, f"DELETE FROM {table} WHERE name = ?", name)
+
+
 def strange(run: Path, **changes: object) -> None:
     """The stored cell with other values in its row, and a right checksum."""
-    file = run / "cells/cartpole__bc__seed0.json"
-    stored = json.loads(file.read_text())
-    stored["result"]["rows"][0] |= changes
-    stored["sha256"] = checksum(stored["result"])
-    file.write_text(json.dumps(stored))
+    result = stored(run)
+    result["rows"][0] |= changes
+    store(run, result)

@@ -1,27 +1,22 @@
 """A run is shown beside cells of others where those can be compared, and nowhere else; runs are compared."""
 
 import dataclasses
-import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from harness import commands, exchange
+from harness import commands
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
-from harness.judge.statistics import probability_of_improvement
 from harness.registry import BadInput
-from harness.report import compare
 from harness.run import baseline, keys, store
-from harness.run.codec import checksum
 from harness.run.environment import numeric
-from harness.run.files import append, sha256
-from harness.run.opening import open_for_run
-from harness.run.sums import SUMS, as_lines
+from harness.store.opening import open_for_run
+from harness.store.store import Store
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
+from tests.harness.small_runs import damage, names, store, stored
 
 MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
 VARIABLES = numeric(True)
@@ -46,14 +41,14 @@ def computed(seeds: tuple[int, ...], score: float = 470.0, method: str = "gail")
     return [CellResult(c, [make_row(c.env, method, c.seed, policy, return_mean=score)]) for c in cells]
 
 
-def edited(board: Path, change: Callable[[dict], None], cells: str = "*") -> None:
-    """What the board's cells hold is changed, and they and the list of checksums say so."""
-    for file in board.glob(f"*/cells/{cells}.json"):
-        stored = json.loads(file.read_text())
-        change(stored["result"])
-        stored["sha256"] = checksum(stored["result"])
-        file.write_text(json.dumps(stored))
-        append(file.parents[1] / SUMS, as_lines([(sha256(file), f"cells/{file.name}")]).encode())
+def edited(board: Path, change: Callable[[dict], None], task: str = "") -> None:
+    """What the board's cells, of one task or all, hold is changed, and their checksums say so."""
+    for file in board.glob("*/run.sqlite"):
+        for name in names(file.parent):
+            if name.startswith(task):
+                result = stored(file.parent, name)
+                change(result)
+                store(file.parent, result, name)
 
 
 def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> None:
@@ -165,9 +160,9 @@ def test_what_is_no_run_or_has_nothing_of_a_task_is_said(board: Path, tmp_path: 
     more = dataclasses.replace(MINE, envs=("cartpole", "swingup"))
     with pytest.raises(BadInput, match="no swingup that can be compared: none"):
         baseline.comparable([board], more, VARIABLES)
-    for file in board.rglob("cartpole__*.json"):
-        file.write_text(file.read_text()[:100])
-    with pytest.raises(BadInput, match=r"no cartpole that can be compared: .*cartpole__.*json: "):
+    for name in names(board / "one"):
+        damage(board / "one", name)
+    with pytest.raises(BadInput, match=r"no cartpole that can be compared: .*/cartpole__\w+: its checksum"):
         baseline.comparable([board], MINE, VARIABLES)
 
 
@@ -176,7 +171,7 @@ class Computes:
 
     asked: list[Cell]
 
-    def __init__(self, conditions: object, sink: store.RunDirectory, *more: object) -> None:
+    def __init__(self, conditions: object, sink: Store, *more: object) -> None:
         self.sink = sink
 
     def run(self, cells: list[Cell]) -> None:
@@ -212,8 +207,7 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     before = (tmp_path / "run/leaderboard.csv").read_bytes()
     assert main(["report", "run"]) == 0  # which needs the baseline no more
     assert (tmp_path / "run/leaderboard.csv").read_bytes() == before
-    damaged = tmp_path / "run/baseline/cartpole__shaped__seed0.json"
-    damaged.write_text("{")
+    damage(tmp_path / "run", "cartpole__shaped__seed0", "baseline")
     assert main(["verify", "run"]) == 1
     assert main(["report", "run"]) == 1
 
@@ -273,63 +267,7 @@ def test_a_run_whose_baseline_is_of_another_version_by_now_is_not_mixed(
     assert run("--out", "run") == 2
 
 
-def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None:
-    results = make_results(("cartpole",))
-    request = dataclasses.replace(REQUEST, methods=("bc", "shaped", "maxmargin", "gail"), envs=("cartpole",))
-    one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
-    other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
-    runs = [exchange._read(path) for path in (one, other)]
-    found = {(d.method, d.policy): d for d in compare.differences(*runs).items}
-    gail = found["gail", "pi_star"]
-    assert (gail.seeds, gail.better) == (2, 1.0)
-    assert gail.difference == pytest.approx(10 / 480)
-    assert gail.low == pytest.approx(gail.high) == pytest.approx(10 / 480)
-    assert (found["shaped", "pi_R"].difference, found["shaped", "pi_R"].better) == (0.0, 0.5)
-    assert compare.differing(*runs) == []
-    assert compare.other_versions(*runs) == []
-    fewer = dataclasses.replace(
-        runs[1], results=[result for result in runs[1].results if result.cell.method != "gail"]
-    )
-    assert "methods only here: gail" in compare.differing(runs[0], fewer)
-    assert "methods only there: gail" in compare.differing(fewer, runs[0])
-
-
-def test_what_cannot_be_compared_is_left_out_and_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one, other = made(tmp_path / "a/one"), made(tmp_path / "b/other")
-    edited(tmp_path / "b", lambda result: result.update(task_version="2", key="2:2"), "cartpole*")
-    edited(tmp_path / "b", lambda result: result["origin"].update(processor="another"))
-    edited(tmp_path / "b", of_another_method, "pendulum*")
-    assert main(["compare", str(one), str(other)]) == 0
-    out = capsys.readouterr().out
-    assert "- bc in pendulum: the source or the settings of the method\n" in out
-    assert "- cartpole: not compared; of another version of the task" in out
-    assert "- processor: " in out
-    assert "| pendulum | shaped | pi_R |" in out
-    assert "| cartpole |" not in out
-    assert main(["compare", str(one), str(tmp_path / "nowhere")]) == 2
-
-
-def test_scores_of_other_scales_are_not_compared() -> None:
-    """1 is what the demonstrations return without an expert."""
-    without = dataclasses.replace(REQUEST.conditions, experts="none", demonstrations="abc: 3 episodes")
-    results = [dataclasses.replace(result, task_version="a") for result in make_results()]
-    one, other = (compare.Run("it", conditions, results) for conditions in (REQUEST.conditions, without))
-    assert compare.differences(one, one).items
-    assert not compare.differences(one, other).items
-    assert compare.is_other_scale(one, other)
-    assert "demonstrations: none, there abc: 3 episodes" in compare.differing(one, other)
-
-
-def test_the_probability_of_improvement_is_mann_and_whitneys() -> None:
-    assert probability_of_improvement([1, 2, 3], [0, 0, 0]) == 1
-    assert probability_of_improvement([1, 2], [1, 2]) == 0.5
-    assert probability_of_improvement([1, 3], [2, 4]) == 0.25
-    assert math.isnan(probability_of_improvement([], [1]))
-
-
 def test_a_version_is_noted_with_each_cell(tmp_path: Path) -> None:
     made(tmp_path / "run", computed((0,)), MINE)
-    (file,) = (tmp_path / "run/cells").iterdir()
-    assert json.loads(file.read_text())["result"]["task_version"] == keys.task_version("cartpole")
+    (name,) = names(tmp_path / "run")
+    assert stored(tmp_path / "run", name)["task_version"] == keys.task_version("cartpole")

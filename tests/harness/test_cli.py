@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import itertools
-import json
 import os
 import resource
 import subprocess
@@ -14,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from harness import cli, registry
-from harness.judge.results import Conditions, Request
-from harness.run.request import write_request
+from harness.store.files import write_atomic
+from harness.store.opening import open_for_run, stored_request
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
+from tests.harness.small_runs import REQUEST
 
 HEAVY = {"torch", "numpy", "gymnasium", "pandas", "rich", "pebble", "matplotlib"}
 Main = Callable[..., tuple[int, str, str]]
@@ -66,8 +66,8 @@ def test_the_registry_tells_the_truth() -> None:
 def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
     limit: str, command: str, said: str, tmp_path: Path
 ) -> None:
-    conditions = Conditions("smoke", "absorbing", "sbx")
-    write_request(tmp_path, Request(("bc",), ("gridworld",), (0,), conditions))
+    with open_for_run(tmp_path, REQUEST):
+        pass
     line = f'ulimit {limit}; exec {sys.executable} -m harness {command} "$0"'
     done = subprocess.run(
         ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
@@ -75,12 +75,14 @@ def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
     assert said in done.stdout + done.stderr
     assert (done.stdout + done.stderr).count("\n") == 1
     assert done.returncode == 2
-    assert os.listdir(tmp_path) == ["run.json"]
+    assert sorted(os.listdir(tmp_path)) == [".lock", "run.sqlite"]
 
 
 def test_a_list_of_checksums_is_read_in_little_memory(tmp_path: Path) -> None:
-    write_request(tmp_path, Request(("bc",), ("gridworld",), (0,), Conditions("smoke", "absorbing", "sbx")))
-    (tmp_path / "SHA256SUMS").write_text(f"{64 * '0'}  scores.csv\n", encoding="ascii")
+    with open_for_run(tmp_path, REQUEST) as run:
+        write_atomic(tmp_path / "scores.csv", "")
+        run.seal([], [tmp_path / "scores.csv"])
+    (tmp_path / "scores.csv").unlink()
     line = f'ulimit -v 200000; exec {sys.executable} -m harness verify "$0"'
     done = subprocess.run(
         ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
@@ -259,8 +261,9 @@ def test_bad_input_is_one_clear_line_and_writes_nothing(
 
 
 def test_seeds_are_a_count_or_numbers_and_ranges(main: Main) -> None:
-    def stored() -> object:
-        return json.loads(Path("results/latest/run.json").read_text())["seeds"]
+    def stored() -> list[int]:
+        request = stored_request(Path("results/latest"))
+        return [*request.seeds] if request else []
 
     for asked, seeds, there in (("7-7", {7}, [7]), ("0,2-3", {0, 2, 3}, [0, 2, 3, 7])):
         run = Path("results/latest")
@@ -270,5 +273,5 @@ def test_seeds_are_a_count_or_numbers_and_ranges(main: Main) -> None:
         assert {int(name.rpartition("seed")[2]) for name in done} == seeds
         assert stored() == there
     code, out, _ = main(*SMOKE, "--methods", "bc", "--seeds", "0-7")
-    assert (code, stored()) == (0, 8)
+    assert (code, stored()) == (0, [*range(8)])
     assert f"{4 * (PER_SEED + 1)} kept from before" in out

@@ -13,11 +13,13 @@ import pytest
 
 from harness.judge.results import CellResult
 from harness.report.model import Report
-from harness.run import keys, opening, store
+from harness.run import keys
 from harness.run.events import AnyEvent, Begun, Ended, Reported
 from harness.schedule import plan
+from harness.store import opening
+from harness.store.store import Store
 from tests.harness.fake_runs import PER_SEED, SMOKE, computed, faults, scores
-from tests.harness.small_runs import snapshot
+from tests.harness.small_runs import damage, delete, snapshot
 
 Main = Callable[..., tuple[int, str, str]]
 
@@ -105,7 +107,7 @@ def test_tables_are_printed_when_asked(main: Main) -> None:
 def test_a_directory_of_runs_is_named_as_one(main: Main, tmp_path: Path) -> None:
     for name in ("absorbing", "native"):
         (tmp_path / "study" / name).mkdir(parents=True)
-        (tmp_path / "study" / name / "run.json").write_text("{}")
+        (tmp_path / "study" / name / "run.sqlite").write_text("{}")
     expected = "runs in it are study/absorbing, study/native: name one\n"
     assert main("report", "study") == (2, "", f"irl-bench: error: study holds no run; {expected}")
     (tmp_path / "study/study.json").write_text("{}")
@@ -127,11 +129,11 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     assert code == 1
     assert f"{PER_SEED} ok, 1 failed; " in out
     assert "FAILED: cartpole__bc__seed0: ValueError: two lines; in faked (fake_cells.py:" in err
-    damaged = tmp_path / "run/cells/cartpole__reference__seed0.json"
-    damaged.write_text(damaged.read_text().replace("9.0", "9.5"))
+    damaged = Path("run/run.sqlite/cartpole__reference__seed0")
+    damage(tmp_path / "run", damaged.name)
     code, _, err = main("report", "run")
     assert code == 1
-    assert f"left out: run/cells/{damaged.name}: its checksum does not match" in err
+    assert f"left out: {damaged}: its checksum does not match" in err
     (tmp_path / "faults.json").unlink()
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert code == 1
@@ -149,17 +151,17 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
 def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: str
 ) -> None:
-    lost = tmp_path / "run/cells/cartpole__control_true__seed0.json"
-    save, again = store.RunDirectory.save, False
+    lost = "cartpole__control_true__seed0"
+    save, again = Store.save, False
 
-    def lose(self: store.RunDirectory, result: CellResult, files: Mapping[str, bytes]) -> None:
+    def lose(self: Store, result: CellResult, files: Mapping[str, bytes]) -> None:
         nonlocal again
         save(self, result, files)
         if result.cell.method == "control_true" and not again:
             again = True
-            lost.write_text("{") if how == "damaged" else lost.unlink()
+            (damage if how == "damaged" else delete)(tmp_path / "run", lost)
 
-    monkeypatch.setattr(store.RunDirectory, "save", lose)
+    monkeypatch.setattr(Store, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert (code, f"{PER_SEED + 1} ok; " in out) == (0, True)
     assert (
@@ -222,16 +224,14 @@ def test_inline_cells_replace_none_of_another_engine(main: Main, tmp_path: Path)
 def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    save = store.RunDirectory.save
+    save = Store.save
 
-    def lose(
-        self: store.RunDirectory, result: CellResult, files: Mapping[str, bytes] = MappingProxyType({})
-    ) -> None:
+    def lose(self: Store, result: CellResult, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
         save(self, result, files)
         if result.cell.method == "control_true" and result.rows[0].status == "ok":
-            (tmp_path / "run/cells/cartpole__control_true__seed0.json").unlink()
+            delete(tmp_path / "run", "cartpole__control_true__seed0")
 
-    monkeypatch.setattr(store.RunDirectory, "save", lose)
+    monkeypatch.setattr(Store, "save", lose)
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
     assert (code, f"{PER_SEED} ok, 1 failed; " in out) == (1, True)
     reason = "its stored result cannot be used: it is gone"

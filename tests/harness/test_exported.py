@@ -21,13 +21,13 @@ import irl_bench
 from harness.cell.run import prepare, run_cell
 from harness.cli import main
 from harness.exported import FACTS, export, load_learned
-from harness.judge.results import Cell, Conditions, Request, artifact_of
+from harness.judge.results import LEARNED, Cell, Conditions, Request
 from harness.learn.seeds import evaluation_seeds
 from harness.registry import ENVS, PLUGINS, SPECS, BadInput
-from harness.run.artifacts import artifact, read_artifact
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.files import sha256_of
-from harness.run.opening import open_for_run, open_to_verify
+from harness.store.artifacts import artifact
+from harness.store.files import sha256_of
+from harness.store.opening import open_for_run, open_to_verify
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", "shaped", 0), Cell("cartpole_discrete", "bc", 0)]
@@ -52,7 +52,9 @@ def folder(run: Path) -> Path:
 
 
 def test_exported_and_in_process_outputs_are_bit_equal(run: Path, folder: Path) -> None:
-    kept, found = read_artifact(run / artifact_of(CELLS[0])), load_learned(folder)
+    with open_to_verify(run) as directory:
+        kept = directory.read_learned(directory.load()[0][CELLS[0]])
+    found = load_learned(folder)
     rng = np.random.default_rng(0)
     obs, act, after = rng.normal(size=(50, 4)), rng.uniform(-1, 1, (50, 1)), rng.normal(size=(50, 4))
     assert np.array_equal(found.policy(obs), kept["pi_star"](obs))
@@ -119,8 +121,9 @@ def test_stable_baselines_evaluates_an_exported_policy_to_what_the_run_scored(ru
             obs, _, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
         returns.append(env.get_episode_rewards()[-1])
-    row = next(r for r in json.loads((run / f"cells/{cell.name}.json").read_text())["result"]["rows"])
-    assert np.mean(returns) == pytest.approx(row["return_mean"], rel=1e-5)
+    with open_to_verify(run) as directory:
+        row = directory.load()[0][cell].rows[0]
+    assert np.mean(returns) == pytest.approx(row.return_mean, rel=1e-5)
     mean, _ = evaluate_policy(found.policy, env, n_eval_episodes=2)  # type: ignore[arg-type]
     assert np.isfinite(mean)
 
@@ -183,25 +186,27 @@ def test_a_reward_that_could_not_be_kept_is_no_method_without_one(run: Path, tmp
             return -np.square(act).sum(axis=1)
 
     cell = CELLS[0]
-    kept = read_artifact(run / artifact_of(cell))
     with open_to_verify(run) as directory:
         stored = directory.load()[0][cell]
+        kept = directory.read_learned(stored)
     data, troubles = artifact(cell, CONDITIONS, {"pi_star": kept["pi_star"], "reward": Own()})
     with open_for_run(tmp_path / "own", Request(("shaped",), (cell.env,), (0,), CONDITIONS)) as directory:
-        result = dataclasses.replace(
-            stored, warnings=troubles, recordings={}, artifacts={f"{cell.name}.safetensors": sha256_of(data)}
-        )
-        directory.save(result, {artifact_of(cell): data})
+        result = dataclasses.replace(stored, warnings=troubles, recordings={}, learned=sha256_of(data))
+        directory.save(result, {LEARNED: data})
     folder = export(tmp_path / "own", cell.env, cell.method, to=tmp_path / "to")
     with pytest.raises(BadInput, match=r"reward is not kept .*no dataclass of"):
         irl_bench.LearnedReward(irl_bench.make(cell.env), folder)
 
 
 def test_without_artifacts_nothing_is_exported(run: Path, tmp_path: Path) -> None:
-    with open_to_verify(run) as directory:
-        stored = directory.load()[0][CELLS[1]]
-    with open_for_run(tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), CONDITIONS)) as directory:
-        directory.save(dataclasses.replace(stored, artifacts={}, recordings={}))
+    conditions = Conditions("smoke", "absorbing", "sb3", record="none")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(run.parent / "cache"))
+        with open_for_run(
+            tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), conditions)
+        ) as directory:
+            result, _ = run_cell(CELLS[1], conditions, prepare([CELLS[1]], conditions))
+            directory.save(dataclasses.replace(result, learned=""))
     with pytest.raises(BadInput, match=r"kept nothing of .*: it learned nothing"):
         export(tmp_path / "none", CELLS[1].env, "bc", to=tmp_path / "to")
 

@@ -16,15 +16,17 @@ from hypothesis import strategies as st
 from harness import cli, commands, outcome
 from harness.judge.results import Cell, CellResult, Request
 from harness.registry import ENVS, METHODS, VARIANTS
-from harness.run.store import RunDirectory
+from harness.store.opening import open_for_run
+from harness.store.store import Store
 from methods.base import Episodes
+from tests.harness.small_runs import REQUEST, store
 
 Tried = Callable[[str, Counter[str]], None]
 NAMES = [*METHODS, *VARIANTS, *ENVS, "all", "smoke", "quick", "full", "absorbing", "native", "sbx", "sb3"]
 FLAGS = ["--methods", "--envs", "--seeds", "--budget", "--protocol", "--rl", "--out", "--workers"]
 FLAGS += ["--cell-timeout", "--retry-failed", "--help", "--json", "--"]
 COMMANDS = ["run", "report", "verify", "reproduce", "list"]
-PLACES = ["new", "mine", "mine/file", "run", "run/run.json", "damaged", "", ".", "/dev/null/x"]
+PLACES = ["new", "mine", "mine/file", "run", "run/run.sqlite", "damaged", "", ".", "/dev/null/x"]
 text = st.text(max_size=12)
 word = st.one_of(st.sampled_from(NAMES + FLAGS + COMMANDS + PLACES), st.integers().map(str), text)
 right = {
@@ -50,7 +52,7 @@ command_line = st.one_of(
 )
 
 
-def compute(run: RunDirectory, request: Request, *_: object) -> dict[Cell, CellResult]:
+def compute(run: Store, request: Request, *_: object) -> dict[Cell, CellResult]:
     """In place of the cells' work."""
     return {cell: CellResult(cell, []) for cell in request.cells}
 
@@ -62,7 +64,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("mine", "run", "damaged"):
         (place / name).mkdir()
     (place / "mine/file").write_text("precious")
-    (place / "damaged/run.json").write_text('{"format": 3')
+    (place / "damaged/run.sqlite").write_text("SQLite format 3")
     return place
 
 
@@ -92,7 +94,7 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
             assert err.getvalue().count("\n") == 1
         assert (place / "mine/file").read_bytes() == b"precious"
         assert [path.name for path in (place / "mine").iterdir()] == ["file"]
-        assert (place / "damaged/run.json").read_bytes() == b'{"format": 3'
+        assert (place / "damaged/run.sqlite").read_bytes() == b"SQLite format 3"
         codes[f"exit {code}"] += 1
 
     codes: Counter[str] = Counter()
@@ -153,27 +155,29 @@ requests = st.one_of(
     st.binary(max_size=40),
     json_values.map(lambda value: json.dumps(value).encode()),
     st.fixed_dictionaries(
-        {"format": st.just(3), "sha256": text},
-        optional=dict.fromkeys(("methods", "envs", "seeds", "budget", "protocol", "rl"), json_values),
+        {"methods": json_values},
+        optional=dict.fromkeys(("envs", "seeds", "conditions", "shown", "variants"), json_values),
     ).map(lambda value: json.dumps(value).encode()),
 )
 
 
-def test_any_run_json_is_refused_in_a_line(place: Path, tried: Tried) -> None:
+def test_any_request_that_is_none_is_refused_in_a_line(place: Path, tried: Tried) -> None:
     @settings(max_examples=300, deadline=None)
-    @given(content=requests, command=st.sampled_from(["report", "verify", "run"]))
+    @given(content=requests, command=st.sampled_from(["report", "verify"]))
     def check(content: bytes, command: str) -> None:
-        (place / "run/run.json").write_bytes(content)
-        argv = ["run", "--out", "run"] if command == "run" else [command, "run"]
+        store(place / "asked", content, "request", "run")
+        before = (place / "asked/run.sqlite").read_bytes()
         err = io.StringIO()
         with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(err):
             patch.chdir(place)
-            assert cli.main(argv) == 2
+            assert cli.main([command, "asked"]) == 2
         assert err.getvalue().startswith("irl-bench: error: ")
         assert err.getvalue().count("\n") == 1
-        assert (place / "run/run.json").read_bytes() == content
+        assert (place / "asked/run.sqlite").read_bytes() == before
         counts[command] += 1
 
+    with open_for_run(place / "asked", REQUEST):
+        pass
     counts: Counter[str] = Counter()
     check()
     tried("damaged requests", counts)

@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.registry import METHODS
-from harness.show.figures import png, styled
+from harness.report.figures import as_file, styled
 
 HERE = Path(__file__).parent
 
@@ -124,4 +124,4 @@ if __name__ == "__main__":
     found = board()
     found.to_csv(HERE / "board.csv", index=False, lineterminator="\n")
     with styled():
-        (HERE / "board.png").write_bytes(png(figure(found)))
+        (HERE / "board.png").write_bytes(as_file(figure(found), "png"))

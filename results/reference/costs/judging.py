@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from harness.run.experts import expert_for
-
+from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
@@ -22,7 +21,7 @@ class Judge:
     def __init__(self, env: str, seed: int) -> None:
         self.spec = SPECS[env]
         self._seed = seed
-        self._expert = expert_for(env, seed, Conditions(BUDGET, "absorbing", "sbx")).policy
+        self._expert = source_for(env, seed, Conditions(BUDGET, "absorbing", "sbx")).expert.policy
         rng = rng_for(seed, env, "reference", "random policy")
         self._best = self._mean_return(self._expert)
         self._worst = self._mean_return(lambda obs: self.spec.random_actions(len(obs), rng))

@@ -16,7 +16,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from harness.show.figures import BLUE, ORANGE, png, styled
+from harness.report.figures import BLUE, ORANGE, as_file, styled
 
 HERE = Path(__file__).parent
 HORIZON = 1000
@@ -50,4 +50,4 @@ def figure(scores: dict[str, pd.DataFrame]) -> Figure:
 if __name__ == "__main__":
     found = {protocol: pd.read_csv(HERE / protocol / "scores.csv") for protocol in COLOURS}
     with styled():
-        (HERE / "signs.png").write_bytes(png(figure(found)))
+        (HERE / "signs.png").write_bytes(as_file(figure(found), "png"))

@@ -25,7 +25,7 @@ from harness.judge.results import (
 )
 from harness.registry import SPECS
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.request import existing
+from harness.store.opening import stored_request
 from methods.shaped import Shaped
 
 
@@ -77,7 +77,9 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
     for protocol in PROTOCOLS:
-        conditions = existing(tmp_path / protocol).conditions
+        request = stored_request(tmp_path / protocol)
+        assert request is not None
+        conditions = request.conditions
         assert (conditions.learner, conditions.solves, conditions.experts) == ("ddpg", 3, "trained")
     assert set(scores["method"]) == methods
     learned = table[table["method"].isin(STUDIED)]

@@ -18,10 +18,10 @@ from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.learn.seeds import held_out_seeds
 from harness.registry import SPECS, BadInput, all_specs
 from harness.run import keys
-from harness.run.cache import as_bytes, from_bytes
 from harness.run.environment import CACHE_VARIABLE, numeric
-from harness.run.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
-from harness.run.opening import open_for_report, open_for_run
+from harness.run.keys import EXPERTS, ROOT, cell_keys, experts_version, program
+from harness.store.cache import as_bytes, from_bytes
+from harness.store.opening import open_for_report, open_for_run
 
 TASKS = tuple(spec.name for spec in all_specs() if spec.shipped)
 FOLDER = ROOT / EXPERTS[0]

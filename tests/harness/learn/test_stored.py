@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from harness.judge.results import Cell, Conditions
 from harness.learn.exact import ExactSolver
 from harness.learn.stored import compact, from_arrays, to_arrays
 from harness.learn.world import Features
-from harness.registry import SPECS, BadInput
-from harness.run import artifacts
-from harness.run.artifacts import NOT_KEPT, artifact, read_artifact
-from harness.run.cache import Kept, as_bytes
+from harness.registry import SPECS
+from harness.store import artifacts
+from harness.store.artifacts import NOT_KEPT, artifact, learned_in
+from harness.store.cache import Kept, as_bytes
 from methods.fourier import FourierFeatures
 from methods.network import Network
 from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward
@@ -65,42 +64,41 @@ def batch() -> tuple[Any, Any, Any]:
     return rng.standard_normal((50, 4)), rng.uniform(-1, 1, (50, 1)), rng.standard_normal((50, 4))
 
 
-def kept(path: Path, **learned: Any) -> dict[str, Any]:
+def kept(**learned: Any) -> dict[str, Any]:
     data, troubles = artifact(CELL, CONDITIONS, learned)
     assert troubles == []
-    path.write_bytes(data)
-    return read_artifact(path)
+    return learned_in(data, CELL)
 
 
 @pytest.mark.parametrize("name", REWARDS)
-def test_a_reward_that_was_kept_pays_the_same_bit_for_bit(tmp_path: Path, name: str) -> None:
+def test_a_reward_that_was_kept_pays_the_same_bit_for_bit(name: str) -> None:
     reward = REWARDS[name]
-    found = kept(tmp_path / "a.safetensors", reward=reward)["reward"]
+    found = kept(reward=reward)["reward"]
     assert type(found) is type(reward)
     assert np.array_equal(found(*batch()), reward(*batch()))
     assert np.array([found.absorbing]).tobytes() == np.array([reward.absorbing]).tobytes()
 
 
-def test_a_policy_that_was_kept_acts_the_same_bit_for_bit(tmp_path: Path) -> None:
+def test_a_policy_that_was_kept_acts_the_same_bit_for_bit() -> None:
     tabular = SPECS["gridworld"].tabular
     assert tabular is not None
     exact = ExactSolver(tabular, 0.9, np.random.default_rng(0)).solve(None, 0).policy
-    found = kept(tmp_path / "a.safetensors", pi_star=network(4, 1), pi_R=exact)
+    found = kept(pi_star=network(4, 1), pi_R=exact)
     assert np.array_equal(found["pi_R"](tabular.obs), exact(tabular.obs))
     for policy in (network(4, 2), network(3, 2, half=False)):
         obs = np.random.default_rng(2).standard_normal((20, len(policy.mean)))
-        its = kept(tmp_path / "b.safetensors", pi_star=policy)["pi_star"]
+        its = kept(pi_star=policy)["pi_star"]
         assert np.array_equal(its(obs), policy(obs))
 
 
-def test_a_linear_reward_is_kept_with_the_name_of_its_features(tmp_path: Path) -> None:
+def test_a_linear_reward_is_kept_with_the_name_of_its_features() -> None:
     data, _ = artifact(CELL, CONDITIONS, {"reward": linear()})
     assert len(data) < 2000
-    found = kept(tmp_path / "a.safetensors", reward=linear())["reward"]
+    found = kept(reward=linear())["reward"]
     assert found.phi._spec is SPECS["cartpole"]
 
 
-def test_what_was_fitted_in_32_bits_is_kept_in_32(tmp_path: Path) -> None:
+def test_what_was_fitted_in_32_bits_is_kept_in_32() -> None:
     small, large = (to_arrays(network(4, 1, half=half), "x")[0] for half in (True, False))
     assert {a.dtype for a in small.values()} == {np.dtype(np.float32)}
     assert large["x.weights.0"].dtype == np.float64
@@ -130,27 +128,26 @@ class Strange:
         (Constant(Quantity("x"), 0.0), "Quantity is no dataclass"),  # type: ignore[arg-type]
     ],
 )
-def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(tmp_path: Path, thing: Any, reason: str) -> None:
+def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(thing: Any, reason: str) -> None:
     data, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1), "reward": thing})
     assert reason in trouble
     assert CELL.name in trouble
-    (tmp_path / "a.safetensors").write_bytes(data)
-    assert set(read_artifact(tmp_path / "a.safetensors")) == {"pi_star"}
+    assert set(learned_in(data)) == {"pi_star"}
     assert artifact(CELL, CONDITIONS, {"reward": thing})[0] == b""
 
 
-def test_arrays_come_back_with_their_shape_and_layout(tmp_path: Path) -> None:
+def test_arrays_come_back_with_their_shape_and_layout() -> None:
     number = np.array(1.5)
-    found = kept(tmp_path / "a.safetensors", reward=Constant(number, 0.0))["reward"]  # type: ignore[arg-type]
+    found = kept(reward=Constant(number, 0.0))["reward"]  # type: ignore[arg-type]
     assert found.value.shape == ()
     gaussian = SquashedGaussian(dataclasses.replace(network(4, 6, half=False), tanh=False))
-    its = kept(tmp_path / "b.safetensors", pi_star=gaussian.mean)["pi_star"]
+    its = kept(pi_star=gaussian.mean)["pi_star"]
     for obs in np.random.default_rng(0).standard_normal((300, 1, 4)):
         assert np.array_equal(its(obs), gaussian.mean(obs))
         assert gaussian.mean.weights[-1].flags.c_contiguous
 
 
-def test_a_reward_that_holds_itself_is_told(tmp_path: Path) -> None:
+def test_a_reward_that_holds_itself_is_told() -> None:
     reward = Distance(network(4, 1))
     object.__setattr__(reward, "policy", reward)
     _, (trouble,) = artifact(CELL, CONDITIONS, {"reward": reward})
@@ -194,37 +191,33 @@ def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpe
         [1, 2],
     ],
 )
-def test_what_was_not_written_by_it_is_refused_and_runs_nothing(tmp_path: Path, described: Any) -> None:
+def test_what_was_not_written_by_it_is_refused_and_runs_nothing(described: Any) -> None:
     if isinstance(described, dict | list):
         with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
             from_arrays({}, described)
-    file = tmp_path / "a.safetensors"
-    file.write_bytes(as_bytes(Kept({}, {"format": 1, "learned": {"reward": described}})))
-    with pytest.raises(BadInput, match=r"a\.safetensors holds nothing that was learned"):
-        read_artifact(file)
+    with pytest.raises(ValueError, match=r"."):
+        learned_in(as_bytes(Kept({}, {"format": artifacts.FORMAT, "learned": {"reward": described}})))
 
 
-def test_a_damaged_artifact_is_told_in_a_line(tmp_path: Path) -> None:
-    file = tmp_path / "a.safetensors"
+def test_a_damaged_artifact_is_told_in_a_line() -> None:
     whole, _ = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1)})
     middle = len(whole) // 2
     flipped = whole[:-3] + bytes([whole[-3] ^ 1]) + whole[-2:]
     odd = as_bytes(Kept({}, {"format": 99, "learned": {}}))
     for data in (whole[:middle], b"", b"\xff" * 100, flipped, odd, json.dumps({}).encode()):
-        file.write_bytes(data)
-        with pytest.raises(BadInput, match="holds nothing that was learned"):
-            read_artifact(file)
-    with pytest.raises(BadInput, match="No such file"):
-        read_artifact(tmp_path / "absent")
+        with pytest.raises(ValueError, match=r"as it was written|checksum|format"):
+            learned_in(data)
+    with pytest.raises(ValueError, match="of another cell"):
+        learned_in(whole, Cell("cartpole", "bc", 0))
 
 
-def test_a_network_kept_in_32_bits_is_the_same_and_can_be_kept_again(tmp_path: Path) -> None:
+def test_a_network_kept_in_32_bits_is_the_same_and_can_be_kept_again() -> None:
     before = network(4, 1)
     small = {name: compact(array) for name, array in before.arrays().items()}
     assert {array.dtype for array in small.values()} == {np.dtype(np.float32)}
     after = Network.from_arrays(small)
     assert np.array_equal(after(batch()[0]), before(batch()[0]))
-    found = kept(tmp_path / "a.safetensors", pi_star=after)["pi_star"]
+    found = kept(pi_star=after)["pi_star"]
     assert np.array_equal(found(batch()[0]), before(batch()[0]))
 
 

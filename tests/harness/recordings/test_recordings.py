@@ -20,7 +20,7 @@ from harness.recordings.episode import Advantage, Episode, record
 from harness.recordings.scenes import Flat, scene
 from harness.recordings.solid_scene import Solid
 from harness.registry import SPECS
-from harness.run.files import write_atomic
+from harness.store.files import write_atomic
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 SPEC = SPECS["cartpole"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from harness import scale
+from harness.benchmarks import scale
 from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
 from harness.report import charts
 from harness.report.figures import Chart, look, styled

@@ -40,11 +40,8 @@ from harness.judge.results import (
 )
 from harness.learn.seeds import rng_for
 from harness.registry import BadInput
-from harness.run.artifacts import read_artifact
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.opening import open_for_report, open_for_run
-from harness.run.request import REQUEST, existing, merged, write_request
-from harness.run.store import CELL_FILE
+from harness.store.opening import merged, open_for_report, open_for_run, open_to_verify, stored_request
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
 
@@ -65,9 +62,8 @@ def test_cells_are_a_product_but_for_what_nothing_is_shown_to() -> None:
     methods = len(UNSHOWN) + 4 * (1 + len(CONTROLS) + 2 - len(UNSHOWN))
     assert len(cells) == (3 + 2) * methods * 2  # tasks, seeds
     assert {cell.task for cell in cells} == {"swingup", "cartpole", *MANY.variants}
-    names = [name for cell in cells for name in files_of(cell)]
+    names = [name for cell in cells for name in files_of(cell) - {LEARNED}]
     assert len({*names}) == len(names)
-    assert all(CELL_FILE.fullmatch(f"{cell.name}.json") for cell in cells)
 
 
 def test_a_run_asks_for_its_cells_and_no_others() -> None:
@@ -81,13 +77,13 @@ def test_a_run_asks_for_its_cells_and_no_others() -> None:
 
 def test_what_a_run_was_asked_for_is_remembered_and_grows(tmp_path: Path) -> None:
     plain = Request(("bc",), ("swingup",), (0,), SMOKE)
-    for request, version in ((plain, 7), (MANY, 8)):
-        path = tmp_path / str(version)
-        path.mkdir()
-        write_request(path, request)
-        assert existing(path) == dataclasses.replace(request, shown=tuple(request.shown))
-        assert f'"format": {version}' in (path / REQUEST).read_text()
-    grown = merged(tmp_path / "7", dataclasses.replace(plain, shown=(Shown(5),), variants=("swingup.light",)))
+    for request, name in ((plain, "plain"), (MANY, "many")):
+        with open_for_run(tmp_path / name, request):
+            pass
+        assert stored_request(tmp_path / name) == request
+    grown = merged(
+        tmp_path / "plain", dataclasses.replace(plain, shown=(Shown(5),), variants=("swingup.light",))
+    )
     assert (grown.shown, grown.variants) == ((Shown(), Shown(5)), ("swingup.light",))
     without = dataclasses.replace(plain, conditions=dataclasses.replace(SMOKE, retrain=False))
     with pytest.raises(BadInput, match="retrain"):
@@ -264,10 +260,13 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     assert 2 * 28 <= pairs <= 2 * 29  # of 200 steps
     returns = shaped["return_mean"]
     assert returns[NOMINAL, "pi_star"] != returns["flipped", "pi_star"]
-    kept = {
-        name: read_artifact(out / "artifacts" / f"{name}__shaped__seed0__2_demos__every_7.safetensors")
-        for name in ("swingup", "swingup.flipped")
-    }
+    with open_to_verify(out) as run:
+        results, _ = run.load()
+        kept = {
+            cell.task: run.read_learned(result)
+            for cell, result in results.items()
+            if (cell.method, cell.shown.demos) == ("shaped", 2)
+        }
     flipped = rows[rows["dynamics"] == "flipped"].set_index(["method", "policy"])
     for method in ("shaped", "bc"):  # which fit nothing there
         assert flipped.loc[(method, "pi_star"), "fit_seconds"].isna().all()
@@ -338,7 +337,7 @@ def test_a_variant_whose_method_is_fitted_again_says_no_more_than_one_that_is_ca
     conditions = Conditions("smoke", "absorbing", "sb3")
     _, files = run_cell(nominal, conditions, prepare([nominal], conditions))
     inputs = prepare([cell], conditions)
-    learned = files[f"artifacts/{nominal.name}.safetensors"]
+    learned = files[LEARNED]
     rows = []
     for given in (inputs, {**inputs, LEARNED: learned}):
         result, _ = run_cell(cell, conditions, given)

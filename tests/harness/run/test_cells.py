@@ -19,15 +19,14 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Row,
-    artifact_of,
     failed_rows,
     policies_of,
 )
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
 from harness.registry import SPECS
-from harness.run.artifacts import learned_in, read_artifact
 from harness.run.phases import phase_of
+from harness.store.artifacts import learned_in
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
 
@@ -73,7 +72,7 @@ def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
 def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     cell = Cell("cartpole", "shaped", 1)
     result = run(cell, tmp_path)
-    learned = read_artifact(tmp_path / f"artifacts/{cell.name}.safetensors")
+    learned = learned_in((tmp_path / LEARNED).read_bytes())
     assert set(learned) == {"pi_star", "pi_R", "reward"}
     for row in result.rows:
         seeds = evaluation_seeds(1, row.episodes)
@@ -101,14 +100,14 @@ def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> N
     assert list(dict.fromkeys(stages)) == ["demonstrate", "fit", "score", "record"]
     assert phase_of(told[-1]).returns == {"pi_star": pytest.approx(result.rows[0].return_mean, abs=0.06)}
     assert result.recordings == {}
-    assert files.keys() == result.files.keys() == {artifact_of(BC)}
+    assert files.keys() == result.files.keys() == {LEARNED}
     recorded = run(BC, tmp_path)
     assert [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows] == [
         dataclasses.replace(row, fit_seconds=0.0) for row in recorded.rows
     ]
-    kept = read_artifact(tmp_path / artifact_of(BC))
+    kept = learned_in((tmp_path / LEARNED).read_bytes())
     obs = np.random.default_rng(0).standard_normal((20, 4))
-    assert np.array_equal(learned_in(files[artifact_of(BC)])["pi_star"](obs), kept["pi_star"](obs))
+    assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
 
 
 def test_the_reference_scores_the_expert_and_a_random_policy(
@@ -165,7 +164,7 @@ def test_the_clones_control_is_the_same_with_what_bc_learned_and_without(tmp_pat
     run(BC, tmp_path)
     cell = Cell("cartpole", "control_clone", 0)
     inputs = prepare([cell], SMOKE)
-    artifact = (tmp_path / f"artifacts/{BC.name}.safetensors").read_bytes()
+    artifact = (tmp_path / LEARNED).read_bytes()
     scores = []
     for given in (inputs, {**inputs, LEARNED: artifact}):
         result, _ = run_cell(cell, SMOKE, given)

@@ -21,8 +21,8 @@ from harness.benchmarks.local_cluster import LocalCluster, local_cluster
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import Unfinished
 from harness.run import cluster as ray_engine
-from harness.run.codec import decode
 from harness.run.engines import Job
+from harness.store.codec import decode
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
 TESTS = Path(__file__).parents[1]

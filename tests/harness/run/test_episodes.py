@@ -22,7 +22,6 @@ from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings.ghosts import write_compared
 from harness.registry import SPECS, Record
-from harness.run.artifacts import read_artifact
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 
@@ -197,7 +196,9 @@ def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> Non
             batch = chunk.to_record_batch()
             ends[chunk.entity_path.rpartition("/")[2]] = batch.column("Scalars:scalars").to_pylist()[-1][0]
     assert ends.keys() == {"expert", "bc_pi_star"}
-    learned = read_artifact(tmp_path / "artifacts/cartpole__bc__seed0.safetensors")
+    from harness.store.artifacts import learned_in
+
+    learned = learned_in((tmp_path / "learned").read_bytes())
     first = evaluate(SPEC, learned["pi_star"], evaluation_seeds(0, 1))
     assert ends["bc_pi_star"] == pytest.approx(first.returns[0])
 

@@ -9,36 +9,33 @@ from typing import Self
 
 import pytest
 
-from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of
-from harness.run.codec import encode
+from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of, recording_of
+from harness.run import grid
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.files import sha256_of
 from harness.run.progress import Progress
 from harness.run.tally import Tally
 from harness.schedule import grid
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid, Schedule
 from harness.schedule.plan import Silent, Simulated
+from harness.store.codec import encode
+from harness.store.files import sha256_of
 from tests.harness.fake_runs import Found
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 CELLS = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("bc", "shaped")]
 
 
-def name_of(cell: Cell) -> str:
-    return f"{cell.name}.safetensors"
-
-
-def result(cell: Cell, file: str = "") -> CellResult:
+def result(cell: Cell) -> CellResult:
     rows = [Row(cell.env, cell.method, cell.seed, policy, "absorbing") for policy in policies_of(cell)]
-    artifacts = {file or name_of(cell): sha256_of(b"x")}
-    return CellResult(cell, rows, artifacts=artifacts, seconds={"fit": 0.0})
+    return CellResult(cell, rows, learned=sha256_of(b"x"), seconds={"fit": 0.0})
 
 
 def anothers(job: Job) -> Outcome:
-    file = name_of(CELLS[1])
-    return Outcome(encode(result(job.cells[0], file)), {f"artifacts/{file}": b"x"})
+    file = recording_of(CELLS[1], "pi_star", "median")
+    recorded = dataclasses.replace(result(job.cells[0]), recordings={file: sha256_of(b"y")})
+    return Outcome(encode(recorded), {LEARNED: b"x", f"recordings/{file}": b"y"})
 
 
 class Scripted(Inline):
@@ -67,7 +64,7 @@ def run(
 
 def good(job: Job) -> Outcome:
     (cell,) = job.cells
-    return Outcome(encode(result(cell)), {f"artifacts/{name_of(cell)}": b"x"}, b"said\n")
+    return Outcome(encode(result(cell)), {LEARNED: b"x"}, b"said\n")
 
 
 def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -> None:
@@ -77,7 +74,7 @@ def test_cells_are_given_what_they_share_and_nothing_of_others(tmp_path: Path) -
         assert job.inputs == inputs
     assert [job.cells for job in engine.given if job.shared] == [tuple(CELLS[:2]), tuple(CELLS[2:])]
     assert sorted(r.cell for r in found.results) == sorted(CELLS)
-    assert found.files == {f"artifacts/{name_of(cell)}": b"x" for cell in CELLS}
+    assert found.files == {f"{cell.name} {LEARNED}": b"x" for cell in CELLS}
     assert (tmp_path / "run.log").read_text() == "made\nsaid\nsaid\n" * 2
     for kept in found.results:
         assert set(kept.seconds) == {"start", "fit"}
@@ -108,9 +105,9 @@ def test_what_goes_on_from_another_cell_waits_for_it_and_is_given_what_it_learne
     "wrong",
     [
         lambda job: dataclasses.replace(good(job), files={}),
-        lambda job: dataclasses.replace(good(job), files={**good(job).files, "../run.json": b"{}"}),
+        lambda job: dataclasses.replace(good(job), files={**good(job).files, "../run.sqlite": b"{}"}),
         anothers,
-        lambda job: dataclasses.replace(good(job), files={"artifacts/../../b.safetensors": b"x"}),
+        lambda job: dataclasses.replace(good(job), files={"recordings/../../b.rrd": b"x"}),
         lambda job: dataclasses.replace(good(job), result=encode(result(Cell("cartpole", "bc", 7)))),
     ],
 )
@@ -118,7 +115,7 @@ def test_what_is_not_the_cells_is_a_failed_row(tmp_path: Path, wrong: Callable[[
     _, found = run(tmp_path, lambda job: wrong(job) if job.cells[0].method == "bc" else good(job))
     status = {r.cell: {row.status for row in r.rows} for r in found.results}
     assert status == {cell: {"failed"} if cell.method == "bc" else {"ok"} for cell in CELLS}
-    assert set(found.files) == {f"artifacts/{name_of(cell)}" for cell in CELLS if cell.method == "shaped"}
+    assert set(found.files) == {f"{cell.name} {LEARNED}" for cell in CELLS if cell.method == "shaped"}
     failed = next(r for r in found.results if r.cell.method == "bc")
     assert failed.rows[0].reason == "what came back is not the cell's"
 

@@ -164,7 +164,7 @@ EDITS = {
     "harness/learn/rl.py": {*KEYED},
     "harness/cell/fitting.py": {*KEYED},
     "harness/cell/run.py": {*KEYED},
-    "harness/run/store.py": {*KEYED},
+    "harness/store/store.py": {*KEYED},
     "harness/registry.py": {*KEYED},
     "harness/recordings/episode.py": set(),
     "harness/judge/leaderboard.py": set(),

@@ -27,7 +27,7 @@ from harness.learn import world
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds
 from harness.learn.world import solver_for
 from harness.registry import PROTOCOLS, SPECS, load_method
-from harness.run.codec import decode, encode
+from harness.store.codec import decode, encode
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 

@@ -1,6 +1,7 @@
 """What a plug-in may touch: its own cells, and nothing of the driver, of other cells, or of later runs."""
 
 import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -18,15 +19,16 @@ from harness.arguments import parser
 from harness.judge import effort
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import PLUGINS, SPECS, VARIANTS, BadInput, load_method
-from harness.run import cluster, environment, isolated, keys, plugin_sources, plugins
-from harness.run.codec import decode
+from harness.run import cluster, environment, isolated, keys, plan, plugin_sources, plugins
 from harness.run.engines import Inline, Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.schedule import plan
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid
+from harness.store.codec import decode
 from methods.settings import settings_for
 from tests.harness.plugged import MINE
+from tests.harness.small_runs import stored
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 OTHER = MINE.replace("mine", "other").replace("moon", "mars").replace("Mine", "Other")
@@ -106,12 +108,10 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].startswith("BadInput no method named 'mine'")
     assert not (tmp_path / "executed").exists()
-    one, two = (
-        decode((tmp_path / run / "cells/gridworld__bc__seed0.json").read_text()) for run in ("one", "two")
-    )
+    one, two = (decode(json.dumps(stored(tmp_path / run, "gridworld__bc__seed0"))) for run in ("one", "two"))
     assert one.rows[0].status == "ok"
     assert (one.key, one.rows[0].return_mean) == (two.key, two.rows[0].return_mean)
-    its = decode((tmp_path / "one/cells/gridworld__mine__seed0.json").read_text())
+    its = decode(json.dumps(stored(tmp_path / "one", "gridworld__mine__seed0")))
     assert its.rows[0].status == "ok", its.rows[0].reason
     assert its.rows[0].return_mean != one.rows[0].return_mean
 

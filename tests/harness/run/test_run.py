@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.run.codec import encode
 from harness.run.engines import Job
 from harness.run.environment import CACHE_VARIABLE
 from harness.schedule.costs import Costs
+from harness.store.codec import encode
 from tests.harness.fake_runs import compute
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")

@@ -12,9 +12,9 @@ import pytest
 from filelock import lock_descriptor
 
 from harness.run import scratch
-from harness.run.files import opened
 from harness.run.processes import as_in_cells
 from harness.run.scratch import MARKER, PREFIX, scratch_folder
+from harness.store.files import opened
 
 
 @pytest.fixture

@@ -33,10 +33,10 @@ from harness.judge.results import (
 from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
-from harness.run.cache import Kept
-from harness.run.codec import checksum, decode, encode
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.request import merged, stored_request, write_request
+from harness.store.cache import Kept
+from harness.store.codec import decode, encode
+from harness.store.opening import merged, open_for_run, stored_request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 
@@ -244,10 +244,9 @@ ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing
 @pytest.mark.parametrize("changes", [{}, {"solves": 3}, {"learner": "ddpg"}])
 def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, Any]) -> None:
     request = dataclasses.replace(ASKED, conditions=dataclasses.replace(ASKED.conditions, **changes))
-    write_request(tmp_path, request)
+    with open_for_run(tmp_path, request):
+        pass
     assert stored_request(tmp_path) == merged(tmp_path, request) == request
-    told = json.loads((tmp_path / "run.json").read_text())
-    assert {name: told[name] for name in ("solves", "learner") if name in told} == changes
     if changes:
         with pytest.raises(BadInput, match=r"holds a run with (solves 3|learner ddpg), not (by task|own)"):
             merged(tmp_path, ASKED)
@@ -255,12 +254,11 @@ def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, An
 
 def test_cells_of_earlier_versions_have_no_solves() -> None:
     result = CellResult(CELL, [row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
-    stored = json.loads(encode(result))["result"]
+    stored = json.loads(encode(result))
     del stored["solves"]
     for row in stored["rows"]:
         for name in ("own_return_random", "solves", "solved"):
             del row[name]
-    sealed = json.dumps({"sha256": checksum(stored), "result": stored})
-    earlier = decode(sealed)
+    earlier = decode(json.dumps(stored))
     assert earlier.solves == []
     assert math.isnan(earlier.rows[0].solved)

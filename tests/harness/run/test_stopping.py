@@ -1,6 +1,5 @@
 """Runs in processes of their own: stopped, refused, moved, out of space, on a terminal; nothing is lost."""
 
-import json
 import os
 import pty
 import re
@@ -15,6 +14,7 @@ import pytest
 
 from harness.run.environment import SAME_INSTRUCTIONS
 from tests.harness.fake_runs import FAKE, FAKE_ENV, PER_SEED, SMOKE, computed, faults, scores
+from tests.harness.small_runs import names, stored
 
 
 def start(tmp_path: Path, *before: str) -> subprocess.Popen[str]:
@@ -165,14 +165,16 @@ def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path
 def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     tmp_path: Path, unbroken: dict[str, str]
 ) -> None:
-    faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
+    faults(tmp_path, **dict.fromkeys(unbroken, "large"))
     command = [*FAKE, *SMOKE, "--methods", "shaped", "--out", str(tmp_path / "run")]
     # As a full disk does, the system refuses to write on, here after 200 KiB a file.
     limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command]
     full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
     assert full.returncode == 2
-    assert re.fullmatch(r"irl-bench: error: .*/cells/cartpole__\w+\.json: File too large\n", full.stderr)
-    assert list((tmp_path / "run/cells").iterdir()) == []
+    assert re.fullmatch(
+        r"irl-bench: error: .*/run\.sqlite: (disk I/O error|database or disk is full)\n", full.stderr
+    )
+    assert names(tmp_path / "run") == []
     wait_until_gone(tmp_path)
     faults(tmp_path)
     subprocess.run(command, env=FAKE_ENV, check=True, capture_output=True)
@@ -192,7 +194,7 @@ def test_a_run_pins_its_instructions_unless_asked_to_be_fast_and_mixes_with_no_o
     command[-1] = str(tmp_path / "other")
     subprocess.run([*command, "--fast"], env=FAKE_ENV, check=True, capture_output=True)
     assert "--xla_cpu_max_isa" not in (tmp_path / "other/run.log").read_text()
-    assert json.loads((tmp_path / "other/run.json").read_text())["deterministic"] is False
+    assert stored(tmp_path / "other", "request", "run")["conditions"]["deterministic"] is False
 
 
 def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:

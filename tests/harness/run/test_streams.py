@@ -14,8 +14,9 @@ import pytest
 
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.run import streams
-from harness.run.opening import open_for_run
+from harness.store.opening import open_for_run
 from tests.harness.fake_runs import PER_SEED
+from tests.harness.small_runs import damage, names
 
 HERE = Path(__file__).parents[1]
 ROOT = HERE.parents[1]
@@ -62,7 +63,7 @@ def test_wherever_it_prints_to_a_failed_cell_is_exit_1_and_the_report_is_there(
     assert code == 1
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").read_text() == f"a table of {PER_SEED + 1} cells\n"
-    assert sum(name.endswith(".json") for name in os.listdir(tmp_path / "run/cells")) == PER_SEED + 1
+    assert len(names(tmp_path / "run")) == PER_SEED + 1
 
 
 def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_path: Path) -> None:
@@ -70,8 +71,7 @@ def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_p
     assert shell(tmp_path, f"$IRL {RUN}")[0] == 0
     for command, code in (("report run", 1), (RUN, 0), ("report run", 0)):
         if code == 1 or command == RUN:
-            cell = tmp_path / "run/cells/cartpole__reference__seed0.json"
-            cell.write_bytes(cell.read_bytes()[:-9])
+            damage(tmp_path / "run", "cartpole__reference__seed0")
         (tmp_path / "run/leaderboard.md").unlink()
         line = f"$IRL {command} 2>&1 | head -0; exit ${{PIPESTATUS[0]}}"
         assert shell(tmp_path, line)[0] == code

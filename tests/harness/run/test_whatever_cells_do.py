@@ -17,9 +17,9 @@ import pytest
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import BadInput
 from harness.run import processes
-from harness.run.codec import decode
 from harness.run.engines import Job
 from harness.run.isolated import Isolated
+from harness.store.codec import decode
 from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parents[1]

@@ -22,7 +22,8 @@ sys.modules |= dict.fromkeys(("fcntl", "resource", "pwd", "grp", "termios"))
 WORKS = """
 from pathlib import Path
 import harness.cli, harness.commands, harness.exchange, harness.run.isolated
-from harness.run import files, scratch, signals, streams
+from harness.run import scratch, signals, streams
+from harness.store import files
 harness.commands.handle_signals()
 assert set(signals.STOPS) == {signal.SIGINT, signal.SIGTERM}
 streams.install()

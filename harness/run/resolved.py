@@ -1,0 +1,60 @@
+"""The settings that a cell is computed with, for people: of its method, its learner and its budget."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from harness.cell.experts import task_for
+from harness.judge.results import (
+    CONTROL_METHODS,
+    CONTROLS,
+    LONGEST_TEXT,
+    REFERENCE,
+    Conditions,
+    Setting,
+    Settings,
+    usable,
+)
+from harness.registry import load_method
+from harness.run import plugins
+from harness.store.codec import printable
+
+NO_NUMBERS = "It tells people what keys are of already."
+
+LIMITS = ("rl_steps", "solves", "eval_episodes", "demo_episodes")
+"""The fields of a task that are tables by budget."""
+
+
+def settings_of(method: str, env: str, conditions: Conditions) -> Settings:
+    """Return the hyper-parameters that a method gets in an environment, those of the learner that solves
+    rewards there, and what the budget allows. The reference, and controls without a fit, have no first."""
+    spec, settings = task_for(env, conditions), Settings()
+    name = CONTROL_METHODS.get(method, method)
+    if name not in (REFERENCE, *CONTROLS):
+        made = load_method(name)(**plugins.settings_for(name, env, conditions.budget))
+        settings["method"] = _fields(made)
+    exact = spec.tabular is not None
+    settings["learner"] = {"name": "exact"} if exact else {"name": type(spec.rl).__name__, **_fields(spec.rl)}
+    settings["budget"] = {"name": conditions.budget}
+    settings["budget"] |= {limit: getattr(spec, limit)[conditions.budget] for limit in LIMITS}
+    if conditions.solves:
+        settings["budget"]["solves"] = conditions.solves
+    return settings
+
+
+def _fields(made: Any) -> dict[str, Setting]:
+    """Return the fields of a dataclass as JSON holds them."""
+    return {field.name: _setting(getattr(made, field.name)) for field in dataclasses.fields(made)}
+
+
+def _setting(value: object) -> Setting:
+    if isinstance(value, tuple | list):
+        return [_scalar(item) for item in value[:100]]
+    return _scalar(value)
+
+
+def _scalar(value: object) -> bool | int | float | str:
+    if isinstance(value, bool | int) or (isinstance(value, float) and usable(value)):
+        return value
+    return printable("none" if value is None else str(value))[:LONGEST_TEXT]

@@ -1,0 +1,71 @@
+"""The request of a run's directory, and how it grows by another one."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from harness.judge.results import Conditions, Request
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput
+from harness.run import plugins
+from harness.store.codec import encode, parsed
+
+NO_NUMBERS = "It merges what was asked for, of which keys are."
+
+
+def request_in(text: bytes | str) -> Request:
+    """Return the request that `encode` wrote. Raises ValueError for anything else."""
+    request = parsed(text, Request)
+    if list(request.seeds) != sorted({*request.seeds}):
+        raise ValueError("its seeds are not in order")
+    return request
+
+
+def grown(path: Path, old: Request | None, asked: Request) -> Request:
+    """Return the request `old` of the directory `path`, where it has one, grown by `asked`.
+
+    Raises BadInput where they cannot be one run, or it would be larger than a directory can hold.
+    """
+    union = asked if old is None else _union(path, old, asked)
+    try:
+        request_in(encode(union))
+    except ValueError as error:
+        raise BadInput(f"{path} cannot hold so much: {error}") from error
+    if old is not None:
+        _check_known(path, old)
+    return union
+
+
+def _check_known(path: Path, old: Request) -> None:
+    """Raise BadInput where the run in `path` has methods or environments that are not known here."""
+    known = {*METHODS, *VARIANTS, *ENVS}
+    names = (*old.methods, *old.envs)
+    if strangers := [name for name in names if plugins.task_or_name(name) not in known]:
+        raise BadInput(
+            f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
+            "or give another --out",
+            page="plugins",
+        )
+
+
+def _union(path: Path, old: Request, asked: Request) -> Request:
+    """Return both requests as one. Raises BadInput where their conditions differ."""
+    for field in dataclasses.fields(Conditions):
+        there, here = (request.conditions.in_words(field.name) for request in (old, asked))
+        if there != here:
+            differs = f"{field.name} {there}, not {here}"
+            raise BadInput(f"{path} holds a run with {differs}; give another --out", "commands")
+    return Request(
+        methods=_in_order(METHODS | VARIANTS, old.methods + asked.methods),
+        envs=_in_order(ENVS, old.envs + asked.envs),
+        seeds=tuple(sorted({*old.seeds, *asked.seeds})),
+        conditions=old.conditions,
+        shown=tuple(sorted({*old.shown, *asked.shown})),
+        variants=tuple(sorted({*old.variants, *asked.variants})),
+    )
+
+
+def _in_order(known: dict[str, Any], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return each name once, the known ones first and in their order."""
+    return tuple(name for name in known if name in names) + tuple(sorted({*names} - known.keys()))

@@ -1,0 +1,209 @@
+"""What is kept between runs: computed once, whole or not at all, under a key of all that can change it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from harness.cell import experts
+from harness.cell import shared as shared_module
+from harness.cell.experts import source_for
+from harness.cell.shared import Shared, prepare
+from harness.judge.results import Conditions, Shown
+from harness.learn.seeds import demonstration_seeds
+from harness.learn.simulator import Simulator
+from harness.registry import SPECS
+from harness.run import cache, experts, packages
+from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
+from harness.run.keys import experts_version, program
+from harness.store import cache
+from harness.store.cache import Kept, cache_file, kept, load
+
+CARTPOLE = SPECS["cartpole"]
+VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def never() -> Kept:
+    pytest.fail("computed again")
+
+
+def test_it_is_computed_once(folder: Path) -> None:
+    first = kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    again = kept("thing", "cartpole", ["smoke"], never)
+    assert first is VALUE
+    assert again.facts == VALUE.facts
+    assert again.arrays.keys() == VALUE.arrays.keys()
+    for name, array in VALUE.arrays.items():
+        np.testing.assert_array_equal(again.arrays[name], array)
+    assert [path.name.split("__")[:2] for path in folder.iterdir()] == [["thing", "cartpole"]]
+
+
+def test_whatever_bit_is_flipped_it_is_computed_again(folder: Path) -> None:
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    (path,) = folder.iterdir()
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    places = [int(place) for place in rng.integers(len(whole), size=200)]
+    for place in places:
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1 :])
+        found = load(path)
+        # What is not read, such as spaces that fill up the header, may be anything.
+        assert found is None or (found.facts == VALUE.facts and found.arrays.keys() == VALUE.arrays.keys())
+        assert found is None or all(np.array_equal(found.arrays[n], VALUE.arrays[n]) for n in VALUE.arrays)
+    for damaged in (b"", whole[: len(whole) // 2], bytes(range(256)) * 9, b"{}"):
+        path.write_bytes(damaged)
+        assert load(path) is None
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    again = load(path)
+    assert again is not None
+    assert again.facts == VALUE.facts
+    path.unlink()
+    assert load(path) is None
+
+
+@pytest.mark.parametrize("kind", ["a file", "of a stranger", "full"])
+def test_where_it_cannot_be_written_it_is_kept_for_the_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "run"))
+    (tmp_path / "run").mkdir()
+    if kind == "a file":
+        folder.write_text("mine")
+    write = cache.write_atomic
+
+    def refuse(path: Path, data: bytes) -> None:
+        if path.parent == folder:
+            raise OSError(28, "No space left on device")
+        write(path, data)
+
+    if kind != "a file":
+        monkeypatch.setattr(cache, "write_atomic", refuse)
+    assert kept("thing", "cartpole", ["smoke"], lambda: VALUE) is VALUE
+    assert kept("thing", "cartpole", ["smoke"], never).facts == VALUE.facts
+    assert len(list((tmp_path / "run/cache").iterdir())) == 1
+
+
+def test_no_name_is_the_users_folder_or_that_of_earlier_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def folder() -> Path:
+        return cache_file("thing", "cartpole", ["smoke"]).parent
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv(CACHE_VARIABLE, "")
+    assert folder() == tmp_path / "home/.cache/irl-bench"
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    assert os.listdir(tmp_path) == ["home"]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert folder() == tmp_path / "caches/irl-bench"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # which is to be ignored
+    assert folder() == tmp_path / "home/.cache/irl-bench"
+    (tmp_path / "results/cache").mkdir(parents=True)
+    assert folder() == EARLIER_CACHE == Path("results/cache")
+
+
+@pytest.mark.parametrize("kind", ["deep", "pipe", "folder", "link"])
+def test_what_is_odd_there_is_computed_again(folder: Path, kind: str) -> None:
+    kept("thing", "cartpole", ["smoke"], lambda: VALUE)
+    (path,) = folder.iterdir()
+    path.unlink()
+    if kind == "deep":
+        facts = "[" * 100_000
+        metadata = {"facts": facts, "checksum": cache._checksum(VALUE.arrays, facts)}
+        path.write_bytes(safetensors.numpy.save(VALUE.arrays, metadata))
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero")
+    assert load(path) is None
+
+
+def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3", experts="trained")
+    asked = ("cartpole", 3, conditions)
+    one, demos = source_for(*asked).expert, source_for(*asked[:2], conditions).demonstrations(Shown(4))
+    shared = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
+    before = len(list(folder.iterdir()))
+    for name in ("solver_for", "Simulator"):
+        monkeypatch.setattr(experts, name, lambda *_: never())
+    for name in ("replay", "ranked"):
+        monkeypatch.setattr(shared_module, name, lambda *_: never())
+    again = Shared(prepare(*asked[:2], [Shown(4), Shown(5)], conditions))
+    for other in (shared, again):
+        its = other.expert
+        assert (one.name, one.curve, one.seconds) == (its.name, its.curve, its.seconds)
+        np.testing.assert_array_equal(one.policy(np.eye(4)), its.policy(np.eye(4)))
+        drawn = other.demonstrations(Shown(4))
+        for mine, theirs in zip((*demos.obs, *demos.act), (*drawn.obs, *drawn.act), strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        assert len(other.demonstrations(Shown(5))) == 5
+        with pytest.raises(KeyError):
+            other.demonstrations(Shown(6))
+    for name, array in vars(shared.replays).items():
+        np.testing.assert_array_equal(getattr(again.replays, name), array)
+    assert len(list(folder.iterdir())) == before == 5
+    with pytest.raises(pytest.fail.Exception, match="again"):
+        prepare("cartpole", 4, [Shown(4)], conditions)
+
+
+def test_where_no_reward_is_retrained_nothing_is_made_to_measure_one() -> None:
+    conditions = Conditions("smoke", "absorbing", "sbx", retrain=False)
+    assert set(prepare("cartpole", 0, [], conditions)) == {shared_module.EXPERT}
+
+
+def test_demonstrations_come_back_as_they_were_drawn() -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    first, again = (source_for("cartpole", 2, conditions).demonstrations(Shown(6)) for _ in range(2))
+    expert = source_for("cartpole", 2, conditions).expert
+    drawn = Simulator(CARTPOLE).run(expert.policy, demonstration_seeds(2, 6))
+    for demos in (first, again):
+        assert demos.terminated == tuple(e.terminated for e in drawn)
+        for obs, act, episode in zip(demos.obs, demos.act, drawn, strict=True):
+            np.testing.assert_array_equal(obs, episode.obs)
+            np.testing.assert_array_equal(act, episode.act)
+
+
+def test_run_seeds_take_the_shipped_experts_in_turn() -> None:
+    conditions = Conditions("smoke", "absorbing", "sb3")
+    names = [source_for("cartpole", seed, conditions).expert.name for seed in range(7)]
+    version = experts_version("cartpole")
+    assert names == [f"{version}:{seed % 5}" for seed in range(7)]
+
+
+def test_whatever_can_change_it_changes_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(name: str = "expert", env: str = "cartpole", asked: object = "smoke") -> Path:
+        return cache_file(name, env, asked)
+
+    for variable in SAME_INSTRUCTIONS:  # which whoever runs this may have set
+        monkeypatch.delenv(variable, raising=False)
+    keys = [key(), key("other"), key(env="pendulum"), key(asked="quick")]
+    with monkeypatch.context() as changed:
+        changed.setattr(packages, "version_of", lambda package: "0")
+        keys.append(key())
+    for variable, value in SAME_INSTRUCTIONS.items():
+        with monkeypatch.context() as changed:
+            changed.setenv(variable, value)
+            keys.append(key())
+    with monkeypatch.context() as changed:
+        changed.setattr(Path, "read_bytes", lambda path: b"pass")
+        program.cache_clear()
+        keys.append(key())
+    program.cache_clear()
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]
