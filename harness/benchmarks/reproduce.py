@@ -22,7 +22,7 @@ from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHO
 from harness.judge.roles import SURVIVAL
 from harness.registry import BadInput, LearnerName
 from harness.report.columns import score
-from harness.report.figures import BLUE, ORANGE, plot_seeds, styled
+from harness.report.figures import BLUE, ORANGE, as_file, plot_seeds, styled
 from harness.report.spreadsheet import as_csv, frame_of
 from harness.store.files import write_atomic
 from harness.store.marked import open_marked

@@ -292,7 +292,7 @@ class CellResult:
 
     @property
     def files(self) -> dict[str, str]:
-        """SHA-256 of each recording, by its path in the run's directory, and of what was learned, by `LEARNED`."""
+        """SHA-256 of each recording by its path in the run's directory, and of what was learned."""
         files = {f"recordings/{name}": digest for name, digest in self.recordings.items()}
         return files | ({LEARNED: self.learned} if self.learned else {})
 

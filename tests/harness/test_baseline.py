@@ -11,7 +11,7 @@ from harness import commands
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.registry import BadInput
-from harness.run import baseline, keys, store
+from harness.run import baseline, keys
 from harness.run.environment import numeric
 from harness.store.opening import open_for_run
 from harness.store.store import Store

@@ -9,6 +9,7 @@ import pytest
 from harness import exchange
 from harness.cli import main
 from harness.judge.statistics import probability_of_improvement
+from harness.report import compare
 from tests.harness.made_results import REQUEST, make_results
 from tests.harness.test_baseline import computed, edited, made, of_another_method
 
@@ -19,7 +20,7 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
     other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
     runs = [exchange._read(path) for path in (one, other)]
-    found = {(d.method, d.policy): d for d in compare.differences(*runs)}
+    found = {(d.method, d.policy): d for d in compare.differences(*runs).items}
     gail = found["gail", "pi_star"]
     assert (gail.seeds, gail.better) == (2, 1.0)
     assert gail.difference == pytest.approx(10 / 480)
@@ -56,8 +57,8 @@ def test_scores_of_other_scales_are_not_compared() -> None:
     without = dataclasses.replace(REQUEST.conditions, experts="none", demonstrations="abc: 3 episodes")
     results = [dataclasses.replace(result, task_version="a") for result in make_results()]
     one, other = (compare.Run("it", conditions, results) for conditions in (REQUEST.conditions, without))
-    assert compare.differences(one, one)
-    assert not compare.differences(one, other)
+    assert compare.differences(one, one).items
+    assert not compare.differences(one, other).items
     assert compare.is_other_scale(one, other)
     assert "demonstrations: none, there abc: 3 episodes" in compare.differing(one, other)
 

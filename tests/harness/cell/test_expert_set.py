@@ -35,9 +35,6 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     there.mkdir(parents=True)
     for file in FOLDER.glob("cart*.safetensors"):
         (there / file.name).write_bytes(file.read_bytes())
-    (tmp_path / PAGE_PARTS[0]).parent.mkdir(parents=True)
-    for part in PAGE_PARTS:
-        (tmp_path / part).write_bytes((ROOT / part).read_bytes())
     monkeypatch.setattr(keys, "ROOT", tmp_path)
     program.cache_clear()
     yield there

@@ -10,7 +10,6 @@ from typing import Self
 import pytest
 
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of, recording_of
-from harness.run import grid
 from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.progress import Progress

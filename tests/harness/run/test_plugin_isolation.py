@@ -19,7 +19,7 @@ from harness.arguments import parser
 from harness.judge import effort
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import PLUGINS, SPECS, VARIANTS, BadInput, load_method
-from harness.run import cluster, environment, isolated, keys, plan, plugin_sources, plugins
+from harness.run import cluster, environment, isolated, keys, plugin_sources, plugins
 from harness.run.engines import Inline, Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.schedule import plan

@@ -18,7 +18,7 @@ from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run import cache, experts, packages
+from harness.run import packages
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.keys import experts_version, program
 from harness.store import cache
