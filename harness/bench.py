@@ -20,16 +20,16 @@ from highway_env.envs.highway_env import HighwayEnvFast
 
 from envs import EnvSpec
 from envs.driving.highway import BLOCK, CONFIG, HORIZON, drive, first_states
+from harness.engines.jobs import Engine
+from harness.engines.processes import Processes
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.learn.rl import Agent
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import METHODS, SPECS, VARIANTS, Library
-from harness.run.engines import Engine
 from harness.run.experts import expert_for
 from harness.run.grid import Grid
-from harness.run.isolated import Isolated
 from methods.base import Policy
 
 REPEATS = 5
@@ -202,7 +202,7 @@ def _solve(env: str, seed: int, library: Library) -> tuple[float, float]:
 def _fit(env: str, method: str, each: int, bar: float | None) -> Measure:
     """Seconds on one core of a fit for so many environment steps, or altogether where it takes none; in a
     process of its own, which compiles."""
-    [result] = compute([Cell(env, method, 0)], replace(CONDITIONS, retrain=False), Isolated(1))
+    [result] = compute([Cell(env, method, 0)], replace(CONDITIONS, retrain=False), Processes(1))
     took = result.rows[0]
     if took.env_steps == 0:
         return Measure(f"{env}, {method}, fit", "s", [took.fit_seconds], bar)
@@ -220,7 +220,7 @@ def _loops(count: int) -> int:
 
 def _grid(workers: int) -> int:
     return len(
-        compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, Isolated(workers))
+        compute([Cell("cartpole", "control_true", seed) for seed in range(8)], CONDITIONS, Processes(workers))
     )
 
 
@@ -228,7 +228,7 @@ def _beside_the_work() -> list[float]:
     """Of what each cell adds to a run, its process and its evaluation included. What a run computes once for
     all methods is there before; the first cell compiles, and does not count."""
     cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    seconds = [result.seconds for result in compute(cells, CONDITIONS, Isolated(1))[1:]]
+    seconds = [result.seconds for result in compute(cells, CONDITIONS, Processes(1))[1:]]
     return [100 * (1 - (its["fit"] + its["retrain"]) / sum(its.values())) for its in seconds]
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from pebble.concurrent import process as in_a_process
 
 from envs import EnvSpec
 from envs.spec import Shipped
+from harness.engines.cell_environment import as_in_cells
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions, thinned
 from harness.learn.rl import Agent, disturbed
@@ -30,7 +32,6 @@ from harness.run.experts import expert_for
 from harness.run.files import read, sha256, write_atomic
 from harness.run.keys import origin
 from harness.run.marked import open_marked
-from harness.run.processes import NAME, fresh_processes
 from harness.run.progress import say, tell
 from harness.run.sums import SUMS, as_lines
 from methods.base import Policy
@@ -186,8 +187,8 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     there already is gone on with. Raises BadInput where too few meet it, where `out` holds anything else,
     or where another process is at it."""
     ours = open_marked(out, CANDIDATES, _as_text([]).encode(), "experts", _is_list, rf"{SUMS}|{_AGENT}")
-    with ours, fresh_processes("harness.run.preload") as context:
-        launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
+    with ours, as_in_cells():
+        launch = in_a_process(context=get_context("spawn"))(train)  # type: ignore[call-overload]
         for env in envs:
             count = _shipped(env).experts
             done = {one.seed: one for one in _set_aside(out, env)}

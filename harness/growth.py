@@ -14,13 +14,13 @@ from typing import TypeVar
 import psutil
 
 from harness.bench import CONDITIONS, Measure, command, compute
+from harness.engines.inline import Inline
+from harness.engines.processes import Processes
 from harness.judge.results import Cell, Conditions, Shown
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ENVS, SPECS
-from harness.run.engines import Inline
 from harness.run.experts import demonstrations_for
-from harness.run.isolated import Isolated
 from methods.shaped import Shaped
 
 A = TypeVar("A")
@@ -38,7 +38,7 @@ def growth() -> Iterator[Measure]:
     for env in ("pendulum", "highway"):
         conditions = Conditions("full", "absorbing", "sbx")
         with watch() as peak:
-            compute([Cell(env, "shaped", 1)], conditions, Isolated(1))
+            compute([Cell(env, "shaped", 1)], conditions, Processes(1))
         yield Measure(f"{env}, a cell of shaped at full, its process", "MB", [peak.largest], bar=700)
     sizes = apart(_cells_in_a_row, CELLS)
     gained = sizes[-1] - sizes[CELLS // 2 - 1]

@@ -18,6 +18,7 @@ import numpy as np
 import psutil
 
 from harness.bench import Measure
+from harness.engines.jobs import Job, Outcome
 from harness.growth import MEGABYTE, SMOKE, apart
 from harness.judge.results import (
     ALL_SHOWN,
@@ -32,7 +33,6 @@ from harness.judge.results import (
 )
 from harness.registry import ENVS
 from harness.run.codec import encode
-from harness.run.engines import Job, Outcome
 from harness.run.files import write_atomic
 from harness.run.grid import Grid, Sink
 from harness.run.keys import cell_keys, origin

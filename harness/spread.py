@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from harness.bench import CONDITIONS, Measure, compute
+from harness.engines.jobs import Engine
+from harness.engines.processes import Processes
+from harness.engines.ray import Ray
 from harness.growth import SMOKE
 from harness.judge.results import Cell, CellResult, Shown
 from harness.local_cluster import local_cluster
-from harness.run.cluster import Ray
-from harness.run.engines import Engine
 from harness.run.grid import Grid
-from harness.run.isolated import Isolated
 
 FEW, REPEATS = 2, 3
 """Times that a comparison of many minutes, and of seconds, is repeated."""
@@ -33,7 +33,7 @@ def spread() -> Iterator[Measure]:
     yield Measure(
         f"{len(EQUAL)} equal cells, two nodes of a cluster against one", "times", faster, bar=1 / 0.6
     )
-    added = [1000 * (_for_each(Ray("", 1)) - _for_each(Isolated(1))) for _ in range(REPEATS)]
+    added = [1000 * (_for_each(Ray("", 1)) - _for_each(Processes(1))) for _ in range(REPEATS)]
     yield Measure("a cell on a Ray cluster, what it takes more than here", "ms", added, bar=None)
 
 

@@ -23,7 +23,7 @@ from harness.run.cache import as_bytes
 from harness.run.experts import Shared
 from harness.run.experts import prepare as shared_by
 from harness.run.files import sha256_of
-from harness.run.phases import returned
+from harness.run.phases import Phase
 from harness.run.stages import Made, Task, missed_bar, policies, row, score, solves
 from harness.run.watched import Watched
 from methods.base import Policy, Reward
@@ -33,11 +33,11 @@ def run_cell(
     cell: Cell,
     conditions: Conditions,
     inputs: Mapping[str, bytes],
-    tell: Callable[[str], None] = lambda doing: None,
+    tell: Callable[[Phase], None] = lambda phase: None,
 ) -> tuple[CellResult, dict[str, bytes]]:
     """Return everything of one cell, and the files that it adds to the run, by their path there.
 
-    inputs: from `prepare`. tell: called with what is being done. Raises what its method raises.
+    inputs: from `prepare`. tell: called with each phase. Raises what its method raises.
     """
     told = _Told(tell)
     task = Task(cell, conditions, Shared(inputs), tell=told)
@@ -92,13 +92,13 @@ def run_cell(
 
 
 class _Told:
-    """Tells what is being done, with what policies returned that were scored by now."""
+    """Phases, with the returns of policies that were scored by now."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, tell: Callable[[Phase], None]) -> None:
         self._tell, self._returns = tell, dict[str, float]()
 
-    def __call__(self, doing: str) -> None:
-        self._tell("; ".join([doing, *([returned(self._returns)] if self._returns else [])]))
+    def __call__(self, phase: Phase) -> None:
+        self._tell(replace(phase, returns=self._returns.copy()))
 
     def scored(self, name: str, its: Evaluation) -> Evaluation:
         """What was found, which is told from now on."""

@@ -3,15 +3,11 @@ depend on is set here, and of all others only those are passed on that no number
 
 from __future__ import annotations
 
-import contextlib
 import os
 import traceback
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
-PRELOAD_VARIABLE = "IRL_BENCH_PRELOAD"
-"""Names modules, with commas between, that the processes of cells share."""
 EARLIER_CACHE = Path("results") / "cache"
 """The cache of earlier versions, in the current folder; used where it is there."""
 
@@ -24,7 +20,7 @@ PASSED = {
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
 FORMER = "IRL_BENCH_PLUGINS"
 """A variable of earlier versions, which named files to be executed."""
-OWN = (CACHE_VARIABLE, PRELOAD_VARIABLE, FORMER)
+OWN = (CACHE_VARIABLE, FORMER)
 """Variables of the last prefix that are not the user's."""
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
@@ -133,18 +129,3 @@ def hint(error: BaseException | None) -> str:
             return f"; of the environment's variables cells have only {names} (docs/plugins.md)"
         error = error.__cause__ or error.__context__
     return ""
-
-
-@contextlib.contextmanager
-def for_cells(deterministic: bool, more: Mapping[str, str]) -> Iterator[None]:
-    """Makes the environment of this process, and of those that it starts, that of cells, with `more` besides,
-    until the context ends."""
-    before = os.environ.copy()
-    after = of_cells(deterministic) | dict(more)
-    os.environ.clear()
-    os.environ.update(after)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)

@@ -23,8 +23,8 @@ from harness.run.plugin_sources import Sources
 from harness.run.plugins import settings_for
 
 RUNNING = (
-    *("harness.run.grid", "harness.run.store", "harness.run.cluster", "harness.run.node"),
-    *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.run.cells"),
+    *("harness.run.grid", "harness.run.store", "harness.run.cells", "harness.engines.ray"),
+    *("harness.engines.processes", "harness.engines.preload"),
 )
 """Modules that feed, start, compute and store cells."""
 EXPERTS_MODULE = "harness.run.experts"

@@ -49,6 +49,7 @@ from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, load_method
 from harness.run.codec import printable
 from harness.run.experts import Shared, task_for
+from harness.run.phases import Phase
 from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
@@ -71,13 +72,13 @@ class Task:
     """That each stage took so far."""
     noted: dict[str, float] = field(default_factory=dict)
     """Columns of all its rows that became known so far."""
-    tell: Callable[[str], None] = lambda doing: None
-    """Told in a few words what is being done, for who waits."""
+    tell: Callable[[Phase], None] = lambda phase: None
+    """The function that is called with each phase, for who waits."""
 
     @contextmanager
     def during(self, stage: str) -> Iterator[None]:
         """Counts the time until the context ends as the stage's."""
-        self.tell(stage)
+        self.tell(Phase(stage))
         started = time.perf_counter()
         try:
             yield
@@ -117,7 +118,7 @@ class Task:
         expert = self.shared.expert.policy if self.cell.method in ASKING else None
         return TaskWorld(
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
-            told=lambda steps: self.tell(f"fit, {steps:,} steps so far"),
+            told=lambda steps: self.tell(Phase("fit", steps)),
             solve_steps=self.rl_steps,
         )
 
@@ -278,7 +279,7 @@ def solve(task: Task, reward: Reward | None, number: int) -> Solution:
     before, steps = number * task.rl_steps, task.solves * task.rl_steps
     solver = solver_for(
         *(task.place, task.conditions.protocol, task.rng(f"pi_R {number}"), task.conditions.rl),
-        told=lambda done: task.tell(f"retrain, step {before + done:,} of {steps:,}"),
+        told=lambda done: task.tell(Phase("retrain", before + done, steps)),
     )
     return replace(solver.solve(reward, task.rl_steps), checkpoints=())
 

@@ -22,7 +22,7 @@ from harness.learn.world import solver_for
 from harness.run.cells import prepare
 from harness.run.environment import SAME_INSTRUCTIONS
 from harness.run.experts import Shared
-from harness.run.processes import as_in_cells
+from harness.engines.cell_environment import as_in_cells
 from harness.run.stages import Task, demonstrations, fit, reference, score
 
 FILE = Path(__file__).with_suffix(".csv")

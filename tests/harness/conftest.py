@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from harness import apart, cli, commands, demonstration_forms
-from harness.run import engines, grid, isolated
+from harness.engines import inline, processes
+from harness.run import grid
 from harness.run.environment import CACHE_VARIABLE
 
 HERE = Path(__file__).parent
@@ -23,8 +24,8 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
 
     # Set as they are, so that what is installed over them goes with the test.
     monkeypatch.setattr(grid, "Grid", grid.Grid)
-    monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
-    monkeypatch.setattr(engines, "Inline", engines.Inline)
+    monkeypatch.setattr(processes, "Processes", processes.Processes)
+    monkeypatch.setattr(inline, "Inline", inline.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.run.reporting", None)
     monkeypatch.setattr(commands, "handle_signals", lambda: None)

@@ -24,9 +24,10 @@ from pathlib import Path
 
 import numpy as np
 
+from harness.engines.jobs import Engine
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row, policies_of, row_of
-from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
+from harness.run.phases import Phase
 from harness.run.store import RunDirectory
 
 
@@ -80,9 +81,9 @@ def prepare(cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]
 
 
 def run_cell(
-    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
+    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[Phase], None]
 ) -> tuple[CellResult, dict[str, bytes]]:
-    tell("computing")
+    tell(Phase("computing"))
     assert inputs == {"shared": cell.env.encode()}
     files = {f"recordings/{RECORDED.get(cell.method)}": b"a recording"} if cell.method in RECORDED else {}
     return faked(cell, conditions, Path(os.environ[FOLDER])), files
@@ -215,9 +216,9 @@ def write_report(directory: Path, request: Request, results: list[CellResult]) -
 
 def install() -> None:
     """Makes the command line use the cells and the report of this file."""
-    import harness.run.engines
+    import harness.engines.inline
+    import harness.engines.processes
     import harness.run.grid
-    import harness.run.isolated
 
     grid = harness.run.grid.Grid
 
@@ -228,11 +229,11 @@ def install() -> None:
         return grid(conditions, run, engine, *more)
 
     harness.run.grid.Grid = told_where
-    harness.run.isolated.Isolated = functools.partial(
-        harness.run.isolated.Isolated, work="fake_cells", preload=PRELOAD
+    harness.engines.processes.Processes = functools.partial(
+        harness.engines.processes.Processes, work="fake_cells", preload=PRELOAD
     )
     os.environ["PYTHONPATH"] = os.pathsep.join([HERE, *filter(None, [os.environ.get("PYTHONPATH")])])
-    harness.run.engines.Inline = functools.partial(harness.run.engines.Inline, work="fake_cells")
+    harness.engines.inline.Inline = functools.partial(harness.engines.inline.Inline, work="fake_cells")
     report = types.ModuleType("harness.run.reporting")
     report.write_report = write_report
     sys.modules["harness.run.reporting"] = report

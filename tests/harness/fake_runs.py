@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.engines.processes import Processes
 from harness.judge.results import CONTROLS, Cell, CellResult, Conditions, artifact_of
 from harness.run.grid import Grid
-from harness.run.isolated import Isolated
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -47,7 +47,7 @@ def compute(directory: Path, cells: Sequence[Cell], workers: int = 1, timeout: f
         patch.setenv("IRL_BENCH_FAKES", str(directory))
         patch.syspath_prepend(HERE)
         patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
-        engine = Isolated(workers, timeout, work="fake_cells", preload="fake_preload")
+        engine = Processes(workers, timeout, work="fake_cells", preload="fake_preload")
         Grid(Conditions("smoke", "absorbing", "sb3"), found, engine).run(cells)
     return found
 

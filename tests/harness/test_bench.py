@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import pytest
 
 from harness import bench, cli, growth, scale, spread
+from harness.engines.jobs import Engine
+from harness.engines.ray import Ray
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS, Library
-from harness.run.cluster import Ray
-from harness.run.engines import Engine
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:

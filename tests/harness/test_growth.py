@@ -8,8 +8,8 @@ import pytest
 
 from harness import growth
 from harness.bench import compute
+from harness.engines.processes import Processes
 from harness.judge.results import Cell
-from harness.run.isolated import Isolated
 
 
 def hold(megabytes: int) -> int:
@@ -39,4 +39,4 @@ def test_cells_of_one_process_are_measured_one_by_one() -> None:
 
 def test_a_cell_that_fails_is_not_measured() -> None:
     with pytest.raises(RuntimeError, match="no method named 'nothing'"):
-        compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, Isolated(1))
+        compute([Cell("gridworld", "nothing", 0)], growth.SMOKE, Processes(1))

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from harness import scale
+from harness.engines.jobs import Outcome
 from harness.judge.results import Cell, CellResult, Request, Shown
-from harness.run.engines import Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.keys import PAGE_PARTS, ROOT, cell_keys
 from harness.show import charts, curves, figures, page, report

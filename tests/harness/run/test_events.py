@@ -12,9 +12,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, Conditions, Shown
 from harness.run import events
-from harness.run.engines import Job
 from harness.run.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
 from harness.run.tally import Tally
 

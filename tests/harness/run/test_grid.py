@@ -9,11 +9,12 @@ from typing import Self
 
 import pytest
 
+from harness.engines.inline import Inline
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of
 from harness.run import grid
 from harness.run.codec import encode
 from harness.run.costs import Costs
-from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.files import sha256_of
 from harness.run.grid import Grid, Schedule

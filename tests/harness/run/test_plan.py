@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from harness.engines.inline import Inline
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
 from harness.registry import METHODS, SPECS
 from harness.run import costs, plan
 from harness.run.costs import Costs
-from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.run.grid import Grid, Schedule
 

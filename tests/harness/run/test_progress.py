@@ -11,9 +11,9 @@ import pyte
 import pytest
 from rich.console import Console
 
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, Conditions
 from harness.run import progress, tally
-from harness.run.engines import Job
 from harness.run.phases import Phase, phase_of, short
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")

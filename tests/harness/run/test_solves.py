@@ -22,6 +22,7 @@ from harness.registry import BUDGETS, SPECS, BadInput
 from harness.run import experts, stages
 from harness.run.codec import checksum, decode, encode
 from harness.run.experts import Expert, Shared
+from harness.run.phases import Phase
 from harness.run.request import merged, stored_request, write_request
 from harness.run.stages import JUDGING_EPISODES, Task
 from methods.base import Array, Learned, Policy, Reward
@@ -191,11 +192,11 @@ def test_the_task_says_how_many_unless_the_run_does() -> None:
 
 
 def test_it_is_told_how_far_all_solves_are(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
-    told: list[str] = []
+    told: list[Phase] = []
     task = Task(CELL, many(2), None, tell=told.append)  # type: ignore[arg-type]
     for number in range(2):
         stages.solve(task, None, number)
-    assert told == [f"retrain, step {done * STEPS:,} of {2 * STEPS:,}" for done in (1, 2)]
+    assert told == [Phase("retrain", done * STEPS, 2 * STEPS) for done in (1, 2)]
 
 
 @pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from harness.run.processes import NAME, fresh_processes
 from numpy._core._multiarray_umath import __cpu_features__
 
 from harness.judge.results import Cell, Conditions
@@ -24,7 +25,6 @@ from harness.run.environment import (
     of_this_process,
 )
 from harness.run.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
-from harness.run.processes import NAME, fresh_processes
 from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parents[1]

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import psutil
 import pytest
+from harness.run.engines import Inline
+from harness.run.processes import NAME, fresh_processes
 
 from harness.run.cache import COMPILED_VARIABLE, compiled_once
-from harness.run.engines import Inline
 from harness.run.environment import CACHE_VARIABLE, FIXED, SAME_INSTRUCTIONS
-from harness.run.processes import NAME, fresh_processes
 from harness.run.signals import STOPS, stop_cleanly, stops_wait
 
 WATCHERS = 8

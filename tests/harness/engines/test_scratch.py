@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from filelock import lock_descriptor
 
-from harness.run import scratch
+from harness.engines import scratch
+from harness.engines.cell_environment import as_in_cells
+from harness.engines.scratch import PREFIX, scratch_folder
 from harness.run.files import opened
-from harness.run.processes import as_in_cells
-from harness.run.scratch import MARKER, PREFIX, scratch_folder
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.local_cluster import LocalCluster, local_cluster
 from harness.registry import Unfinished
 from harness.run import cluster as ray_engine
 from harness.run.codec import decode
-from harness.run.engines import Job
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
 TESTS = Path(__file__).parents[1]

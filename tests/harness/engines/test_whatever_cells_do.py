@@ -14,12 +14,12 @@ from pathlib import Path
 import psutil
 import pytest
 
+from harness.engines.jobs import Job
+from harness.engines.processes import Processes
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import BadInput
 from harness.run import processes
 from harness.run.codec import decode
-from harness.run.engines import Job
-from harness.run.isolated import Isolated
 from tests.harness.fake_runs import compute
 
 HERE = Path(__file__).parents[1]
@@ -176,7 +176,7 @@ def test_a_server_that_is_killed_as_it_starts_is_told_in_plain_words(
 ) -> None:
     (tmp_path / "killed.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    with Isolated(1, work="fake_cells", preload="killed") as engine:
+    with Processes(1, work="fake_cells", preload="killed") as engine:
         engine.start(Job((Cell("cartpole", "bc", 0),), False, CONDITIONS, ""))
         ((_, outcome),) = engine.finished()
     said = "its process could not be started: the process that it is forked from was killed (out of memory?)"
@@ -272,7 +272,7 @@ def test_a_cell_that_disturbs_its_connection_fails_alone(run: Run, behaviour: st
 
 def test_a_process_that_is_killed_while_it_waits_costs_no_job_its_result(tmp_path: Path) -> None:
     job = Job((Cell("cartpole", "good", 0),), True, CONDITIONS, "")
-    with Isolated(1, work="fake_cells", preload="fake_preload") as engine:
+    with Processes(1, work="fake_cells", preload="fake_preload") as engine:
         worker = engine._worker(job)
         worker.process.kill()
         worker.begin("fake_cells", job, tmp_path)

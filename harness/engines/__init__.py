@@ -1,0 +1,1 @@
+"""Where cells are computed: cells in, results out."""

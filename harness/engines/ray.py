@@ -1,0 +1,284 @@
+"""The engine of runs on many machines: cells are tasks of a Ray cluster, computed there in processes as
+`harness.engines.processes` starts them here.
+
+Only the driver, this process, reads or writes the run's directory. The program, plug-ins and shipped experts
+travel as the tasks' working directory, what cells share travels through Ray's object store, and results and
+recordings come back as bytes. No other file system is shared.
+
+Ray would wait for ever for a head that is lost, or end this process. So the driver looks after the head, and
+after the Ray process of this machine, and ends the run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import psutil
+
+from harness.engines.cell_environment import write_program
+from harness.engines.compute import describe
+from harness.engines.containment import descendants
+from harness.engines.jobs import WORK, Job, Outcome
+from harness.engines.processes import Processes
+from harness.engines.scratch import scratch_folder
+from harness.judge.results import LEARNED
+from harness.registry import BadInput, Unfinished
+from harness.run import given, plugins
+from harness.run.environment import CHOSEN, numeric, of_user
+from harness.run.files import write_atomic
+from harness.run.phases import Phase
+from harness.run.signals import handlers_kept
+
+LOOK_EVERY = 1.0
+"""Seconds between looks for tasks that ended."""
+SILENCE = 20.0
+"""Seconds without an answer after which the cluster's head is lost."""
+PATIENCE = 10.0
+"""Seconds that the head has for its first answer, and Ray to leave the cluster."""
+DRIVERS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_gcs_rpc_server_reconnect_timeout_s": str(10**6)}
+"""Variables with which Ray sends nothing home, and does not end this process where the head is lost."""
+LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+"""The variable with which a cluster that is started here listens on 127.0.0.1 alone."""
+
+DEMONSTRATIONS = "demonstrations of a file"
+"""The name of those among the inputs of a job."""
+
+
+class Ray:
+    """Cells on a Ray cluster, or on one that is started on this machine and ends with the run.
+
+    address: of the cluster's head, or 'auto'; '' starts one. workers: tasks at a time; None for as many as
+    the cluster has CPUs, counted anew while the run goes on. The others: as of `Processes`. Raises BadInput
+    where Ray is not installed, or no cluster can be reached.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        workers: int | None,
+        timeout: float | None = None,
+        deterministic: bool = True,
+        modules: Sequence[str] = (),
+        work: str = WORK,
+    ) -> None:
+        host, _, port = address.rpartition(":")
+        if not (not address or address == "auto" or (host and port.isdecimal())):
+            raise BadInput(
+                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}",
+                page="cluster",
+            )
+        local = not address or host in ("127.0.0.1", "localhost")
+        os.environ |= DRIVERS | (LOOPBACK if local else {})  # which Ray reads as it is imported
+        self._ray = _imported()
+        if host and (error := _unreachable(address)):  # for which Ray would wait for minutes
+            raise BadInput(f"no Ray cluster answers at {address}: {error}", page="cluster")
+        self.variables = numeric(deterministic)
+        self._address, self._workers = address, workers
+        self._settings = Settings(timeout, deterministic, tuple(modules), work)
+        self._running: dict[Any, Job] = {}
+        self._shared: dict[tuple[str, int], dict[str, Any]] = {}
+        """References to what cells of an environment and a seed share."""
+        self._refused: list[tuple[Job, Outcome]] = []
+        """Jobs that could not be begun."""
+        self._left = threading.Event()
+
+    @property
+    def workers(self) -> int:
+        return self._workers or self._cpus
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            folder = stack.enter_context(scratch_folder()) / "program"
+            write_program(folder)
+            self._packed = plugins.packed(folder)
+            before = descendants()
+            self._init(folder)
+            self._own = [] if self._address else [one for one in descendants() if one not in before]
+            stack.callback(self._shut_down)
+            context = self._ray.get_runtime_context()
+            node = next(one for one in self._ray.nodes() if one["NodeID"] == context.get_node_id())
+            self._node = f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}"
+            self._head = context.gcs_address
+            self._begin: Callable[..., Any] = self._ray.remote(num_cpus=1, max_retries=0)(
+                compute_there
+            ).remote
+            self._count()
+            # In a thread, for Ray waits without an end for a head that is lost.
+            threading.Thread(target=self._keep_counting, daemon=True).start()
+            stack.callback(self._left.set)
+            self._stack = stack.pop_all()
+        return self
+
+    def _init(self, program: Path) -> None:
+        variables = {name: os.environ[name] for name in CHOSEN if name in os.environ} | of_user()
+        options: dict[str, Any] = {
+            "runtime_env": {"working_dir": str(program), "env_vars": variables},
+            "log_to_driver": False,
+            "logging_level": "error",
+            "address": self._address or "local",
+        }
+        if not self._address:
+            options |= {"include_dashboard": False, "num_cpus": self._workers}
+        try:
+            with handlers_kept():
+                self._ray.init(**options)
+        except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
+            reason = " ".join(str(error).split())
+            raise BadInput(f"no Ray cluster {self._address}: {reason}", page="cluster") from error
+
+    def _count(self) -> None:
+        """Count the CPUs that there are now, by the head's answer."""
+        self._cpus = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self._answered = time.monotonic()
+
+    def _keep_counting(self) -> None:
+        while not self._left.wait(LOOK_EVERY):
+            with contextlib.suppress(Exception):
+                self._count()
+
+    def _check_there(self) -> None:
+        """Raise Unfinished where the cluster's head, or the Ray process of this machine, is lost. Of the
+        latter Ray's next `put` would end this process."""
+        if _unreachable(self._node):
+            message = f"Ray's process of this machine, at {self._node}, is gone"
+        elif time.monotonic() - self._answered > SILENCE:
+            message = f"the head of the Ray cluster at {self._head} is lost"
+        else:
+            return
+        raise Unfinished(f"{message}; cells that were being computed: {len(self._running)}")
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def _shut_down(self) -> None:
+        """Leave the cluster, and end one that was started here."""
+        for reference in self._running:
+            with contextlib.suppress(Exception):
+                self._ray.cancel(reference, force=True)
+        self._running.clear()
+        self._shared.clear()
+        started = [*self._own, *(other for one in self._own for other in descendants(one.pid))]
+        leaving = threading.Thread(target=self._ray.shutdown, daemon=True)
+        leaving.start()
+        leaving.join(PATIENCE)  # for Ray waits without an end where the head is silent
+        for process in started:
+            with contextlib.suppress(psutil.Error):
+                process.kill()
+        psutil.wait_procs(started, timeout=PATIENCE)
+
+    def submit(self, job: Job) -> None:
+        self._check_there()
+        try:
+            self._send(job)
+        except self._ray.exceptions.RayError as error:  # such as of an object store that is full
+            self._refused.append((job, Outcome(error=describe(error))))
+
+    def doing(self, name: str) -> Phase:
+        return Phase()
+
+    def completed(self) -> list[tuple[Job, Outcome]]:
+        if self._refused:
+            ended, self._refused = self._refused, []
+            return ended
+        done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
+        if done:
+            done, _ = self._ray.wait([*self._running], num_returns=len(self._running), timeout=0)
+        self._check_there()
+        return [(self._running.pop(reference), self._outcome(reference)) for reference in done]
+
+    def _send(self, job: Job) -> None:
+        shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
+        own = {name: data for name, data in job.inputs.items() if name == LEARNED}
+        if job.shared and job.conditions.demonstrations:
+            shared = {DEMONSTRATIONS: given.file_of(job.conditions.demonstrations).read_bytes()}
+        references = self._references(job, shared)
+        plain = replace(job, inputs=own, plugins=tuple(self._packed[one] for one in job.plugins))
+        reference = self._begin(plain, self._settings, tuple(references), *references.values())
+        self._running[reference] = job
+
+    def _references(self, job: Job, shared: dict[str, bytes]) -> dict[str, Any]:
+        """Return references to what is in the object store by then. What no job needs any more leaves it."""
+        groups = [(one.cells[0].env, one.cells[0].seed) for one in (job, *self._running.values())]
+        self._shared = {group: self._shared.get(group, {}) for group in groups}
+        known = self._shared[groups[0]]
+        for name in shared.keys() - known.keys():
+            known[name] = self._ray.put(shared[name])
+        return {name: known[name] for name in shared}
+
+    def _outcome(self, reference: Any) -> Outcome:
+        errors = self._ray.exceptions
+        try:
+            outcome: Outcome = self._ray.get(reference)
+        except errors.OutOfMemoryError:
+            return Outcome(error="its node ran out of memory, and Ray ended it")
+        except (errors.NodeDiedError, errors.WorkerCrashedError, errors.ObjectLostError) as error:
+            return Outcome(error=f"its node was lost: {type(error).__name__}", lost=True)
+        except errors.RayError as error:
+            return Outcome(error=describe(error))
+        return outcome
+
+
+def _unreachable(address: str) -> OSError | None:
+    """Return why nothing answers at this address, 'HOST:PORT'; None where somebody does."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), PATIENCE).close()
+    except (OSError, OverflowError) as error:
+        return error if isinstance(error, OSError) else OSError(str(error))
+    return None
+
+
+def _imported() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
+    return ray
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The arguments of `Processes`."""
+
+    timeout: float | None
+    deterministic: bool
+    modules: tuple[str, ...]
+    work: str
+
+
+class _Node:
+    """The engine of this process, kept for its next job: what was imported and compiled serves all."""
+
+    settings: Settings | None = None
+    engine: Processes
+    stack = ExitStack()
+
+
+def compute_there(job: Job, settings: Settings, names: tuple[str, ...], *inputs: bytes) -> Outcome:
+    """Return the outcome of a job. names: of the inputs that it shares with others."""
+    if _Node.settings != settings:
+        _Node.stack.close()
+        engine = Processes(1, settings.timeout, settings.deterministic, settings.modules, settings.work)
+        _Node.engine = _Node.stack.enter_context(engine)
+        _Node.settings = settings
+    shared = dict(zip(names, inputs, strict=True))
+    if demonstrations := shared.pop(DEMONSTRATIONS, b""):
+        file = given.file_of(job.conditions.demonstrations)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(file, demonstrations)
+    _Node.engine.submit(replace(job, inputs={**shared, **job.inputs}, plugins=plugins.unpacked(job.plugins)))
+    while not (ended := _Node.engine.completed()):
+        pass
+    return ended[0][1]
