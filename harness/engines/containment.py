@@ -30,16 +30,19 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
+def is_alive(process: psutil.Process) -> bool:
+    """Return whether the process has not ended, be it that its parent knows of its end or not."""
+    with contextlib.suppress(psutil.Error):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
+
+
 def descendants(pid: int | None = None) -> list[psutil.Process]:
     """Return the living processes that this one, or the one of that number, started, and all that those
     started, the oldest first."""
-    living = []
     with contextlib.suppress(psutil.NoSuchProcess):
-        for process in psutil.Process(pid).children(recursive=True):
-            with contextlib.suppress(psutil.NoSuchProcess):
-                if process.status() != psutil.STATUS_ZOMBIE:
-                    living.append(process)
-    return living
+        return [one for one in psutil.Process(pid).children(recursive=True) if is_alive(one)]
+    return []
 
 
 def kill_descendants(pid: int | None = None) -> None:

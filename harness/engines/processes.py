@@ -23,7 +23,7 @@ import psutil
 
 from harness.engines.cell_environment import cell_variables, write_program
 from harness.engines.compute import describe
-from harness.engines.containment import PATIENCE, descendants, kill_descendants
+from harness.engines.containment import PATIENCE, descendants, is_alive, kill_descendants
 from harness.engines.jobs import WORK, Job, Outcome
 from harness.engines.scratch import scratch_folder
 from harness.engines.server import Server
@@ -187,9 +187,9 @@ class Worker:
         self._kill()
 
     def _why_ended(self) -> str:
-        try:
+        with contextlib.suppress(psutil.Error):
             self._process.wait(LOOK_EVERY)
-        except psutil.TimeoutExpired:
+        if is_alive(self._process):
             return "it closed its connection to the run, or wrote to it"
         code = self._server.exit_code(self.pid)
         if code is None or code >= 0:
@@ -204,11 +204,10 @@ class Worker:
         self._connection.close()
 
     def _kill(self) -> None:
-        with contextlib.suppress(psutil.Error):
-            if self._process.is_running():
-                kill_descendants(self.pid)
+        if is_alive(self._process):
+            kill_descendants(self.pid)
+            with contextlib.suppress(psutil.Error):
                 self._process.kill()
-                self._process.wait(PATIENCE)
 
 
 def _printed(log: Path) -> bytes:

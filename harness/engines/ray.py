@@ -1,5 +1,4 @@
-"""The engine of runs on many machines: cells are tasks of a Ray cluster, computed there in processes as
-`harness.engines.processes` starts them here.
+"""The engine of runs on many machines: cells are tasks of a Ray cluster, computed there in processes.
 
 Only the driver, this process, reads or writes the run's directory. The program, plug-ins and shipped experts
 travel as the tasks' working directory, what cells share travels through Ray's object store, and results and
@@ -12,13 +11,15 @@ after the Ray process of this machine, and ends the run.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -37,7 +38,6 @@ from harness.run import given, plugins
 from harness.run.environment import CHOSEN, numeric, of_user
 from harness.run.files import write_atomic
 from harness.run.phases import Phase
-from harness.run.signals import handlers_kept
 
 LOOK_EVERY = 1.0
 """Seconds between looks for tasks that ended."""
@@ -49,7 +49,6 @@ DRIVERS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_gcs_rpc_server_reconnect_timeout
 """Variables with which Ray sends nothing home, and does not end this process where the head is lost."""
 LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 """The variable with which a cluster that is started here listens on 127.0.0.1 alone."""
-
 DEMONSTRATIONS = "demonstrations of a file"
 """The name of those among the inputs of a job."""
 
@@ -73,10 +72,8 @@ class Ray:
     ) -> None:
         host, _, port = address.rpartition(":")
         if not (not address or address == "auto" or (host and port.isdecimal())):
-            raise BadInput(
-                f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}",
-                page="cluster",
-            )
+            message = f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}"
+            raise BadInput(message, page="cluster")
         local = not address or host in ("127.0.0.1", "localhost")
         os.environ |= DRIVERS | (LOOPBACK if local else {})  # which Ray reads as it is imported
         self._ray = _imported()
@@ -84,13 +81,12 @@ class Ray:
             raise BadInput(f"no Ray cluster answers at {address}: {error}", page="cluster")
         self.variables = numeric(deterministic)
         self._address, self._workers = address, workers
-        self._settings = Settings(timeout, deterministic, tuple(modules), work)
+        self._settings = timeout, deterministic, tuple(modules), work
         self._running: dict[Any, Job] = {}
         self._shared: dict[tuple[str, int], dict[str, Any]] = {}
         """References to what cells of an environment and a seed share."""
         self._refused: list[tuple[Job, Outcome]] = []
         """Jobs that could not be begun."""
-        self._left = threading.Event()
 
     @property
     def workers(self) -> int:
@@ -101,17 +97,13 @@ class Ray:
             folder = stack.enter_context(scratch_folder()) / "program"
             write_program(folder)
             self._packed = plugins.packed(folder)
-            before = descendants()
-            self._init(folder)
-            self._own = [] if self._address else [one for one in descendants() if one not in before]
-            stack.callback(self._shut_down)
+            stack.enter_context(self._connected(folder))
+            remote = self._ray.remote(num_cpus=1, max_retries=0)
+            self._begin: Callable[..., Any] = remote(compute_there).remote
             context = self._ray.get_runtime_context()
             node = next(one for one in self._ray.nodes() if one["NodeID"] == context.get_node_id())
             self._node = f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}"
-            self._head = context.gcs_address
-            self._begin: Callable[..., Any] = self._ray.remote(num_cpus=1, max_retries=0)(
-                compute_there
-            ).remote
+            self._head, self._left = context.gcs_address, threading.Event()
             self._count()
             # In a thread, for Ray waits without an end for a head that is lost.
             threading.Thread(target=self._keep_counting, daemon=True).start()
@@ -119,22 +111,45 @@ class Ray:
             self._stack = stack.pop_all()
         return self
 
-    def _init(self, program: Path) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for reference in self._running:
+            with contextlib.suppress(Exception):
+                self._ray.cancel(reference, force=True)
+        self._running.clear()
+        self._shared.clear()
+        self._stack.__exit__(kind, error, trace)
+
+    @contextmanager
+    def _connected(self, program: Path) -> Iterator[None]:
+        """Be part of the cluster, or of one that is started here, until the context ends."""
         variables = {name: os.environ[name] for name in CHOSEN if name in os.environ} | of_user()
-        options: dict[str, Any] = {
-            "runtime_env": {"working_dir": str(program), "env_vars": variables},
-            "log_to_driver": False,
-            "logging_level": "error",
-            "address": self._address or "local",
-        }
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+        options["runtime_env"] = {"working_dir": str(program), "env_vars": variables}
+        options["address"] = self._address or "local"
         if not self._address:
             options |= {"include_dashboard": False, "num_cpus": self._workers}
+        before, terminated = descendants(), signal.getsignal(signal.SIGTERM)
         try:
-            with handlers_kept():
-                self._ray.init(**options)
+            self._ray.init(**options)
         except (self._ray.exceptions.RayError, RuntimeError, ValueError, OSError) as error:
             reason = " ".join(str(error).split())
             raise BadInput(f"no Ray cluster {self._address}: {reason}", page="cluster") from error
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, terminated)  # which Ray has replaced
+        own = [] if self._address else [one for one in descendants() if one not in before]
+        try:
+            yield
+        finally:
+            started = [*own, *(other for one in own for other in descendants(one.pid))]
+            leaving = threading.Thread(target=self._ray.shutdown, daemon=True)
+            leaving.start()
+            leaving.join(PATIENCE)  # for Ray waits without an end where the head is silent
+            for process in started:
+                with contextlib.suppress(psutil.Error):
+                    process.kill()
+            psutil.wait_procs(started, timeout=PATIENCE)
 
     def _count(self) -> None:
         """Count the CPUs that there are now, by the head's answer."""
@@ -157,36 +172,12 @@ class Ray:
             return
         raise Unfinished(f"{message}; cells that were being computed: {len(self._running)}")
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
-
-    def _shut_down(self) -> None:
-        """Leave the cluster, and end one that was started here."""
-        for reference in self._running:
-            with contextlib.suppress(Exception):
-                self._ray.cancel(reference, force=True)
-        self._running.clear()
-        self._shared.clear()
-        started = [*self._own, *(other for one in self._own for other in descendants(one.pid))]
-        leaving = threading.Thread(target=self._ray.shutdown, daemon=True)
-        leaving.start()
-        leaving.join(PATIENCE)  # for Ray waits without an end where the head is silent
-        for process in started:
-            with contextlib.suppress(psutil.Error):
-                process.kill()
-        psutil.wait_procs(started, timeout=PATIENCE)
-
     def submit(self, job: Job) -> None:
         self._check_there()
         try:
             self._send(job)
         except self._ray.exceptions.RayError as error:  # such as of an object store that is full
             self._refused.append((job, Outcome(error=describe(error))))
-
-    def doing(self, name: str) -> Phase:
-        return Phase()
 
     def completed(self) -> list[tuple[Job, Outcome]]:
         if self._refused:
@@ -198,6 +189,9 @@ class Ray:
         self._check_there()
         return [(self._running.pop(reference), self._outcome(reference)) for reference in done]
 
+    def doing(self, name: str) -> Phase:
+        return Phase()
+
     def _send(self, job: Job) -> None:
         shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
         own = {name: data for name, data in job.inputs.items() if name == LEARNED}
@@ -205,8 +199,7 @@ class Ray:
             shared = {DEMONSTRATIONS: given.file_of(job.conditions.demonstrations).read_bytes()}
         references = self._references(job, shared)
         plain = replace(job, inputs=own, plugins=tuple(self._packed[one] for one in job.plugins))
-        reference = self._begin(plain, self._settings, tuple(references), *references.values())
-        self._running[reference] = job
+        self._running[self._begin(plain, self._settings, [*references], *references.values())] = job
 
     def _references(self, job: Job, shared: dict[str, bytes]) -> dict[str, Any]:
         """Return references to what is in the object store by then. What no job needs any more leaves it."""
@@ -230,13 +223,35 @@ class Ray:
         return outcome
 
 
+@functools.cache
+def _engine(timeout: float | None, deterministic: bool, modules: tuple[str, ...], work: str) -> Processes:
+    """Return the engine of this process of a node, which does all its jobs and ends with it."""
+    return Processes(1, timeout, deterministic, modules, work).__enter__()
+
+
+def compute_there(job: Job, settings: tuple[Any, ...], names: Sequence[str], *inputs: bytes) -> Outcome:
+    """Return the outcome of a job, on a node. names: of the inputs that it shares with others."""
+    shared = dict(zip(names, inputs, strict=True))
+    if demonstrations := shared.pop(DEMONSTRATIONS, b""):
+        file = given.file_of(job.conditions.demonstrations)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(file, demonstrations)
+    engine, here = _engine(*settings), plugins.unpacked(job.plugins)
+    engine.submit(replace(job, inputs={**shared, **job.inputs}, plugins=here))
+    while not (ended := engine.completed()):
+        pass
+    return ended[0][1]
+
+
 def _unreachable(address: str) -> OSError | None:
     """Return why nothing answers at this address, 'HOST:PORT'; None where somebody does."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host, int(port)), PATIENCE).close()
-    except (OSError, OverflowError) as error:
-        return error if isinstance(error, OSError) else OSError(str(error))
+    except OverflowError:
+        return OSError("there is no such port")
+    except OSError as error:
+        return error
     return None
 
 
@@ -246,39 +261,3 @@ def _imported() -> Any:
     except ImportError as error:
         raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
     return ray
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The arguments of `Processes`."""
-
-    timeout: float | None
-    deterministic: bool
-    modules: tuple[str, ...]
-    work: str
-
-
-class _Node:
-    """The engine of this process, kept for its next job: what was imported and compiled serves all."""
-
-    settings: Settings | None = None
-    engine: Processes
-    stack = ExitStack()
-
-
-def compute_there(job: Job, settings: Settings, names: tuple[str, ...], *inputs: bytes) -> Outcome:
-    """Return the outcome of a job. names: of the inputs that it shares with others."""
-    if _Node.settings != settings:
-        _Node.stack.close()
-        engine = Processes(1, settings.timeout, settings.deterministic, settings.modules, settings.work)
-        _Node.engine = _Node.stack.enter_context(engine)
-        _Node.settings = settings
-    shared = dict(zip(names, inputs, strict=True))
-    if demonstrations := shared.pop(DEMONSTRATIONS, b""):
-        file = given.file_of(job.conditions.demonstrations)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(file, demonstrations)
-    _Node.engine.submit(replace(job, inputs={**shared, **job.inputs}, plugins=plugins.unpacked(job.plugins)))
-    while not (ended := _Node.engine.completed()):
-        pass
-    return ended[0][1]

@@ -52,6 +52,7 @@ class Server:
         try:
             self._start()
         except OSError as error:
+            self._socket.close()
             raise BadInput(f"no process can be started: {error.strerror}") from error
 
     def _start(self) -> None:
@@ -211,7 +212,7 @@ def main(file: int, path: list[str], modules: Sequence[str]) -> None:
     """Be the server on the socket of this file until the run has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     adopt_orphans()
-    sys.path[:] = path
+    sys.path += [folder for folder in path if folder not in sys.path]
     for name in modules:
         # Whatever this raises, a cell's own import raises again, and there it is told.
         with contextlib.suppress(BaseException):

@@ -35,15 +35,9 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
 
 def ignore_stops() -> None:
     """Have these signals do nothing from now on, but for those with a handler that is not Python's."""
-    for number in _settable():
-        signal.signal(number, signal.SIG_IGN)
-
-
-def _settable() -> list[signal.Signals]:
-    """Return the `STOPS` whose handlers can be set here, and set again afterwards."""
-    if threading.current_thread() is not threading.main_thread():
-        return []
-    return [number for number in STOPS if signal.getsignal(number) is not None]  # else it is not Python's
+    for number in STOPS:
+        if threading.current_thread() is threading.main_thread() and signal.getsignal(number) is not None:
+            signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
@@ -58,14 +52,3 @@ def importing() -> Iterator[None]:
     finally:
         if interruptible:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@contextmanager
-def handlers_kept() -> Iterator[None]:
-    """Set the handlers of `STOPS`, whatever they are by then, as they were before the context."""
-    before = {number: signal.getsignal(number) for number in _settable()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

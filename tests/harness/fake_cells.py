@@ -12,11 +12,13 @@ import hashlib
 import json
 import math
 import os
+import random
 import shutil
 import signal
 import stat
 import sys
 import tempfile
+import threading
 import time
 import types
 from collections.abc import Callable, Mapping
@@ -121,7 +123,6 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         time.sleep(60)
     if behaviour == "server":
         os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60)
     if behaviour in ("leaves", "leaves_and_dies", "leaves_and_hangs"):
         _leave_one_behind(directory)
         if behaviour == "leaves_and_dies":
@@ -158,6 +159,10 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         os.fork()  # and both go on
     if behaviour == "leaves_an_alarm":
         signal.alarm(1)
+    if behaviour == "leaves_a_thread":
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+    if behaviour == "draws":
+        print("drawn:", random.random(), np.random.random())  # noqa: NPY002
     if behaviour == "naps":
         time.sleep(2)
     if behaviour == "closes_files":

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from harness.engines.jobs import Job
 from harness.engines.processes import Processes
-from harness.judge.results import CONTROLS, Cell, CellResult, Conditions, artifact_of
+from harness.judge.results import CONTROLS, REFERENCE, Cell, CellResult, Conditions, artifact_of
 from harness.run.grid import Grid
+from harness.run.keys import cell_keys
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -50,6 +52,23 @@ def compute(directory: Path, cells: Sequence[Cell], workers: int = 1, timeout: f
         engine = Processes(workers, timeout, work="fake_cells", preload="fake_preload")
         Grid(Conditions("smoke", "absorbing", "sb3"), found, engine).run(cells)
     return found
+
+
+def prepared(directory: Path, source: str, deterministic: bool = True) -> Mapping[str, bytes]:
+    """Return what the `prepare` of a module of this source returns in a worker."""
+    (directory / "prepares.py").write_text(source)
+    cell, conditions = Cell("cartpole", REFERENCE, 0), Conditions("smoke", "absorbing", "sb3")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(directory), str(HERE)]))
+        engine = Processes(1, deterministic=deterministic, work="prepares", preload="fake_preload")
+        (key,) = cell_keys([cell], conditions, engine.variables).values()
+        with engine:
+            engine.submit(Job((cell,), True, conditions, key))
+            while not (ended := engine.completed()):
+                pass
+    ((_, outcome),) = ended
+    assert not outcome.error, outcome.error
+    return outcome.files
 
 
 def faults(tmp_path: Path, **behaviour: str) -> None:

@@ -253,14 +253,14 @@ def job(method: str) -> Job:
 @pytest.mark.parametrize("listens", [False, True])
 def test_a_head_without_an_answer_is_lost(fake: FakeRay, listens: bool) -> None:
     with ray_engine.Ray("", 1) as engine:
-        engine.start(job("bc"))
-        assert engine.finished() == []
+        engine.submit(job("bc"))
+        assert engine.completed() == []
         fake.answers.clear()
         if not listens:
             fake.head.close()
         began = time.monotonic()
         with pytest.raises(Unfinished, match=r"the head of the Ray cluster at .* is lost"):
-            list(iter(engine.finished, None))
+            list(iter(engine.completed, None))
         assert (time.monotonic() - began > 0.4) == listens
 
 
@@ -268,17 +268,17 @@ def test_nothing_is_handed_to_a_node_that_is_gone(fake: FakeRay) -> None:
     with ray_engine.Ray("", 1) as engine:
         fake.node.close()
         with pytest.raises(Unfinished, match="Ray's process of this machine"):
-            engine.start(job("bc"))
+            engine.submit(job("bc"))
     assert not fake.put_at_all
 
 
 def test_a_job_that_the_object_store_has_no_room_for_fails_and_others_go_on(fake: FakeRay) -> None:
     with ray_engine.Ray("", 1) as engine:
         fake.room = False
-        engine.start(job("bc"))
+        engine.submit(job("bc"))
         fake.room = True
-        engine.start(job("gail"))
-        ((failed, outcome),) = engine.finished()
+        engine.submit(job("gail"))
+        ((failed, outcome),) = engine.completed()
         assert (failed.name, outcome.lost) == (job("bc").name, False)
         assert outcome.error.startswith("ObjectStoreFullError: no room")
-        assert engine.finished() == []
+        assert engine.completed() == []

@@ -173,8 +173,8 @@ class Together(Scripted):
         self.tries: Counter[Cell] = Counter()
         self.rounds = 0
 
-    def finished(self) -> list[tuple[Job, Outcome]]:
-        ended = super().finished()
+    def completed(self) -> list[tuple[Job, Outcome]]:
+        ended = super().completed()
         self.rounds += 1
         mine = [job.cells[0] for job, _ in ended if not job.shared]
         self.tries.update(mine)

@@ -168,9 +168,9 @@ def test_in_simulated_time_whatever_ends_first_is_told_first() -> None:
     seconds = {"bc": 3.0, "shaped": 1.0, "gail": 2.0}
     engine = plan.Simulated(3, lambda job: (seconds[job.cells[0].method], Outcome(files={LEARNED: b"x"})))
     for method in seconds:
-        engine.start(Job((Cell("cartpole", method, 0),), False, CONDITIONS, ""))
+        engine.submit(Job((Cell("cartpole", method, 0),), False, CONDITIONS, ""))
     told = []
-    while ended := engine.finished():
+    while ended := engine.completed():
         ((job, outcome),) = ended
         told.append((job.cells[0].method, engine.now))
         assert outcome.files
