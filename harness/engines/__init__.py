@@ -1,1 +1,1 @@
-"""Where cells are computed: cells in, results out."""
+"""Engines, which compute cells: cells in, results out."""

@@ -13,11 +13,10 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
-from harness.engines.jobs import Job, Outcome, Work
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import REFERENCE, Cell, CellResult, files_of, policies_of, usable
 from harness.run import plugins
 from harness.run.codec import decode, encode, printable
@@ -63,7 +62,7 @@ def _random_states() -> list[tuple[Callable[..., object], object]]:
 
 
 def compute(work: str, job: Job, tell: Callable[[Phase], None] = lambda phase: None) -> Outcome:
-    """Return the outcome of a job of the module `work`. tell: as of `Work.run_cell`.
+    """Return the outcome of a job that the module `work` does. tell: called with each phase.
 
     Raises what the job raises, ComplexWarning where the imaginary part of a number would be dropped, and
     RuntimeError where the job is not computed under its key.
@@ -71,7 +70,7 @@ def compute(work: str, job: Job, tell: Callable[[Phase], None] = lambda phase: N
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
     plugins.in_cells(job.plugins, job.methods, [job.cells[0].env])
     _check_key(job, variables)
-    module = cast(Work, importlib.import_module(work))
+    module = importlib.import_module(work)
     if job.shared:
         return Outcome(files=module.prepare(job.cells, job.conditions))
     (cell,) = job.cells

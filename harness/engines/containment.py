@@ -1,4 +1,4 @@
-"""How a process is contained: nothing that it starts outlives it, and its memory has a bound.
+"""Bounds of a process: nothing that it starts outlives it, and it takes no more memory than there is.
 
 On Linux a process can adopt orphans: descendants whose parents end become its children. Elsewhere orphans
 are not found.
@@ -33,7 +33,7 @@ def adopt_orphans() -> None:
 def is_alive(process: psutil.Process) -> bool:
     """Return whether the process has not ended, be it that its parent knows of its end or not."""
     with contextlib.suppress(psutil.Error):
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
     return False
 
 

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, Self
 
-from harness.judge.results import Cell, CellResult, Conditions
+from harness.judge.results import Cell, Conditions
 from harness.run.phases import Phase
 from harness.run.plugins import Plugin
 
 WORK = "harness.run.cells"
-
-
-class Work(Protocol):
-    """The module that does jobs. An engine has its name: only where cells are computed it is imported."""
-
-    def prepare(self, cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]:
-        """Return what these cells, of one environment and seed, share, by name."""
-
-    def run_cell(
-        self, cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[Phase], None]
-    ) -> tuple[CellResult, dict[str, bytes]]:
-        """Return the cell's result, and the files that it adds to the run, by their path there.
-        tell: called now and then with the stage that the cell is in."""
+"""The module that does jobs: `prepare` makes what cells share, `run_cell` a cell's result and files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A cell to compute or, where `shared`, what these cells of one environment and seed share.
+    """A cell to compute. Where `shared`, the job is what these cells of one environment and seed share.
 
-    key: of what it must be computed under. plugins: those that define its method and task.
-    inputs: what the cell shares with others.
+    key: the key under which it must be computed. plugins: those that define its method and task.
+    inputs: arrays and artifacts by name, which the cell shares with others.
     """
 
     cells: tuple[Cell, ...]
@@ -55,8 +43,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The encoded result and its files, or what cells share; or the error, why there is none.
-    log: text that the job printed. lost: whether the error need not be the job's own doing."""
+    """The result of a job, or the error.
+
+    result: the encoded result of a cell. files: those of the cell, or what cells share, by name.
+    log: text that the job printed. lost: whether the error may be another one's fault.
+    """
 
     result: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -66,17 +57,15 @@ class Outcome:
 
 
 class Engine(Protocol):
-    """A context manager; on leaving, nothing that it started goes on.
-
-    workers: how many jobs it does at a time. variables: what numbers depend on in the environment of its
-    jobs (`harness.run.environment`).
-    """
+    """A context manager that does jobs. On leaving, nothing that it started goes on."""
 
     @property
-    def workers(self) -> int: ...
+    def workers(self) -> int:
+        """The number of jobs that it does at a time."""
 
     @property
-    def variables(self) -> Mapping[str, str]: ...
+    def variables(self) -> Mapping[str, str]:
+        """The variables of its jobs that numbers depend on (`harness.run.environment`)."""
 
     def submit(self, job: Job) -> None:
         """Begin a job. Raises Unfinished where nothing can be computed any more."""

@@ -14,6 +14,7 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -43,11 +44,11 @@ LONGEST_MESSAGE = 1 << 29
 
 
 class Processes:
-    """As many processes at a time as there are workers.
+    """Jobs in processes of this machine.
 
-    timeout: seconds after which a job is stopped; None for never. modules: what many jobs import, such
-    as their environments. work: the module that does jobs. preload: the module that imports what all
-    processes share.
+    workers: processes at a time. timeout: seconds after which a job is stopped; None for never.
+    modules: modules that many jobs import, such as their environments. work: the module that does jobs.
+    preload: the module that imports what all processes share.
     """
 
     def __init__(
@@ -119,7 +120,8 @@ class Processes:
             reason = died if isinstance(error, EOFError) else describe(error)
             outcome = Outcome(error=f"its process could not be started: {reason}", lost=True)
         else:
-            outcome = worker.do(self._work, job, folder, self.timeout, self._told(job))
+            tell = partial(self._phases.__setitem__, job.name)
+            outcome = worker.do(self._work, job, folder, self.timeout, tell)
             if outcome.error or job.plugins or worker.jobs >= MOST_JOBS or not worker.can_go_on():
                 worker.end()
             else:
@@ -136,12 +138,6 @@ class Processes:
                 return worker
             worker.end()
         return Worker(self._server)
-
-    def _told(self, job: Job) -> Callable[[Phase], None]:
-        def tell(phase: Phase) -> None:
-            self._phases[job.name] = phase
-
-        return tell
 
 
 class Worker:
@@ -213,9 +209,6 @@ class Worker:
 def _printed(log: Path) -> bytes:
     """Return what is in the log; of a long one the end."""
     with contextlib.suppress(OSError), opened(log) as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - LONGEST_LOG))
-        printed = file.read()
-        left_out = size - len(printed)
-        return b"(%d bytes left out)\n" % left_out * (left_out > 0) + printed
+        file.seek(max(0, file.seek(0, os.SEEK_END) - LONGEST_LOG))
+        return file.read()
     return b""

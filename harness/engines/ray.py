@@ -5,7 +5,7 @@ travel as the tasks' working directory, what cells share travels through Ray's o
 recordings come back as bytes. No other file system is shared.
 
 Ray would wait for ever for a head that is lost, or end this process. So the driver looks after the head, and
-after the Ray process of this machine, and ends the run.
+ends the run.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ DEMONSTRATIONS = "demonstrations of a file"
 class Ray:
     """Cells on a Ray cluster, or on one that is started on this machine and ends with the run.
 
-    address: of the cluster's head, or 'auto'; '' starts one. workers: tasks at a time; None for as many as
-    the cluster has CPUs, counted anew while the run goes on. The others: as of `Processes`. Raises BadInput
-    where Ray is not installed, or no cluster can be reached.
+    address: the address of the cluster's head, or 'auto'; '' starts a cluster. workers: tasks at a time. None
+    stands for the CPUs of the cluster, counted anew while the run goes on. The others: as of `Processes`.
+    Raises BadInput where Ray is not installed, or no cluster can be reached.
     """
 
     def __init__(
@@ -85,8 +85,6 @@ class Ray:
         self._running: dict[Any, Job] = {}
         self._shared: dict[tuple[str, int], dict[str, Any]] = {}
         """References to what cells of an environment and a seed share."""
-        self._refused: list[tuple[Job, Outcome]] = []
-        """Jobs that could not be begun."""
 
     @property
     def workers(self) -> int:
@@ -100,10 +98,7 @@ class Ray:
             stack.enter_context(self._connected(folder))
             remote = self._ray.remote(num_cpus=1, max_retries=0)
             self._begin: Callable[..., Any] = remote(compute_there).remote
-            context = self._ray.get_runtime_context()
-            node = next(one for one in self._ray.nodes() if one["NodeID"] == context.get_node_id())
-            self._node = f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}"
-            self._head, self._left = context.gcs_address, threading.Event()
+            self._left = threading.Event()
             self._count()
             # In a thread, for Ray waits without an end for a head that is lost.
             threading.Thread(target=self._keep_counting, daemon=True).start()
@@ -161,38 +156,14 @@ class Ray:
             with contextlib.suppress(Exception):
                 self._count()
 
-    def _check_there(self) -> None:
-        """Raise Unfinished where the cluster's head, or the Ray process of this machine, is lost. Of the
-        latter Ray's next `put` would end this process."""
-        if _unreachable(self._node):
-            message = f"Ray's process of this machine, at {self._node}, is gone"
-        elif time.monotonic() - self._answered > SILENCE:
-            message = f"the head of the Ray cluster at {self._head} is lost"
-        else:
-            return
-        raise Unfinished(f"{message}; cells that were being computed: {len(self._running)}")
+    def _check_head(self) -> None:
+        if time.monotonic() - self._answered > SILENCE:
+            address = self._ray.get_runtime_context().gcs_address
+            message = f"the head of the Ray cluster at {address} is lost"
+            raise Unfinished(f"{message}; cells that were being computed: {len(self._running)}")
 
     def submit(self, job: Job) -> None:
-        self._check_there()
-        try:
-            self._send(job)
-        except self._ray.exceptions.RayError as error:  # such as of an object store that is full
-            self._refused.append((job, Outcome(error=describe(error))))
-
-    def completed(self) -> list[tuple[Job, Outcome]]:
-        if self._refused:
-            ended, self._refused = self._refused, []
-            return ended
-        done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
-        if done:
-            done, _ = self._ray.wait([*self._running], num_returns=len(self._running), timeout=0)
-        self._check_there()
-        return [(self._running.pop(reference), self._outcome(reference)) for reference in done]
-
-    def doing(self, name: str) -> Phase:
-        return Phase()
-
-    def _send(self, job: Job) -> None:
+        self._check_head()
         shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
         own = {name: data for name, data in job.inputs.items() if name == LEARNED}
         if job.shared and job.conditions.demonstrations:
@@ -200,6 +171,16 @@ class Ray:
         references = self._references(job, shared)
         plain = replace(job, inputs=own, plugins=tuple(self._packed[one] for one in job.plugins))
         self._running[self._begin(plain, self._settings, [*references], *references.values())] = job
+
+    def completed(self) -> list[tuple[Job, Outcome]]:
+        done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
+        if done:
+            done, _ = self._ray.wait([*self._running], num_returns=len(self._running), timeout=0)
+        self._check_head()
+        return [(self._running.pop(reference), self._outcome(reference)) for reference in done]
+
+    def doing(self, name: str) -> Phase:
+        return Phase()
 
     def _references(self, job: Job, shared: dict[str, bytes]) -> dict[str, Any]:
         """Return references to what is in the object store by then. What no job needs any more leaves it."""
@@ -243,14 +224,12 @@ def compute_there(job: Job, settings: tuple[Any, ...], names: Sequence[str], *in
     return ended[0][1]
 
 
-def _unreachable(address: str) -> OSError | None:
+def _unreachable(address: str) -> Exception | None:
     """Return why nothing answers at this address, 'HOST:PORT'; None where somebody does."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host, int(port)), PATIENCE).close()
-    except OverflowError:
-        return OSError("there is no such port")
-    except OSError as error:
+    except (OSError, OverflowError) as error:
         return error
     return None
 

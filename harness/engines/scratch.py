@@ -42,8 +42,8 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def base() -> Path:
-    """Return the folder for temporary files, or the system's where that one's path is too long or is no plain
-    text. Raises BadInput where none can be written to."""
+    """Return the folder for temporary files. Return the system's where that one's path is long or has odd
+    letters. Raises BadInput where none can be written to."""
     for folder in (Path(tempfile.gettempdir()), Path("/tmp"), Path("/var/tmp")):
         if len(os.fsencode(folder)) <= LONGEST and str(folder).isprintable() and os.access(folder, os.W_OK):
             return folder
@@ -60,7 +60,7 @@ def remove_abandoned(parent: Path) -> None:
 
 
 def _delete(lock: Path) -> None:
-    """Delete the folder, and its lock only where all else is gone: the next run goes on with what is left."""
+    """Delete the folder, and then its lock. Where something is left, the next run goes on with that."""
     shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
     if not os.path.lexists(lock.with_suffix("")):
         lock.unlink(missing_ok=True)

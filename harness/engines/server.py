@@ -1,9 +1,9 @@
 """The server that workers are forked from, a process that has imported what all of them need.
 
-The run sends a request of eight bytes over a Unix socket: 0 with a connection's file for a new worker, or
-the number of a worker that is to end or has ended. The answer of eight bytes is the worker's number, less
-than 0 for an error of the system, or its exit code. When the socket closes, because the run has ended in
-whatever way, the server ends all workers, what they started, and itself.
+Run and server share a Unix socket. A request is a number: 0 with the file of a connection for a new worker,
+or the process number of a worker that has ended. The answer is the new worker's process number, an error of
+the system as a number below 0, or the exit code. The socket closes when the run ends, in whatever way. Then
+the server ends all workers, what they started, and itself.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Self
 
 import psutil
 
-from harness.engines.containment import PATIENCE, adopt_orphans, kill_children_but, kill_descendants
+from harness.engines.containment import adopt_orphans, kill_children_but, kill_descendants
 from harness.registry import BadInput
 
 SIZE = 8
@@ -39,9 +39,9 @@ _running: set[Server] = set()
 class Server:
     """The run's side of the server, for any of its threads. A server that was killed is started again.
 
-    variables: its environment, and that of its workers. modules: those that it imports; only on Linux, since
-    elsewhere a process that has imported libraries cannot be forked safely.
-    Raises BadInput where no process can be started.
+    variables: the environment of the server and its workers. modules: modules that it imports.
+    Elsewhere than on Linux it imports none: a process that has imported libraries cannot be forked safely
+    there. Raises BadInput where no process can be started.
     """
 
     def __init__(self, variables: Mapping[str, str], modules: Sequence[str]) -> None:
@@ -75,15 +75,12 @@ class Server:
     def __exit__(self, *error: object) -> None:
         _running.discard(self)
         self._closed = True
-        self.wake()
-        self._socket.shutdown(socket.SHUT_RDWR)
-        try:
-            self._process.wait(2 * PATIENCE)
-        except subprocess.TimeoutExpired:
-            kill_descendants(self._process.pid)
-            self._process.kill()
-            self._process.wait()
-        self._socket.close()
+        self._process.send_signal(signal.SIGSTOP)  # It forks no more, and still adopts orphans.
+        kill_descendants(self._process.pid)
+        self._process.kill()
+        self._process.wait()
+        with self._lock:
+            self._socket.close()
 
     def fork(self) -> tuple[int, Connection]:
         """Return the number of a new worker and the connection to it. Raises OSError where the system allows
@@ -106,6 +103,8 @@ class Server:
         return None
 
     def _ask(self, number: int, files: Sequence[int] = ()) -> int:
+        if self._closed:
+            raise EOFError
         self.wake()
         try:
             socket.send_fds(self._socket, [number.to_bytes(SIZE, "little")], files)
@@ -214,7 +213,7 @@ def main(file: int, path: list[str], modules: Sequence[str]) -> None:
     adopt_orphans()
     sys.path += [folder for folder in path if folder not in sys.path]
     for name in modules:
-        # Whatever this raises, a cell's own import raises again, and there it is told.
+        # Whatever this raises, a cell's own import raises again, and the cell says so.
         with contextlib.suppress(BaseException):
             importlib.import_module(name)
     # To look through what is there by now for garbage would take each cell time, and its own memory.

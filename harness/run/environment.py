@@ -1,5 +1,7 @@
-"""Environment variables: where the cache is, and those of processes that compute cells: what their numbers
-depend on is set here, and of all others only those are passed on that no number depends on."""
+"""Environment variables of processes that compute cells, and the folder of the cache.
+
+Variables that numbers depend on are set here. Others are passed on where no number depends on them.
+"""
 
 from __future__ import annotations
 
@@ -78,14 +80,14 @@ def cache_folder() -> Path:
 
 
 def can_fix_instructions() -> bool:
-    """Whether this processor has `SAME_INSTRUCTIONS`."""
+    """Return whether this processor has `SAME_INSTRUCTIONS`."""
     from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
 
     return bool(has.get("AVX2") and has.get("FMA3"))
 
 
 def numeric(deterministic: bool) -> dict[str, str]:
-    """The variables that numbers depend on, as cells' processes have them. deterministic: with
+    """Return the variables that numbers depend on, as cells' processes have them. deterministic: with
     `SAME_INSTRUCTIONS`, where the processor has them."""
     chosen = {name: os.environ[name] for name in CHOSEN if name in os.environ}
     return chosen | FIXED | (SAME_INSTRUCTIONS if deterministic and can_fix_instructions() else {})

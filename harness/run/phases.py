@@ -20,10 +20,10 @@ IN_WORDS = {
 
 @dataclass(frozen=True)
 class Phase:
-    """A stage of a job; '' where it is not known, as on a cluster.
+    """A stage of a job, and how far it is. Where nothing is known, as on a cluster, stage is ''.
 
-    step, of: environment steps so far, and how many there will be; None where that is not known.
-    returns: the mean true return of each of the cell's policies that was scored by now.
+    step, of: environment steps so far, and of the whole stage; None where unknown.
+    returns: mean true returns of the policies that were scored by now.
     """
 
     stage: str = ""

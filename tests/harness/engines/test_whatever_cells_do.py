@@ -150,6 +150,18 @@ def test_temporary_files_that_one_cell_deletes_another_can_have(run: Run) -> Non
     assert [reason(result) for result in results.values()] == ["", "", ""]
 
 
+def test_where_processes_cannot_be_seen_cells_fail_and_say_so(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise psutil.NoSuchProcess(1)
+
+    with monkeypatch.context() as changed:
+        changed.setattr(psutil, "Process", refuse)
+        result = run()["good"]
+    assert reason(result).startswith("no expert: its process could not be started: NoSuchProcess")
+
+
 def test_where_no_process_can_be_started_cells_fail_and_the_run_ends(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

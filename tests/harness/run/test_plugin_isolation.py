@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -503,7 +504,8 @@ def test_jobs_for_other_machines_name_plugins_where_they_were_copied(
     engine._running, engine._shared, engine._settings = {}, {}, None
     engine._begin = lambda sent, *rest: sent.plugins
     job = Job((Cell("moon", "other", 0),), False, CONDITIONS, "", plugins.needed(["other"], ["moon"]))
-    engine._send(job)
+    engine._answered = time.monotonic()
+    engine.submit(job)
     (sent,) = engine._running
     monkeypatch.chdir(tmp_path / "program")
     places = [Path(one.place) for one in plugins.unpacked(sent)]
