@@ -80,8 +80,8 @@ def test_odd_ends_are_failed_rows(run: Run) -> None:
 
 
 def test_what_a_cell_leaves_in_its_temporary_folder_is_gone_for_the_next(run: Run) -> None:
-    methods = ("fills_temporary_files", "looks_for_temporary_files", "deletes_temporary_files", "records")
-    results = run(*methods, workers=1)
+    methods = ["fills_temporary_files", "looks_for_temporary_files", "deletes_temporary_files"]
+    results = run(*methods, "makes_temporary_files", "records", workers=1)
     assert {reason(result) for result in results.values()} == {""}
 
 
@@ -143,11 +143,6 @@ def test_a_cell_that_suspends_itself_is_stopped_in_time_and_the_server_is_woken(
     results = run("stops_itself", "stops_server", "brief", timeout=4)
     assert reason(results["stops_itself"]) == "it was stopped after 4 s"
     assert [reason(results[method]) for method in ("stops_server", "brief", "good")] == ["", "", ""]
-
-
-def test_temporary_files_that_one_cell_deletes_another_can_have(run: Run) -> None:
-    results = run("deletes_temporary_files", "makes_temporary_files", workers=1)
-    assert [reason(result) for result in results.values()] == ["", "", ""]
 
 
 def test_where_processes_cannot_be_seen_cells_fail_and_say_so(
