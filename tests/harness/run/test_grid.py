@@ -50,7 +50,7 @@ class Scripted(Inline):
         self.script = script
         self.given: list[Job] = []
 
-    def start(self, job: Job) -> None:
+    def submit(self, job: Job) -> None:
         self.given.append(job)
         shared = Outcome(files={"shared": f"{job.cells[0].seed}".encode()}, log=b"made\n")
         self._ended.append((job, shared if job.shared else self.script(job)))

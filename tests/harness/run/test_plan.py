@@ -140,7 +140,7 @@ class Noting(Inline):
         super().__init__()
         self.given: list[str] = []
 
-    def start(self, job: Job) -> None:
+    def submit(self, job: Job) -> None:
         self.given.append(job.name)
         self._ended.append((job, outcome_of(job)))
 
