@@ -17,7 +17,7 @@ except KeyboardInterrupt:  # which takes long enough on a slow machine
 
 
 def start() -> int:
-    """Does what the command line asks for; returns the exit code. For a process of its own."""
+    """Do what the command line asks for. Return the exit code. For a process of its own."""
     try:
         return _start()
     except KeyboardInterrupt:  # before there is anybody who would tell of it
@@ -26,10 +26,7 @@ def start() -> int:
 
 def _start() -> int:
     if hasattr(signal, "SIGCHLD"):
-        signal.signal(
-            signal.SIGCHLD, signal.SIG_DFL
-        )  # Ignored or blocked, it hides how cells' processes end.
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how processes end.
     os.environ["MPLBACKEND"] = "agg"  # Figures are files; what the user has set need not be there.
     if sys.warnoptions:  # -W and PYTHONWARNINGS could make errors of the libraries' warnings.
         sys.warnoptions.append("ignore")
@@ -46,8 +43,8 @@ def _start() -> int:
     code = main()
     ignore_stops()  # It is done; to be stopped now would be a false report.
     sys.stdout.flush()
-    if why := streams.output_was_lost():
-        print(f"irl-bench: error: standard output was cut short: {why}", file=sys.stderr)
+    if reason := streams.output_was_lost():
+        print(f"irl-bench: error: standard output was cut short: {reason}", file=sys.stderr)
         code = code or 1
     if "ray" in sys.modules:  # Its threads may wait without an end for a head that is lost.
         sys.stderr.flush()

@@ -232,7 +232,7 @@ def _verify(directory: Path) -> int:
 
 
 def _check(names: Sequence[str], named: Sequence[str]) -> int:
-    from harness.run.processes import as_in_cells
+    from harness.engines.cell_environment import as_in_cells
 
     plugins.add(named, names)
     names = [plugins.task_or_name(name) for name in names]
@@ -271,7 +271,7 @@ def _checked(names: Sequence[str], testing: Any) -> int:
 
 
 def _bench(part: str | None, as_json: bool) -> int:
-    from harness.run.processes import as_in_cells
+    from harness.engines.cell_environment import as_in_cells
     from harness.run.progress import say, tell
 
     measures, missed = [], False
@@ -301,7 +301,7 @@ def _bench(part: str | None, as_json: bool) -> int:
 
 
 def _train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> int:
-    from harness.run.processes import as_in_cells
+    from harness.engines.cell_environment import as_in_cells
 
     with as_in_cells():
         with importing():
@@ -336,7 +336,7 @@ def _experts(args: argparse.Namespace) -> int:
     with importing():
         from harness.benchmarks import expert_files
         from harness.commands import cores, handle_signals
-        from harness.run.scratch import base
+        from harness.engines.scratch import base
 
     base()
     handle_signals()

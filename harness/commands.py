@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, TextIO
 
 from harness import outcome
 from harness.cell.given import store
+from harness.engines import scratch
+from harness.engines.jobs import Engine
+from harness.engines.server import suspend_workers_too
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
 from harness.registry import (
     ASKING,
@@ -30,10 +33,8 @@ from harness.registry import (
     Unfinished,
     choose,
 )
-from harness.run import baseline, keys, plugins, scratch
-from harness.run.engines import Engine
+from harness.run import baseline, keys, plugins
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
-from harness.run.processes import let_cells_sleep
 from harness.run.progress import progress_for, say, tell
 from harness.run.signals import stop_cleanly
 from harness.store.cells import LOG
@@ -212,7 +213,7 @@ def _prepare() -> None:
     keys.versions(keys.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
     try:
-        importlib.import_module("harness.run.isolated")
+        importlib.import_module("harness.engines.processes")
         importlib.import_module("harness.schedule.grid")
         importlib.import_module("harness.report.files")
     except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
@@ -252,23 +253,23 @@ def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
 
 def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
-    from harness.run import engines, isolated
+    from harness.engines import inline, processes
 
     # Those of plug-ins are imported in their own cells alone, which all others would share.
     modules = [ENVS[env].target.partition(":")[0] for env in envs if env in BUILT_IN["env"]]
     fixed = _is_deterministic(args)
     if args.engine == "ray":
-        from harness.run import cluster
+        from harness.engines import ray
 
         workers = args.workers or (None if args.address else cores())
-        return cluster.Ray(args.address or "", workers, args.cell_timeout, fixed, modules)
+        return ray.Ray(args.address or "", workers, args.cell_timeout, fixed, modules)
     if args.address:
         raise BadInput("--address is of a Ray cluster; add --engine ray")
     if args.engine == "isolated":
-        return isolated.Isolated(args.workers or cores(), args.cell_timeout, fixed, modules)
+        return processes.Processes(args.workers or cores(), args.cell_timeout, fixed, modules)
     if args.workers or args.cell_timeout:
         raise BadInput("--engine inline computes one cell after the other and cannot stop any")
-    return engines.Inline()
+    return inline.Inline()
 
 
 def _is_deterministic(args: argparse.Namespace) -> bool:
@@ -390,4 +391,4 @@ def handle_signals() -> None:
     """Whatever stops a run stops it cleanly, and Ctrl-Z suspends all of it."""
     if threading.current_thread() is threading.main_thread():
         stop_cleanly()
-        let_cells_sleep()
+        suspend_workers_too()

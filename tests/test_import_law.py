@@ -17,7 +17,7 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 ROOMS = (
     *("envs", "methods", "harness.registry", "harness.learn", "harness.judge"),
-    ("harness.run", "harness.demonstrations", "harness.cell", "harness.schedule"),
+    ("harness.run", "harness.demonstrations", "harness.cell", "harness.engines", "harness.schedule"),
     *("harness.report", "harness.recordings", "harness.benchmarks", "harness"),
 )
 """Each may import itself and those before it."""

@@ -7,6 +7,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from multiprocessing import get_context
 from pathlib import Path
 
 from pebble.concurrent import process as in_a_process
@@ -16,11 +17,11 @@ from envs.spec import Shipped
 from harness.benchmarks.expert_training import Candidate, Measured, is_good, measure, meets_bar, train
 from harness.cell.experts import source_for
 from harness.cell.shipped import ShippedExpert, from_file, to_file
+from harness.engines.cell_environment import as_in_cells
 from harness.judge.results import Conditions
 from harness.learn.seeds import held_out_seeds, rng_for
 from harness.registry import SPECS, BadInput
 from harness.run.keys import EXPERTS, ROOT
-from harness.run.processes import NAME, fresh_processes
 from harness.run.progress import say, tell
 from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
 from harness.store.marked import open_marked
@@ -52,9 +53,9 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     """
     with (
         open_marked(out, CANDIDATES, HEADER.encode(), "experts", _is_list, rf"{SUMS}|\w+\{KIND}"),
-        fresh_processes("harness.run.preload") as context,
+        as_in_cells(),
     ):
-        launch = in_a_process(name=NAME, context=context)(train)  # type: ignore[call-overload]
+        launch = in_a_process(context=get_context("spawn"))(train)  # type: ignore[call-overload]
         for env in envs:
             if not _is_whole(out / f"{env}{KIND}", env):
                 _write_task(out, env, _trained(env, workers, launch))

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import psutil
 
 from harness.benchmarks.measure import FULL, MEGABYTE, SMOKE, Measure, apart, command, compute, watch
+from harness.engines.inline import Inline
+from harness.engines.processes import Processes
 from harness.judge.results import Cell
-from harness.run.engines import Inline
-from harness.run.isolated import Isolated
 
 CELLS = 20
 """Cells of one process."""
@@ -22,7 +22,7 @@ def measures() -> Iterator[Measure]:
     """Take each measure once."""
     for env in ("pendulum", "highway"):
         with watch() as peak:
-            compute([Cell(env, "shaped", 1)], FULL, Isolated(1))
+            compute([Cell(env, "shaped", 1)], FULL, Processes(1))
         yield Measure(f"{env}, a cell of shaped at full, its process", "MB", peak[:1], bar=700)
     sizes = apart(cells_in_a_row, CELLS)
     gained = sizes[-1] - sizes[CELLS // 2 - 1]

@@ -1,9 +1,4 @@
-"""A Ray cluster on this machine's loopback, to try what a run does on many machines.
-
-It is started by `python -m harness.benchmarks.local_cluster NODES`.
-It has a head that computes nothing and nodes of one core each, prints its address, and lives until standard
-input ends. Each line there kills a node without grace.
-"""
+"""A Ray cluster on this machine's loopback, to try what a run does on many machines."""
 
 from __future__ import annotations
 
@@ -13,36 +8,60 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-STORE = 80 << 20
-"""Bytes of each node's object store, the least that Ray takes."""
+PROGRAM = """
+import sys
+from ray.cluster_utils import Cluster
+
+node = {"object_store_memory": 80 << 20}  # the least that Ray takes
+cluster = Cluster(True, head_node_args={**node, "num_cpus": 0, "include_dashboard": False})
+nodes = [cluster.add_node(num_cpus=1, **node) for _ in range(int(sys.argv[1]))]
+cluster.wait_for_nodes()
+print(cluster.address, flush=True)
+for _ in sys.stdin:
+    cluster.remove_node(nodes.pop(), allow_graceful=False)
+    print("killed", flush=True)
+cluster.shutdown()
+"""
+VARIABLES = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    "RAY_AUTH_MODE": "disabled",
+}
 ENDING = 60.0
 """Seconds that its process has to end."""
 
 
 @dataclass(frozen=True)
 class LocalCluster:
-    """A running cluster. `address`: its head's. `process`: its own."""
+    """A cluster that runs: a head that computes nothing, and nodes of one core each.
 
-    address: str
-    process: subprocess.Popen[str]
+    address: of its head. Raises RuntimeError where the process did not start one.
+    """
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        if not (address := self._answer()):
+            raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
+        self.address = address
 
     def kill_node(self) -> None:
         """Kill a node without grace, as a machine that is switched off."""
-        assert self.process.stdin
-        assert self.process.stdout
-        print("kill", file=self.process.stdin, flush=True)
-        self.process.stdout.readline()
+        assert self._process.stdin
+        self._process.stdin.write("kill\n")
+        self._process.stdin.flush()
+        self._answer()
+
+    def _answer(self) -> str:
+        assert self._process.stdout
+        return self._process.stdout.readline().strip()
 
 
 @contextmanager
 def local_cluster(nodes: int) -> Iterator[LocalCluster]:
-    """Start a cluster, which ends with the context. Raises RuntimeError where it does not start."""
-    command = [sys.executable, "-m", __name__, str(nodes)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin
-        assert process.stdout
+    """Start a cluster in a process of its own, which ends with the context."""
+    command, pipe = [sys.executable, "-c", PROGRAM, str(nodes)], subprocess.PIPE
+    with subprocess.Popen(command, text=True, env=os.environ | VARIABLES, stdin=pipe, stdout=pipe) as process:
         try:
             if not (address := process.stdout.readline().strip()):
                 raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
@@ -53,24 +72,3 @@ def local_cluster(nodes: int) -> Iterator[LocalCluster]:
                 process.wait(ENDING)
             except subprocess.TimeoutExpired:
                 process.kill()
-
-
-def _serve(count: int) -> None:
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
-    os.environ["RAY_AUTH_MODE"] = "disabled"
-    from ray.cluster_utils import Cluster  # which reads them
-
-    head = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": STORE}
-    cluster: Any = Cluster(initialize_head=True, head_node_args=head)
-    nodes = [cluster.add_node(num_cpus=1, object_store_memory=STORE) for _ in range(count)]
-    cluster.wait_for_nodes()
-    print(cluster.address, flush=True)
-    for _ in sys.stdin:
-        cluster.remove_node(nodes.pop(), allow_graceful=False)
-        print("killed", flush=True)
-    cluster.shutdown()
-
-
-if __name__ == "__main__":
-    _serve(int(sys.argv[1]))

@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 
 import psutil
 
+from harness.engines.jobs import Engine
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.run.engines import Engine
 from harness.schedule.grid import Grid
 from harness.schedule.plan import Silent
 

@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 
 from harness.benchmarks.measure import MEGABYTE, SMOKE, Measure, apart
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import (
     ALL_SHOWN,
     CONTROLS,
@@ -31,7 +32,6 @@ from harness.judge.results import (
 from harness.registry import ENVS
 from harness.report.files import recorded_in, write_report
 from harness.report.model import build
-from harness.run.engines import Job, Outcome
 from harness.run.keys import origin
 from harness.schedule.grid import Grid, Sink
 from harness.schedule.plan import Silent, Simulated

@@ -13,13 +13,13 @@ import numpy as np
 from envs import EnvSpec
 from harness.benchmarks.measure import QUICK, REPEATS, SCORE, Measure, command, compare, compute
 from harness.cell.experts import source_for
+from harness.engines.processes import Processes
 from harness.judge.evaluation import evaluate
 from harness.judge.results import Cell
 from harness.learn.rl import Agent
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
 from harness.registry import SPECS
-from harness.run.isolated import Isolated
 from methods.base import Policy
 
 EPISODES = 100
@@ -93,7 +93,7 @@ def _solve(env: str, seed: int) -> tuple[float, float]:
 
 def _fit(env: str, method: str, bar: float) -> Measure:
     """Return a fit's seconds on one core for `FIT_STEPS` environment steps, compilation included."""
-    [result] = compute([Cell(env, method, 0)], replace(QUICK, retrain=False), Isolated(1))
+    [result] = compute([Cell(env, method, 0)], replace(QUICK, retrain=False), Processes(1))
     row = result.rows[0]
     name = f"{env}, {method}, fit, for each {FIT_STEPS:,} of {row.env_steps:,} environment steps"
     return Measure(name, "s", [FIT_STEPS * row.fit_seconds / row.env_steps], bar)
@@ -101,12 +101,12 @@ def _fit(env: str, method: str, bar: float) -> Measure:
 
 def _grid(workers: int) -> int:
     cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
-    return len(compute(cells, QUICK, Isolated(workers)))
+    return len(compute(cells, QUICK, Processes(workers)))
 
 
 def _beside_the_work() -> list[float]:
     """Return the share, in %, of each cell's time that is neither fit nor RL. The first cell, which compiles,
     does not count."""
     cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    times = [result.seconds for result in compute(cells, QUICK, Isolated(1))[1:]]
+    times = [result.seconds for result in compute(cells, QUICK, Processes(1))[1:]]
     return [100 * (1 - (stages["fit"] + stages["retrain"]) / sum(stages.values())) for stages in times]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,7 +18,9 @@ from harness.judge.results import NOMINAL, Cell, Conditions, takes_one_solve
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import ASKING
+from harness.run.phases import Phase
 
+NO_RETURNS: Mapping[str, float] = MappingProxyType({})
 Seconds = Mapping[str, float]
 """Wall time by stage."""
 
@@ -39,12 +42,12 @@ class Inputs:
     cell: Cell
     conditions: Conditions
     shared: Shared
-    report: Callable[[str], None] = lambda stage: None
+    report: Callable[[Phase], None] = lambda phase: None
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[Stopwatch]:
+    def stage(self, name: str, returns: Mapping[str, float] = NO_RETURNS) -> Iterator[Stopwatch]:
         """Report that a stage begins, and measure its wall time."""
-        self.report(name)
+        self.report(Phase(name, returns=returns))
         stopwatch, began = Stopwatch(), time.perf_counter()
         try:
             yield stopwatch
@@ -91,7 +94,7 @@ class Inputs:
         expert = self.shared.expert.policy if self.cell.method in ASKING else None
         return TaskWorld(
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
-            told=lambda steps: self.report(f"fit, {steps:,} steps so far"),
+            told=lambda steps: self.report(Phase("fit", steps)),
             solve_steps=self.rl_steps,
         )
 

@@ -15,6 +15,7 @@ from harness.learn.rl import Solution
 from harness.learn.seeds import judging_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.world import solver_for
+from harness.run.phases import Phase
 from methods.base import Policy, Reward
 from methods.rewards import fast
 
@@ -101,7 +102,7 @@ def solve(inputs: Inputs, reward: Reward | None, number: int) -> Solution:
     before, steps = number * inputs.rl_steps, inputs.solves * inputs.rl_steps
     solver = solver_for(
         *(inputs.place, inputs.conditions.protocol, inputs.rng(f"pi_R {number}"), inputs.conditions.rl),
-        told=lambda done: inputs.report(f"retrain, step {before + done:,} of {steps:,}"),
+        told=lambda done: inputs.report(Phase("retrain", before + done, steps)),
     )
     return replace(solver.solve(reward, inputs.rl_steps), checkpoints=())
 

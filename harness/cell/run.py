@@ -13,6 +13,7 @@ from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
 from harness.judge.results import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
 from harness.run import plugins
+from harness.run.phases import Phase
 from harness.run.resolved import settings_of
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of
@@ -32,7 +33,7 @@ def run_cell(
     cell: Cell,
     conditions: Conditions,
     shared: Mapping[str, bytes],
-    report: Callable[[str], None] = lambda stage: None,
+    report: Callable[[Phase], None] = lambda phase: None,
 ) -> tuple[CellResult, Files]:
     """Return the result of a cell, and the files that it adds to its run.
 
@@ -79,7 +80,7 @@ def learned_file(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str], Seco
     }
     if learned and inputs.cell.method not in (REFERENCE, "control_true"):
         learned["reward"] = candidates[0].reward
-    with inputs.stage(f"record; {means(scored.evaluations)}") as stopwatch:
+    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
         data, warnings = artifact(inputs.cell, inputs.conditions, learned)
     return data, warnings, {"record": stopwatch.seconds}
 
@@ -91,7 +92,7 @@ def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
     from harness.cell.recording import record  # imports rerun, 30 MB that other seeds do without
 
     files, warnings = Files(), list[str]()
-    with inputs.stage(f"record; {means(scored.evaluations)}") as stopwatch:
+    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
         for one in scored.candidates:
             if watched := scored.watched.get(one.name):
                 recordings, missing = record(inputs, one, scored.evaluations[one.name], watched)

@@ -15,7 +15,7 @@ from harness.judge.evaluation import Evaluation, evaluate
 from harness.judge.numbers import as_text
 from harness.judge.results import CONTROLS, REFERENCE, PolicyName, Row, Solve, row_of
 from harness.judge.solved import is_solved
-from harness.run.phases import returned
+from harness.run.phases import Phase
 from methods.base import Policy, Reward
 from methods.rewards import fast
 
@@ -58,9 +58,9 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
     )
 
 
-def means(evaluations: Evaluations) -> str:
-    """Return the mean returns of policies, as they are reported."""
-    return returned({str(name): float(result.returns.mean()) for name, result in evaluations.items()})
+def means(evaluations: Evaluations) -> dict[str, float]:
+    """Return the mean return of each policy."""
+    return {str(name): float(result.returns.mean()) for name, result in evaluations.items()}
 
 
 def evaluated(inputs: Inputs, policy: Policy, reward: Reward | None) -> Evaluation:
@@ -88,7 +88,7 @@ def _evaluations(
     for one in candidates:
         if one.policy:
             evaluations[one.name] = evaluated(inputs, watched.get(one.name, one.policy), one.reward)
-            inputs.report(f"score; {means(evaluations)}")
+            inputs.report(Phase("score", returns=means(evaluations)))
     return evaluations
 
 

@@ -1,17 +1,15 @@
-"""Environment variables: where the cache is, and those of processes that compute cells: what their numbers
-depend on is set here, and of all others only those are passed on that no number depends on."""
+"""Environment variables of processes that compute cells, and the folder of the cache.
+
+Variables that numbers depend on are set here. Others are passed on where no number depends on them.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import traceback
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
-PRELOAD_VARIABLE = "IRL_BENCH_PRELOAD"
-"""Names modules, with commas between, that the processes of cells share."""
 EARLIER_CACHE = Path("results") / "cache"
 """The cache of earlier versions, in the current folder; used where it is there."""
 
@@ -24,7 +22,7 @@ PASSED = {
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
 FORMER = "IRL_BENCH_PLUGINS"
 """A variable of earlier versions, which named files to be executed."""
-OWN = (CACHE_VARIABLE, PRELOAD_VARIABLE, FORMER)
+OWN = (CACHE_VARIABLE, FORMER)
 """Variables of the last prefix that are not the user's."""
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
@@ -82,14 +80,14 @@ def cache_folder() -> Path:
 
 
 def can_fix_instructions() -> bool:
-    """Whether this processor has `SAME_INSTRUCTIONS`."""
+    """Return whether this processor has `SAME_INSTRUCTIONS`."""
     from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
 
     return bool(has.get("AVX2") and has.get("FMA3"))
 
 
 def numeric(deterministic: bool) -> dict[str, str]:
-    """The variables that numbers depend on, as cells' processes have them. deterministic: with
+    """Return the variables that numbers depend on, as cells' processes have them. deterministic: with
     `SAME_INSTRUCTIONS`, where the processor has them."""
     chosen = {name: os.environ[name] for name in CHOSEN if name in os.environ}
     return chosen | FIXED | (SAME_INSTRUCTIONS if deterministic and can_fix_instructions() else {})
@@ -133,18 +131,3 @@ def hint(error: BaseException | None) -> str:
             return f"; of the environment's variables cells have only {names} (docs/plugins.md)"
         error = error.__cause__ or error.__context__
     return ""
-
-
-@contextlib.contextmanager
-def for_cells(deterministic: bool, more: Mapping[str, str]) -> Iterator[None]:
-    """Makes the environment of this process, and of those that it starts, that of cells, with `more` besides,
-    until the context ends."""
-    before = os.environ.copy()
-    after = of_cells(deterministic) | dict(more)
-    os.environ.clear()
-    os.environ.update(after)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal, Self, TextIO
 
 import msgspec
 
-from harness.run.phases import phase_of
+from harness.run.phases import Phase
 from harness.run.progress import NOTHING
 from harness.run.tally import Tally
 
 if TYPE_CHECKING:
+    from harness.engines.jobs import Job
     from harness.judge.results import Status
-    from harness.run.engines import Job
 
 FORMAT: Literal[1] = 1
 LOOK_EVERY = 1.0
@@ -58,8 +58,8 @@ class Started(Event, frozen=True, kw_only=True):
 
 class Doing(Event, frozen=True, kw_only=True):
     """A job that runs is in another phase, or further in it; told once a second at most. step, of:
-    environment steps, null where they are not told. returns: as of `Ended`, rounded, of those policies that
-    were scored by now."""
+    environment steps, null where they are not told. returns: as of `Ended`, of policies that were scored
+    by now."""
 
     name: str
     phase: str
@@ -111,12 +111,12 @@ def write(stream: TextIO, event: AnyEvent) -> None:
 
 
 class Events:
-    """Of a run, to a stream. doing: as of `progress_for`."""
+    """Events of a run, to a stream. doing: as of `progress_for`."""
 
-    def __init__(self, tally: Tally, doing: Callable[[str], str], stream: TextIO) -> None:
+    def __init__(self, tally: Tally, doing: Callable[[str], Phase], stream: TextIO) -> None:
         self.tally, self.doing, self.stream = tally, doing, stream
-        self._said: dict[str, str] = {}
-        """What each job that runs said last."""
+        self._phases: dict[str, Phase] = {}
+        """The last phase of each job that runs."""
         self._lock = threading.RLock()
         self._left = threading.Event()
         self._looks = threading.Thread(target=self._look, daemon=True)
@@ -137,7 +137,7 @@ class Events:
     def started(self, job: Job) -> None:
         self.tally.begin(job.name)
         with self._lock:
-            self._said[job.name] = ""
+            self._phases[job.name] = Phase()
         self._write(Started(seconds=self.tally.elapsed, job=job_name(job)))
 
     def finished(
@@ -145,14 +145,14 @@ class Events:
     ) -> None:
         took = self.tally.end(job.name, status)
         with self._lock:
-            self._said.pop(job.name, None)
+            self._phases.pop(job.name, None)
         event = Ended(
             seconds=self.tally.elapsed,
             name=job.name,
             status=status,
             took=took,
             reason=reason,
-            returns={name: value for name, value in returns.items() if math.isfinite(value)},
+            returns=_finite(returns),
             **self._counts(),
             eta=self.tally.eta(),
         )
@@ -164,25 +164,31 @@ class Events:
 
     def _look(self) -> None:
         while not self._left.wait(LOOK_EVERY):
-            for name in list(self._said):
-                said = self.doing(name)
+            for name in list(self._phases):
+                phase = self.doing(name)
                 with self._lock:
-                    if said and self._said.get(name, said) != said:
-                        self._said[name] = said
-                        phase = phase_of(said)
-                        event = Doing(
-                            seconds=self.tally.elapsed,
-                            name=name,
-                            phase=phase.name,
-                            step=phase.step,
-                            of=phase.of,
-                            returns=dict(phase.returns),
-                        )
-                        self._write(event)
+                    if phase != Phase() and self._phases.get(name, phase) != phase:
+                        self._phases[name] = phase
+                        self._write(self._event(name, phase))
+
+    def _event(self, name: str, phase: Phase) -> Doing:
+        return Doing(
+            seconds=self.tally.elapsed,
+            name=name,
+            phase=phase.stage,
+            step=phase.step,
+            of=phase.of,
+            returns=_finite(phase.returns),
+        )
 
     def _write(self, event: AnyEvent) -> None:
         with self._lock:
             write(self.stream, event)
+
+
+def _finite(returns: Mapping[str, float]) -> dict[str, float]:
+    """Return those that JSON can hold."""
+    return {name: value for name, value in returns.items() if math.isfinite(value)}
 
 
 def job_name(job: Job) -> JobName:

@@ -23,8 +23,8 @@ from harness.run.plugin_sources import Sources
 from harness.run.plugins import settings_for
 
 RUNNING = (
-    *("harness.schedule.grid", "harness.store.store", "harness.run.cluster", "harness.run.node"),
-    *("harness.run.isolated", "harness.run.preload", "harness.run.server", "harness.cell.run"),
+    *("harness.schedule.grid", "harness.store.store", "harness.cell.run", "harness.engines.ray"),
+    *("harness.engines.processes", "harness.engines.preload"),
 )
 """Modules that feed, start, compute and store cells."""
 EXPERTS_MODULE = "harness.cell.shared"

@@ -27,8 +27,9 @@ def tell(request: str) -> None:
     _alone()
     import msgspec
 
+    from harness.engines.containment import bound_memory
     from harness.registry import BadInput, Entry
-    from harness.run import plugins, processes
+    from harness.run import plugins
 
     if hasattr(signal, "alarm"):
         signal.alarm(plugins.LONGEST + 5)  # in case that nobody waits any more
@@ -44,7 +45,7 @@ def tell(request: str) -> None:
         say("at", json.dumps(what))
 
     try:
-        processes.bound_memory()
+        bound_memory()
         entries = [(kind, name, Entry(*entry)) for kind, name, entry in wanted]
         told = plugins.look([plugins.Plugin(*one) for one in named], entries, loading)
         say("told", msgspec.json.encode(told).decode())
@@ -64,13 +65,13 @@ def _alone() -> None:
     whatever was started there, in other sessions too."""
     if not hasattr(os, "fork"):
         return
-    from harness.run import orphans
+    from harness.engines.containment import adopt_orphans, kill_descendants
 
-    orphans.take_in(True)
+    adopt_orphans()
     if not (child := os.fork()):
         return
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    orphans.end_descendants()
+    kill_descendants()
     if code < 0:
         with suppress(OSError):  # of SIGKILL
             signal.signal(-code, signal.SIG_DFL)

@@ -654,7 +654,7 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
     while they are loaded, they do it there. Raises BadInput for what is broken, or ends or hangs there."""
     import msgspec
 
-    from harness.run import orphans
+    from harness.engines import containment
 
     request = json.dumps([sys.path, [dataclasses.astuple(one) for one in named], wanted])
     begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.run import plugin_process"
@@ -672,7 +672,7 @@ def _in_a_process(named: Sequence[Plugin], wanted: Sequence[tuple[str, str, Entr
                 code = process.wait(LONGEST)
         finally:
             if process.poll() is None:
-                orphans.end_descendants(process.pid)
+                containment.kill_descendants(process.pid)
             process.kill()
             with suppress(OSError, AttributeError):  # where there are no groups
                 os.killpg(process.pid, signal.SIGKILL)  # with all that they started

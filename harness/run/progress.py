@@ -16,13 +16,13 @@ from rich.padding import Padding
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from harness.run.phases import phase_of, returned
+from harness.run.phases import Phase, returned
 from harness.run.tally import Tally, clock
 from harness.store.codec import printable
 
 if TYPE_CHECKING:
+    from harness.engines.jobs import Job
     from harness.judge.results import Status
-    from harness.run.engines import Job
 
 NO_NUMBERS = "It tells people how far a run is."
 
@@ -52,9 +52,9 @@ class Progress(Protocol):
     ) -> None: ...
 
 
-def progress_for(tally: Tally, doing: Callable[[str], str]) -> Progress:
-    """The one that suits standard output, by what the environment says now of the terminal. doing: what a job
-    that runs does, by its name, as `phase_of` reads it."""
+def progress_for(tally: Tally, doing: Callable[[str], Phase]) -> Progress:
+    """Return what suits standard output, by what the environment says now of the terminal. doing: returns the
+    phase of a job that runs, by its name."""
     if sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
         return Display(tally, doing, Console(highlight=False))
     return Lines(tally)
@@ -107,7 +107,7 @@ class Display:
     console: of the terminal, made while the environment says what that can show.
     """
 
-    def __init__(self, tally: Tally, doing: Callable[[str], str], console: Console) -> None:
+    def __init__(self, tally: Tally, doing: Callable[[str], Phase], console: Console) -> None:
         self.tally, self.doing, self.console = tally, doing, console
         self._preparing: set[str] = set()
         self._notes: list[str] = []
@@ -159,7 +159,7 @@ class Display:
 
     def _line(self, name: str, seconds: float, width: int) -> str:
         """What a job does. Of a long name the middle is left out: both ends tell it from others."""
-        phase = PREPARING if name in self._preparing else phase_of(printable(self.doing(name)))
+        phase = PREPARING if name in self._preparing else printable(str(self.doing(name)))
         doing = f"  {clock(seconds)}  {phase}"
         room = max(20, width - 2 - len(doing))
         if len(name) > room:

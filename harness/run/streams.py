@@ -1,5 +1,5 @@
-"""Standard output and error of the command line: what becomes of them never ends the work. A reader that
-went away ends the printing, and so does a closed stream; a full disk does too, and is told at the end."""
+"""Standard output and error of the command line, which never end the work. Printing ends where a reader goes
+away, a stream is closed or a disk is full; of a full disk the user is told at the end."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ import sys
 from typing import TextIO
 
 NO_TEXT = {"idna", "punycode", "undefined"}
-"""Encodings that not every text can be written in, whatever becomes of what they lack."""
+"""Encodings that cannot hold every text, whatever becomes of what they lack."""
 
 
 class Lasting(io.TextIOWrapper):
-    """Text to a file descriptor until that fails, and from then on to nowhere."""
+    """Text to a file descriptor until that fails, and from then on to nowhere.
+
+    lost: the error with which it failed. terminal: whether it was one when it was opened.
+    """
 
     lost: OSError | None = None
-    """Why it failed."""
     terminal = False
-    """Whether it was one when it was opened."""
 
     def write(self, text: str, /) -> int:
         try:
@@ -44,8 +45,8 @@ class Lasting(io.TextIOWrapper):
 
 
 def install() -> None:
-    """Makes standard output and error of this process lasting ones. Those that are closed lead nowhere, lest
-    the next file that is opened takes their place."""
+    """Make standard output and error of this process lasting ones. Closed ones lead nowhere, lest the next
+    file that is opened takes their place."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
@@ -55,7 +56,7 @@ def install() -> None:
 
 
 def output_was_lost() -> str:
-    """Why standard output is not whole, '' where it is or nobody was reading."""
+    """Return why standard output is not whole, '' where it is or nobody was reading."""
     stream = sys.stdout
     if not isinstance(stream, Lasting) or stream.lost is None:
         return ""

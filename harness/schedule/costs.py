@@ -19,9 +19,9 @@ import msgspec
 from envs import EnvSpec
 from envs.dynamics import Dynamics
 from envs.learners import PPO
+from harness.engines.jobs import Job
 from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
 from harness.run import plugins
-from harness.run.engines import Job
 from harness.run.environment import cache_folder
 from harness.store.files import read, write_atomic
 

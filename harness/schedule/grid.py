@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from harness.engines.inline import Inline
+from harness.engines.jobs import Engine, Job, Outcome
 from harness.judge.results import (
     LEARNED,
     REFERENCE,
@@ -24,8 +26,8 @@ from harness.judge.results import (
     files_of,
     needs,
 )
-from harness.run.engines import Engine, Inline, Job, Outcome
 from harness.run.keys import cell_keys
+from harness.run.phases import Phase
 from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
@@ -61,7 +63,7 @@ class Grid:
     conditions: Conditions
     sink: Sink
     engine: Engine
-    told: Callable[[Tally, Callable[[str], str]], Progress] = progress_for
+    told: Callable[[Tally, Callable[[str], Phase]], Progress] = progress_for
 
     def run(self, cells: Sequence[Cell]) -> None:
         """Compute every cell. On an exception, KeyboardInterrupt included, the engine is left first."""
@@ -71,10 +73,9 @@ class Grid:
         jobs = self.jobs(cells, costs)
         expected = {job.name: costs.of(job) for job in jobs}
         tally = Tally(expected, {job.name for job in jobs if job.shared})
-        told = self.told(tally, self.engine.doing)  # now, since the engine changes the environment
         with self.engine:
             tally.workers = self.engine.workers
-            with told as progress:
+            with self.told(tally, self.engine.doing) as progress:
                 try:
                     Schedule(self, jobs, progress, costs).run()
                 finally:
@@ -166,7 +167,7 @@ class Schedule:
                 self._start(job)
             if not self.started:
                 return
-            for job, outcome in self.grid.engine.finished():
+            for job, outcome in self.grid.engine.completed():
                 seconds = time.monotonic() - self.started.pop(job.name)
                 self._ended(job, outcome, seconds)
 
@@ -190,7 +191,7 @@ class Schedule:
             if source and (learned := self.grid.sink.learned(source)):
                 inputs[LEARNED] = learned
             job = replace(job, inputs=inputs)
-        self.grid.engine.start(job)
+        self.grid.engine.submit(job)
 
     def _release(self, job: Job) -> None:
         """Let a cell start, now or after the cell whose result it uses."""

@@ -11,6 +11,7 @@ from typing import Self
 
 import psutil
 
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import (
     REFERENCE,
     Cell,
@@ -20,8 +21,8 @@ from harness.judge.results import (
     before,
     takes_one_solve,
 )
-from harness.run.engines import Job, Outcome
 from harness.run.environment import cache_folder
+from harness.run.phases import Phase
 from harness.run.progress import NOTHING
 from harness.run.tally import clock
 from harness.schedule.costs import FILE, SHARED, Costs, name_of
@@ -52,20 +53,20 @@ class Simulated:
         self._started = 0
         self._running: list[tuple[float, int, Job, Outcome]] = []
 
-    def start(self, job: Job) -> None:
+    def submit(self, job: Job) -> None:
         seconds, outcome = self._does(job)
         self.busy += seconds
         self._started += 1
         heapq.heappush(self._running, (self.now + seconds, self._started, job, outcome))
 
-    def finished(self) -> list[tuple[Job, Outcome]]:
+    def completed(self) -> list[tuple[Job, Outcome]]:
         if not self._running:
             return []
         self.now, _, job, outcome = heapq.heappop(self._running)
         return [(job, outcome)]
 
-    def doing(self, name: str) -> str:
-        return ""
+    def doing(self, name: str) -> Phase:
+        return Phase()
 
     def __enter__(self) -> Self:
         return self

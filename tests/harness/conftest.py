@@ -8,7 +8,7 @@ import pytest
 
 from harness import cli, commands
 from harness.demonstrations import apart
-from harness.run import engines, isolated
+from harness.engines import inline, processes
 from harness.run.environment import CACHE_VARIABLE
 from harness.schedule import grid
 from tests.harness.browser import browser, play  # noqa: F401, fixtures of all tests below
@@ -26,8 +26,8 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
 
     # Set as they are, so that what is installed over them goes with the test.
     monkeypatch.setattr(grid, "Grid", grid.Grid)
-    monkeypatch.setattr(isolated, "Isolated", isolated.Isolated)
-    monkeypatch.setattr(engines, "Inline", engines.Inline)
+    monkeypatch.setattr(processes, "Processes", processes.Processes)
+    monkeypatch.setattr(inline, "Inline", inline.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.report.files", None)
     monkeypatch.setattr(commands, "handle_signals", lambda: None)

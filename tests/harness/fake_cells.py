@@ -12,11 +12,13 @@ import hashlib
 import json
 import math
 import os
+import random
 import shutil
 import signal
 import stat
 import sys
 import tempfile
+import threading
 import time
 import types
 from collections.abc import Callable, Mapping
@@ -24,10 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
+from harness.engines.jobs import Engine
 from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of, row_of
 from harness.report.model import Report
-from harness.run.engines import Engine
 from harness.run.environment import SAME_INSTRUCTIONS
+from harness.run.phases import Phase
 from harness.store.store import Store
 
 
@@ -81,9 +84,9 @@ def prepare(cells: tuple[Cell, ...], conditions: Conditions) -> dict[str, bytes]
 
 
 def run_cell(
-    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[str], None]
+    cell: Cell, conditions: Conditions, inputs: Mapping[str, bytes], tell: Callable[[Phase], None]
 ) -> tuple[CellResult, dict[str, bytes]]:
-    tell("computing")
+    tell(Phase("computing"))
     assert inputs == {"shared": cell.env.encode()}
     files = {f"recordings/{RECORDED.get(cell.method)}": b"a recording"} if cell.method in RECORDED else {}
     return faked(cell, conditions, Path(os.environ[FOLDER])), files
@@ -121,7 +124,6 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         time.sleep(60)
     if behaviour == "server":
         os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60)
     if behaviour in ("leaves", "leaves_and_dies", "leaves_and_hangs"):
         _leave_one_behind(directory)
         if behaviour == "leaves_and_dies":
@@ -158,6 +160,10 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         os.fork()  # and both go on
     if behaviour == "leaves_an_alarm":
         signal.alarm(1)
+    if behaviour == "leaves_a_thread":
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+    if behaviour == "draws":
+        print("drawn:", random.random(), np.random.random())  # noqa: NPY002
     if behaviour == "naps":
         time.sleep(2)
     if behaviour == "closes_files":
@@ -216,8 +222,8 @@ def write_report(directory: Path, report: Report) -> list[Path]:
 
 def install() -> None:
     """Makes the command line use the cells and the report of this file."""
-    import harness.run.engines
-    import harness.run.isolated
+    import harness.engines.inline
+    import harness.engines.processes
     import harness.schedule.grid
 
     grid = harness.schedule.grid.Grid
@@ -229,11 +235,11 @@ def install() -> None:
         return grid(conditions, run, engine, *more)
 
     harness.schedule.grid.Grid = told_where
-    harness.run.isolated.Isolated = functools.partial(
-        harness.run.isolated.Isolated, work="fake_cells", preload=PRELOAD
+    harness.engines.processes.Processes = functools.partial(
+        harness.engines.processes.Processes, work="fake_cells", preload=PRELOAD
     )
     os.environ["PYTHONPATH"] = os.pathsep.join([HERE, *filter(None, [os.environ.get("PYTHONPATH")])])
-    harness.run.engines.Inline = functools.partial(harness.run.engines.Inline, work="fake_cells")
+    harness.engines.inline.Inline = functools.partial(harness.engines.inline.Inline, work="fake_cells")
     files = types.ModuleType("harness.report.files")
     files.write_report, files.recorded_in = write_report, lambda directory: ()
     sys.modules["harness.report.files"] = files

@@ -3,7 +3,7 @@ read, half a second of work."""
 
 import gc
 
-import harness.run.isolated  # noqa: F401
+import harness.engines.processes  # noqa: F401
 from harness.judge.results import Cell, Conditions
 from harness.run.keys import cell_keys
 

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import CONTROLS, LEARNED, Cell, CellResult, Conditions
-from harness.run.isolated import Isolated
+from harness.engines.jobs import Job
+from harness.engines.processes import Processes
+from harness.judge.results import CONTROLS, LEARNED, REFERENCE, Cell, CellResult, Conditions
+from harness.run.keys import cell_keys
 from harness.schedule.grid import Grid
 from tests.harness.small_runs import names, stored
 
@@ -48,9 +50,26 @@ def compute(directory: Path, cells: Sequence[Cell], workers: int = 1, timeout: f
         patch.setenv("IRL_BENCH_FAKES", str(directory))
         patch.syspath_prepend(HERE)
         patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
-        engine = Isolated(workers, timeout, work="fake_cells", preload="fake_preload")
+        engine = Processes(workers, timeout, work="fake_cells", preload="fake_preload")
         Grid(Conditions("smoke", "absorbing", "sb3"), found, engine).run(cells)
     return found
+
+
+def prepared(directory: Path, source: str, deterministic: bool = True) -> Mapping[str, bytes]:
+    """Return what the `prepare` of a module of this source returns in a worker."""
+    (directory / "prepares.py").write_text(source)
+    cell, conditions = Cell("cartpole", REFERENCE, 0), Conditions("smoke", "absorbing", "sb3")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(directory), str(HERE)]))
+        engine = Processes(1, deterministic=deterministic, work="prepares", preload="fake_preload")
+        (key,) = cell_keys([cell], conditions, engine.variables).values()
+        with engine:
+            engine.submit(Job((cell,), True, conditions, key))
+            while not (ended := engine.completed()):
+                pass
+    ((_, outcome),) = ended
+    assert not outcome.error, outcome.error
+    return outcome.files
 
 
 def faults(tmp_path: Path, **behaviour: str) -> None:

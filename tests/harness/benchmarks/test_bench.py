@@ -12,10 +12,10 @@ import pytest
 from harness import cli
 from harness.benchmarks import growth, measure, scale, speed, spread
 from harness.benchmarks.measure import SCORE, Measure
+from harness.engines.jobs import Engine
+from harness.engines.processes import Processes
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
-from harness.run.engines import Engine
-from harness.run.isolated import Isolated
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -128,7 +128,7 @@ def test_cells_of_one_process_are_measured_one_by_one() -> None:
 
 def test_a_cell_that_fails_is_not_measured() -> None:
     with pytest.raises(RuntimeError, match="no method named 'nothing'"):
-        measure.compute([Cell("gridworld", "nothing", 0)], measure.SMOKE, Isolated(1))
+        measure.compute([Cell("gridworld", "nothing", 0)], measure.SMOKE, Processes(1))
 
 
 def test_measures_are_printed_one_by_one_and_as_json_at_the_end(

@@ -174,7 +174,7 @@ def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpe
         {"class": "os:system", "fields": {"command": "true"}},
         {"class": "subprocess:Popen", "fields": {}},
         {"class": "harness.cell.run:run_cell", "fields": {}},
-        {"class": "harness.run.orphans:Popen", "fields": {}},
+        {"class": "harness.engines.containment:Popen", "fields": {}},
         {"class": "methods.rewards:np", "fields": {}},
         {"class": "methods.rewards:Absent", "fields": {}},
         {"class": "methods.absent:Constant", "fields": {}},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import re
 import time
 from pathlib import Path
@@ -12,10 +13,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, Conditions, Shown
 from harness.run import events
-from harness.run.engines import Job
 from harness.run.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
+from harness.run.phases import Phase
 from harness.run.tally import Tally
 
 ROOT = Path(__file__).parents[3]
@@ -34,16 +36,16 @@ def decoded(text: str) -> list[AnyEvent]:
 
 def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(events, "LOOK_EVERY", 0.01)
-    stream, said = io.StringIO(), "retrain, step 12,000 of 40,000; pi_star 66.1"
+    stream, phase = io.StringIO(), Phase("retrain", 12_000, 40_000, {"pi_star": 66.125, "pi_R": math.nan})
     tally = Tally({SHARED.name: 1.0, BC.name: 10.0}, {SHARED.name}, workers=2)
-    with Events(tally, lambda name: said if name == BC.name else "", stream) as told:
+    with Events(tally, lambda name: phase if name == BC.name else Phase(), stream) as told:
         told.started(SHARED)
         told.finished(SHARED, "ok")
         told.started(BC)
         while "doing" not in stream.getvalue():
             time.sleep(0.005)
         time.sleep(0.05)
-        told.finished(BC, "ok", returns={"pi_star": 66.125, "pi_R": float("nan")})
+        told.finished(BC, "ok", returns={"pi_star": 66.125, "pi_R": math.nan})
     begun, shared, made, started, doing, ended, computed = decoded(stream.getvalue())
     assert isinstance(begun, Begun)
     assert (begun.format, begun.cells, begun.workers, begun.eta) == (1, 1, 2, pytest.approx(5.5, abs=5))
@@ -57,7 +59,7 @@ def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch
     assert (its.demos, its.every, its.demonstrator) == (5, 20, "noisy")
     assert isinstance(doing, Doing)
     assert (doing.name, doing.phase, doing.step, doing.of) == (BC.name, "retrain", 12_000, 40_000)
-    assert doing.returns == {"pi_star": 66.1}
+    assert doing.returns == {"pi_star": 66.125}
     assert isinstance(ended, Ended)
     assert (ended.status, ended.reason, ended.returns) == ("ok", "", {"pi_star": 66.125})
     assert (ended.cells_done, ended.cells_left, ended.cells_failed) == (1, 0, 0)
@@ -68,7 +70,7 @@ def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch
 
 def test_what_failed_or_never_ran_and_a_stop_are_told() -> None:
     stream = io.StringIO()
-    told = Events(Tally({BC.name: 1.0, "other": 1.0}), lambda name: "", stream)
+    told = Events(Tally({BC.name: 1.0, "other": 1.0}), lambda name: Phase(), stream)
     with contextlib.suppress(KeyboardInterrupt), told:
         told.finished(BC, "failed", "no expert: no gradient")
         raise KeyboardInterrupt

@@ -9,8 +9,9 @@ from typing import Self
 
 import pytest
 
+from harness.engines.inline import Inline
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of, recording_of
-from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE
 from harness.run.progress import Progress
 from harness.run.tally import Tally
@@ -45,7 +46,7 @@ class Scripted(Inline):
         self.script = script
         self.given: list[Job] = []
 
-    def start(self, job: Job) -> None:
+    def submit(self, job: Job) -> None:
         self.given.append(job)
         shared = Outcome(files={"shared": f"{job.cells[0].seed}".encode()}, log=b"made\n")
         self._ended.append((job, shared if job.shared else self.script(job)))
@@ -168,8 +169,8 @@ class Together(Scripted):
         self.tries: Counter[Cell] = Counter()
         self.rounds = 0
 
-    def finished(self) -> list[tuple[Job, Outcome]]:
-        ended = super().finished()
+    def completed(self) -> list[tuple[Job, Outcome]]:
+        ended = super().completed()
         self.rounds += 1
         mine = [job.cells[0] for job, _ in ended if not job.shared]
         self.tries.update(mine)

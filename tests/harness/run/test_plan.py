@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from harness.engines.inline import Inline
+from harness.engines.jobs import Job, Outcome
 from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
 from harness.registry import METHODS, SPECS
-from harness.run.engines import Inline, Job, Outcome
 from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.schedule import costs, plan
 from harness.schedule.costs import Costs
@@ -139,7 +140,7 @@ class Noting(Inline):
         super().__init__()
         self.given: list[str] = []
 
-    def start(self, job: Job) -> None:
+    def submit(self, job: Job) -> None:
         self.given.append(job.name)
         self._ended.append((job, outcome_of(job)))
 
@@ -167,9 +168,9 @@ def test_in_simulated_time_whatever_ends_first_is_told_first() -> None:
     seconds = {"bc": 3.0, "shaped": 1.0, "gail": 2.0}
     engine = plan.Simulated(3, lambda job: (seconds[job.cells[0].method], Outcome(files={LEARNED: b"x"})))
     for method in seconds:
-        engine.start(Job((Cell("cartpole", method, 0),), False, CONDITIONS, ""))
+        engine.submit(Job((Cell("cartpole", method, 0),), False, CONDITIONS, ""))
     told = []
-    while ended := engine.finished():
+    while ended := engine.completed():
         ((job, outcome),) = ended
         told.append((job.cells[0].method, engine.now))
         assert outcome.files

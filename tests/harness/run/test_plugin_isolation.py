@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,11 +17,14 @@ import pytest
 
 from harness import cli, commands
 from harness.arguments import parser
+from harness.engines import processes, ray
+from harness.engines.compute import compute, describe
+from harness.engines.inline import Inline
+from harness.engines.jobs import Job
 from harness.judge import effort
 from harness.judge.results import Cell, CellResult, Conditions, Row
 from harness.registry import PLUGINS, SPECS, VARIANTS, BadInput, load_method
-from harness.run import cluster, environment, isolated, keys, plugin_sources, plugins
-from harness.run.engines import Inline, Job, compute, describe
+from harness.run import environment, keys, plugin_sources, plugins
 from harness.run.environment import of_this_process
 from harness.schedule import plan
 from harness.schedule.costs import Costs
@@ -150,7 +154,7 @@ def test_a_cell_imports_the_plugins_that_its_job_needs(
 def test_the_process_that_cells_are_forked_from_imports_no_plugin(
     both: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(isolated, "Isolated", lambda workers, timeout, fixed, modules: modules)
+    monkeypatch.setattr(processes, "Processes", lambda workers, timeout, fixed, modules: modules)
     args = parser().parse_args(["run"])
     assert commands._engine(args, ["swingup", "moon"]) == ["envs.swingups.swingup"]
 
@@ -496,12 +500,13 @@ def test_links_to_sub_packages_of_plugins_are_followed(
 def test_jobs_for_other_machines_name_plugins_where_they_were_copied(
     both: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = object.__new__(cluster.Ray)
+    engine = object.__new__(ray.Ray)
     engine._packed = plugins.packed(tmp_path / "program")
-    engine._running, engine._shared, engine._how = {}, {}, None
+    engine._running, engine._shared, engine._settings = {}, {}, None
     engine._begin = lambda sent, *rest: sent.plugins
     job = Job((Cell("moon", "other", 0),), False, CONDITIONS, "", plugins.needed(["other"], ["moon"]))
-    engine._launch(cluster._Task(job))
+    engine._answered = time.monotonic()
+    engine.submit(job)
     (sent,) = engine._running
     monkeypatch.chdir(tmp_path / "program")
     places = [Path(one.place) for one in plugins.unpacked(sent)]

@@ -14,10 +14,11 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from harness import registry
 from harness.cli import main
+from harness.engines.compute import compute, describe
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, CellResult, Conditions
 from harness.registry import SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
-from harness.run.engines import Job, compute, describe
 from harness.run.environment import of_this_process
 from harness.run.plugins import Plugin
 from tests.harness import fake_cells

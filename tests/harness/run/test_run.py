@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.engines.jobs import Job
 from harness.judge.results import Cell, CellResult, Conditions
-from harness.run.engines import Job
 from harness.run.environment import CACHE_VARIABLE
 from harness.schedule.costs import Costs
 from harness.store.codec import encode
@@ -149,7 +149,7 @@ def test_what_cells_share_is_there_for_one_seed_at_a_time(
 
 
 def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("harness.run.isolated.fresh_processes", None)
+    monkeypatch.setattr("harness.engines.processes.Server", None)
     assert run(directory, [], workers=2) == {}
 
 
@@ -164,7 +164,7 @@ def test_cells_share_a_process_until_it_has_done_its_share(
     cells = [Cell("cartpole", "good", seed) for seed in range(3)]
     run(directory, cells, workers=1)
     assert len(set(processes(directory))) == 1
-    monkeypatch.setattr("harness.run.isolated.MOST_JOBS", 1)
+    monkeypatch.setattr("harness.engines.processes.MOST_JOBS", 1)
     run(directory, cells, workers=1)
     assert len(set(processes(directory))) == 1 + len(cells)
 

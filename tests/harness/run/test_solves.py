@@ -34,6 +34,7 @@ from harness.learn.rl import Solution
 from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.registry import BUDGETS, SPECS, BadInput
 from harness.run.environment import CACHE_VARIABLE
+from harness.run.phases import Phase
 from harness.store.cache import Kept
 from harness.store.codec import decode, encode
 from harness.store.opening import merged, open_for_run, stored_request
@@ -206,11 +207,11 @@ def test_the_task_says_how_many_unless_the_run_does() -> None:
 
 
 def test_it_is_told_how_far_all_solves_are(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
-    told: list[str] = []
+    told: list[Phase] = []
     task = Inputs(CELL, many(2), None, report=told.append)  # type: ignore[arg-type]
     for number in range(2):
         retraining.solve(task, None, number)
-    assert told == [f"retrain, step {done * STEPS:,} of {2 * STEPS:,}" for done in (1, 2)]
+    assert told == [Phase("retrain", done * STEPS, 2 * STEPS) for done in (1, 2)]
 
 
 @pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])

@@ -24,8 +24,7 @@ from harness.run.environment import (
     of_this_process,
 )
 from harness.run.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
-from harness.run.processes import NAME, fresh_processes
-from tests.harness.fake_runs import compute
+from tests.harness.fake_runs import compute, prepared
 
 HERE = Path(__file__).parents[1]
 RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
@@ -122,24 +121,27 @@ def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: p
     assert numeric(True) == numeric(False)
 
 
-def _tell(file: Path) -> None:
-    """In a process of its own: what it imports, and what its environment is."""
+TELLS = """
+import json, os
+from harness.judge.results import Cell, Conditions
+from harness.run.environment import of_this_process
+from harness.run.keys import cell_keys
+
+def prepare(cells, conditions):
     try:
         import methods.bc
-
         said = methods.bc.__file__
     except RuntimeError as error:
         said = str(error)
-    (key,) = cell_keys([CELL], CONDITIONS, of_this_process()).values()
-    file.write_text(json.dumps({"said": said, "key": key, "variables": dict(os.environ)}))
+    keys = cell_keys([Cell("cartpole", "bc", 0)], CONDITIONS, of_this_process())
+    told = {"said": said, "key": [*keys.values()][0], "variables": dict(os.environ)}
+    return {"told": json.dumps(told).encode()}
+"""
 
 
 def told_by_a_cell(directory: Path) -> dict:
-    with fresh_processes("harness.judge.results") as context:
-        process = context.Process(name=NAME, target=_tell, args=(directory / "told",))
-        process.start()
-        process.join()
-    return json.loads((directory / "told").read_text())
+    """What a cell imports, and what its environment is."""
+    return json.loads(prepared(directory, TELLS.replace("CONDITIONS", repr(CONDITIONS)))["told"])
 
 
 def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path: Path) -> None:

@@ -4,24 +4,18 @@ machine."""
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import psutil
 import pytest
 
 from harness.benchmarks.local_cluster import LocalCluster, local_cluster
-from harness.judge.results import Cell, CellResult, Conditions
-from harness.registry import Unfinished
-from harness.run import cluster as ray_engine
-from harness.run.engines import Job
+from harness.judge.results import Cell, CellResult
 from harness.store.codec import decode
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
@@ -36,22 +30,14 @@ def cluster() -> Iterator[LocalCluster]:
         yield started
 
 
+ASKED = ["--envs", "cartpole", "--budget", "smoke", "--no-retrain", "--record", "none"]
+
+
 def start(out: Path, *more: str, auth: str = "disabled") -> subprocess.Popen:
-    common = [
-        "--envs",
-        "cartpole",
-        "--budget",
-        "smoke",
-        "--no-retrain",
-        "--record",
-        "none",
-        "--out",
-        str(out),
-    ]
-    command = [sys.executable, "-m", "harness", "run", "--plugin", str(PLUGIN), *common, *more]
-    environment = {**os.environ, "RAY_AUTH_MODE": auth}
+    command = [sys.executable, "-m", "harness", "run", "--plugin", str(PLUGIN), *ASKED, "--out", str(out)]
+    environment, pipe = {**os.environ, "RAY_AUTH_MODE": auth}, subprocess.PIPE
     return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [*command, *more], env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True
     )
 
 
@@ -183,102 +169,3 @@ def test_a_lost_head_ends_the_run_with_a_line_its_report_and_nothing_left(tmp_pa
     assert (tmp_path / "run" / "scores.csv").exists()
     _, alive = psutil.wait_procs(descendants, timeout=5)
     assert not alive
-
-
-class FakeRay:
-    """As much of Ray as a driver uses, of a head and a node that are sockets."""
-
-    class exceptions:
-        class RayError(Exception): ...
-
-        class ObjectStoreFullError(RayError): ...
-
-    def __init__(self) -> None:
-        self.head, self.node = (socket.create_server(("127.0.0.1", 0)) for _ in range(2))
-        self.answers, self.room, self.put_at_all = threading.Event(), True, 0
-        self.answers.set()
-
-    def init(self, **options: object) -> None: ...
-
-    def shutdown(self) -> None:
-        self.answers.set()
-
-    def cluster_resources(self) -> dict[str, float]:
-        self.answers.wait()
-        return {"CPU": 2.0}
-
-    def get_runtime_context(self) -> SimpleNamespace:
-        address = f"127.0.0.1:{self.head.getsockname()[1]}"
-        return SimpleNamespace(gcs_address=address, get_node_id=lambda: "here")
-
-    def nodes(self) -> list[dict[str, object]]:
-        there = {"NodeManagerAddress": "127.0.0.1", "NodeManagerPort": self.node.getsockname()[1]}
-        return [{"NodeID": "here", **there}]
-
-    def remote(self, **options: object) -> Callable[..., SimpleNamespace]:
-        return lambda function: SimpleNamespace(remote=lambda *arguments: object())
-
-    def put(self, data: bytes) -> object:
-        self.put_at_all += 1
-        if not self.room:
-            raise self.exceptions.ObjectStoreFullError("no room")
-        return object()
-
-    def wait(self, references: list[object], **options: object) -> tuple[list[object], list[object]]:
-        time.sleep(0.02)
-        return [], references
-
-    def cancel(self, reference: object, force: bool) -> None: ...
-
-
-@pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
-    """Ray's stand-in, and short patience."""
-    ray = FakeRay()
-    monkeypatch.setattr(os, "environ", os.environ.copy())
-    monkeypatch.setattr(ray_engine, "_imported", lambda: ray)
-    monkeypatch.setattr(ray_engine, "write_program", lambda folder: folder.mkdir())
-    monkeypatch.setattr(ray_engine, "LOOK_EVERY", 0.01)
-    monkeypatch.setattr(ray_engine, "SILENCE", (0.1, 0.5))
-    yield ray
-    ray.head.close()
-    ray.node.close()
-
-
-def job(method: str) -> Job:
-    conditions = Conditions("smoke", "absorbing", "sbx")
-    return Job((Cell("cartpole", method, 0),), False, conditions, "", inputs={"shared": b"x"})
-
-
-@pytest.mark.parametrize("listens", [False, True])
-def test_a_head_without_an_answer_is_lost(fake: FakeRay, listens: bool) -> None:
-    with ray_engine.Ray("", 1) as engine:
-        engine.start(job("bc"))
-        assert engine.finished() == []
-        fake.answers.clear()
-        if not listens:
-            fake.head.close()
-        began = time.monotonic()
-        with pytest.raises(Unfinished, match=r"the head of the Ray cluster at .* is lost"):
-            list(iter(engine.finished, None))
-        assert (time.monotonic() - began > 0.4) == listens
-
-
-def test_nothing_is_handed_to_a_node_that_is_gone(fake: FakeRay) -> None:
-    with ray_engine.Ray("", 1) as engine:
-        fake.node.close()
-        with pytest.raises(Unfinished, match="Ray's process of this machine"):
-            engine.start(job("bc"))
-    assert not fake.put_at_all
-
-
-def test_a_job_that_the_object_store_has_no_room_for_fails_and_others_go_on(fake: FakeRay) -> None:
-    with ray_engine.Ray("", 1) as engine:
-        fake.room = False
-        engine.start(job("bc"))
-        fake.room = True
-        engine.start(job("gail"))
-        ((failed, outcome),) = engine.finished()
-        assert (failed.name, outcome.lost) == (job("bc").name, False)
-        assert outcome.error.startswith("ObjectStoreFullError: no room")
-        assert engine.finished() == []

@@ -1,0 +1,1 @@
+"""Engines, which compute cells: cells in, results out."""

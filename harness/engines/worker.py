@@ -1,0 +1,92 @@
+"""A worker: a process that does jobs, one after the other, as they come through its connection."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import signal
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import msgspec
+
+from harness.engines.compute import compute, describe, process_restored
+from harness.engines.containment import adopt_orphans, bound_memory
+from harness.engines.jobs import Job, Outcome
+from harness.run.phases import Phase
+from harness.store.files import appending
+
+LOG, TEMPORARY = "log", "tmp"
+"""In the folder of a job: what it printed, and its temporary files."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """The phase of a job or, as the last message, its outcome.
+    reusable: whether the worker is as before, and can do another job."""
+
+    phase: Phase = field(default_factory=Phase)
+    outcome: Outcome | None = None
+    reusable: bool = False
+
+
+def serve(connection: Connection) -> None:
+    """Do jobs until the run closes the connection. A worker is alone in its session: signals to its group
+    are its own."""
+    os.setsid()
+    adopt_orphans()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    process = os.getpid()
+
+    def tell(phase: Phase) -> None:
+        send(Message(phase))
+
+    def send(message: Message) -> None:
+        connection.send_bytes(msgspec.msgpack.encode(message))
+
+    while True:
+        try:
+            work, job, folder = connection.recv()
+        except EOFError:
+            return
+        before = _traces()
+        with process_restored():
+            outcome = _do(work, job, folder, tell)
+        if os.getpid() != process:  # A copy of the process came back from a job that made it.
+            return
+        send(Message(outcome=outcome, reusable=_traces() == before))
+
+
+def _traces() -> list[object]:
+    """Return what of a job could reach the next one: handlers of signals, the alarm, and threads."""
+    alarm = signal.getitimer(signal.ITIMER_REAL)
+    return [*map(signal.getsignal, sorted(signal.valid_signals())), alarm, threading.active_count()]
+
+
+def _do(work: str, job: Job, folder: Path, tell: Callable[[Phase], None]) -> Outcome:
+    """Return the outcome of a job. What it prints goes to the log in its folder, and so do its temporary
+    files."""
+    try:
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder / TEMPORARY)
+        bound_memory()
+        with appending(folder / LOG) as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
+        faulthandler.enable()
+        return compute(work, job, tell)
+    except BaseException as error:
+        with contextlib.suppress(BaseException):
+            print(f"\n{job.name}:", file=sys.stderr)
+            traceback.print_exc()
+        return Outcome(error=describe(error))
+    finally:
+        for stream in (sys.stdout, sys.stderr):  # A process that has told its result may be killed.
+            with contextlib.suppress(Exception):
+                stream.flush()
