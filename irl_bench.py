@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from envs.spec import Quantity, Shape
     from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
     from harness.frames import Frames, add_plugins, load, run
-    from harness.testing import ContractError, check_env, check_method
-    from methods.base import Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
+    from harness.registry.contract import ContractError, check_env, check_method
+    from methods.base import Agent, Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
     from methods.network import Network
     from methods.rewards import LinearReward, MeanReward, NetworkReward, StateReward
 
@@ -30,9 +30,9 @@ _FROM = {
     "envs.spec": ("Quantity", "Shape"),
     "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
     "harness.frames": ("Frames", "add_plugins", "load", "run"),
-    "harness.testing": ("ContractError", "check_env", "check_method"),
+    "harness.registry.contract": ("ContractError", "check_env", "check_method"),
     "methods.base": (
-        *("Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
+        *("Agent", "Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
     ),
     "methods.network": ("Network",),
     "methods.rewards": ("LinearReward", "MeanReward", "NetworkReward", "StateReward"),
@@ -46,6 +46,7 @@ __all__ = [
     "PPO",
     "SAC",
     "TD3",
+    "Agent",
     "ContractError",
     "EnvSpec",
     "Episodes",
@@ -84,7 +85,7 @@ def _begin() -> None:
     here = os.path.dirname(os.path.realpath(__file__))
     sys.path.insert(0, here)
     try:
-        from harness.run import ours
+        from harness.registry import ours
     except ImportError as error:
         file = getattr(sys.modules.get("harness"), "__file__", None)
         raise ImportError(f"{file} hides this program's package 'harness': rename it") from error
@@ -93,7 +94,16 @@ def _begin() -> None:
     ours.first()
 
 
+def _register_tasks() -> None:
+    """Register every task with Gymnasium, such as irl_bench/Swingup-v0. The command answers sooner without."""
+    if not os.path.basename(sys.argv[0] if sys.argv else "").startswith("irl-bench"):
+        from harness.registry.gymnasium_tasks import register_tasks
+
+        register_tasks()
+
+
 _begin()
+_register_tasks()
 
 
 def start() -> int:
@@ -104,7 +114,7 @@ def start() -> int:
 
 
 def __getattr__(name: str) -> object:
-    """Imports what is asked for when it is first asked for, for torch takes a second."""
+    """Import a name when it is first asked for. Torch alone takes a second."""
     if name not in WHERE:
         raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(importlib.import_module(WHERE[name]), name)

@@ -133,7 +133,7 @@ def task(
     the joints' positions without the first, and their rates. fields: more of `EnvSpec`."""
     env = make(gymnasium_id)
     model = env.model
-    env_id = f"irl_bench/{gymnasium_id}"
+    env_id = f"irl_bench_bare/{gymnasium_id}"
     known = gym.spec(gymnasium_id)
     assert known.max_episode_steps is not None
     gym.register(

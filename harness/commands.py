@@ -17,19 +17,18 @@ from harness import outcome
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
 from harness.registry import (
     ASKING,
-    BUILT_IN,
     ENVS,
-    GROUPS,
-    GYMNASIUM_NAME,
-    METHODS,
-    PLUGINS,
     SPECS,
-    VARIANTS,
     BadInput,
     Unfinished,
     choose,
+    keys,
+    packages,
+    plugins,
 )
-from harness.run import baseline, keys, plugins, scratch
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.known import GYMNASIUM_NAME, KNOWN
+from harness.run import baseline, scratch
 from harness.run.engines import Engine
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.files import can_write
@@ -201,7 +200,7 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> Found:
 def _prepare() -> None:
     """Raises BadInput where nothing could be computed or drawn, before anything is written."""
     scratch.remove_abandoned(scratch.base())
-    keys.versions(keys.PACKAGES)
+    packages.versions(packages.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
     if missing := [part for part in keys.PAGE_PARTS if part not in keys.program()]:
         raise BadInput(f"{missing[0]} is missing; install the program again")
@@ -217,10 +216,8 @@ def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Methods and environments, those of plug-ins included, which are imported. Raises BadInput for what
     there is not, and where one is broken."""
     plugins.add(args.plugin, [args.methods, args.envs])
-    envs = ",".join(plugins.task_or_name(name.strip()) for name in args.envs.split(","))
-    methods = choose("method", args.methods, METHODS, VARIANTS, {"plugins": (*PLUGINS["method"],)})
-    groups = {**GROUPS, "plugins": (*PLUGINS["env"],)}
-    chosen = choose("env", envs, BUILT_IN["env"], (*PLUGINS["env"],), groups)
+    envs = ",".join(task_or_name(name.strip()) for name in args.envs.split(","))
+    methods, chosen = KNOWN.chosen_methods(args.methods), KNOWN.chosen_envs(envs)
     plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
     return methods, chosen
 
@@ -228,8 +225,9 @@ def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
     """Tasks of other dynamics, those of these names or all. Raises BadInput where there are none, or they
     cannot be told."""
+    entries, theirs = KNOWN.entries["env"], KNOWN.of_plugins("env")
     try:
-        known = {env: ENVS[env].variants if env in PLUGINS["env"] else SPECS[env].variants for env in envs}
+        known = {env: entries[env].variants if env in theirs else SPECS[env].variants for env in envs}
         found = [f"{env}.{name}" for env in envs for name in known[env]]
     except Exception as error:  # whatever is wrong with an environment's file
         raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
@@ -249,7 +247,7 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     from harness.run import engines, isolated
 
     # Those of plug-ins are imported in their own cells alone, which all others would share.
-    modules = [ENVS[env].target.partition(":")[0] for env in envs if env in BUILT_IN["env"]]
+    modules = [ENVS[env].target.partition(":")[0] for env in envs if env in ENVS]
     fixed = _is_deterministic(args)
     if args.engine == "ray":
         from harness.run import cluster

@@ -11,8 +11,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from harness import outcome
-from harness.registry import ENVS, SPECS, BadInput, choose
-from harness.run import baseline, keys, plugins
+from harness.registry import KNOWN, SPECS, BadInput, choose, keys, plugins
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.run import baseline
 from harness.run.files import new_folder
 from harness.run.opening import open_to_verify
 from harness.run.progress import say, tell
@@ -54,8 +55,8 @@ def bounds(pairs: Sequence[tuple[float, float]] | None) -> tuple[Array, Array] |
 def _one_env(args: argparse.Namespace) -> str:
     """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
     plugins.add(args.plugin, [args.env])
-    env = plugins.task_or_name(args.env)
-    if choose("env", env, ENVS) != (env,):
+    env = task_or_name(args.env)
+    if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {args.env!r:.80}")
     plugins.load([], [env])
     return env

@@ -25,10 +25,10 @@ from harness.learn.rl import Agent, disturbed
 from harness.learn.seeds import held_out_seeds, rng_for, tuning_seeds
 from harness.learn.stored import compact
 from harness.registry import SPECS, BadInput
+from harness.registry.machine import origin
 from harness.run.cache import Kept, as_bytes, load
 from harness.run.experts import expert_for
 from harness.run.files import read, sha256, write_atomic
-from harness.run.keys import origin
 from harness.run.marked import open_marked
 from harness.run.processes import NAME, fresh_processes
 from harness.run.progress import say, tell

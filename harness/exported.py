@@ -23,8 +23,8 @@ from envs import EnvSpec
 from envs.spec import number
 from harness.judge.results import NOMINAL, REFERENCE, Cell, PolicyName, artifact_of
 from harness.learn.stored import from_arrays, to_arrays
-from harness.registry import ENVS, SPECS, BadInput, choose
-from harness.run import plugins
+from harness.registry import KNOWN, SPECS, BadInput, choose, plugins
+from harness.registry.gymnasium_tasks import task_or_name
 from harness.run.artifacts import NOT_KEPT, read_artifact
 from harness.run.cache import Kept, as_bytes, from_bytes
 from harness.run.codec import checksum, printable
@@ -131,7 +131,7 @@ def export(
     policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
-    directory, env = Path(directory), plugins.task_or_name(env)
+    directory, env = Path(directory), task_or_name(env)
     with open_to_verify(directory) as run:
         results, unusable = run.load()
         beside, damaged = run.beside()
@@ -146,7 +146,7 @@ def export(
         unread = [f"; {file}: {why}" for file, why in (unusable | damaged).items()]
         raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}{''.join(unread[:1])}")
     cell = cells[0]
-    if env not in ENVS:
+    if env not in KNOWN.entries["env"]:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
     if not results[cell].artifacts:
         failed = [row.reason for row in results[cell].rows if row.status == "failed"]
@@ -186,8 +186,8 @@ def load_learned(folder: Path | str) -> Exported:
             raise ValueError(f"{FACTS} is not as it was written")
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        env = plugins.task_or_name(str(facts["env"]))
-        if isinstance(facts["env"], str) and env not in ENVS:
+        env = task_or_name(str(facts["env"]))
+        if isinstance(facts["env"], str) and env not in KNOWN.entries["env"]:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
         spec = SPECS[env]
         found = {}
@@ -211,8 +211,8 @@ def _arrays(folder: Path, name: str, facts: Mapping[str, Any]) -> Mapping[str, N
 
 def make(env: str) -> gym.Env[Any, Any]:
     """The environment that policies of the task are for. Raises BadInput for an unknown one."""
-    env = plugins.task_or_name(env)
-    if choose("env", env, ENVS) != (env,):
+    env = task_or_name(env)
+    if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {env!r:.80}")
     plugins.load([], [env])
     return SPECS[env].make()

@@ -31,11 +31,12 @@ from harness.judge.results import (
     row_of,
 )
 from harness.registry import ENVS
+from harness.registry.keys import cell_keys
+from harness.registry.machine import origin
 from harness.run.codec import encode
 from harness.run.engines import Job, Outcome
 from harness.run.files import write_atomic
 from harness.run.grid import Grid, Sink
-from harness.run.keys import cell_keys, origin
 from harness.run.opening import open_for_run
 from harness.run.plan import Simulated
 from harness.run.reporting import write_report

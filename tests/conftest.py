@@ -114,7 +114,7 @@ def _forget_plugins() -> Iterator[None]:
     """Forgets which plug-ins a test imported, after which nothing else is computed in their process."""
     before = {*sys.modules}
     yield
-    if plugins := sys.modules.get("harness.run.plugins"):
+    if plugins := sys.modules.get("harness.registry.plugins"):
         for name in plugins._ever & (sys.modules.keys() - before):
             if not name.startswith("harness."):
                 del sys.modules[name]

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
-from harness.registry import Demonstrator, Experts, LearnerName, Library, Record
+from harness.registry.names import Demonstrator, Experts, LearnerName, Library, Record
 
 Point = TypeVar("Point")
 
@@ -268,7 +268,7 @@ class CellResult:
     artifacts: Annotated[dict[FileName, Text], Meta(max_length=1)] = field(default_factory=dict)
     """SHA-256 of the file of what was learned, by its name."""
     key: Text = ""
-    """Of all that can change it (`harness.run.keys`); given when it is stored."""
+    """Of all that can change it (`harness.registry.keys`); given when it is stored."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
     """The machine and the versions that it was computed with; given when it is stored."""
     finished: Text = ""
@@ -282,8 +282,8 @@ class CellResult:
     like: Annotated[list[Name], Meta(max_length=10)] = field(default_factory=list)
     """Built-in methods whose class a plug-in's method has, or derives from; one is enough to compare with."""
     task_version: Text = ""
-    """Of its task, the experts and how policies are scored (`harness.run.keys.task_version`); given when it
-    is stored."""
+    """Of its task, the experts and how policies are scored (`harness.registry.keys.task_version`); given when
+    it is stored."""
     solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
     """Every RL solve of the reward, in order. pi_R is the one that was judged best, of equals the first."""
 

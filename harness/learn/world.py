@@ -31,7 +31,7 @@ class TaskWorld:
     """A `methods.base.World`. Arrays are copied out of it, so neither true rewards nor `info` leave.
 
     expert: whom a method that is marked so may ask. told: called now and then with how many environment
-    steps were taken. solve_steps: as of a `World`.
+    steps were taken. solve_steps, budget: as of a `World`.
     answers: actions that the expert told.
     """
 
@@ -43,8 +43,10 @@ class TaskWorld:
         expert: Policy | None = None,
         told: Callable[[int], None] = lambda done: None,
         solve_steps: int = 1000,
+        budget: str = "full",
     ) -> None:
         self.solve_steps = solve_steps
+        self.budget = budget
         self.obs_size = spec.obs_size
         self.act_size = spec.act_size
         self.horizon = spec.horizon

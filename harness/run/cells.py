@@ -17,7 +17,8 @@ from harness.judge.results import (
     PolicyName,
     name_of,
 )
-from harness.run import given, plugins, without_expert
+from harness.registry import plugins
+from harness.run import given, without_expert
 from harness.run.artifacts import KIND, artifact
 from harness.run.cache import as_bytes
 from harness.run.experts import Shared
@@ -66,7 +67,7 @@ def run_cell(
             files, false = recorded(task, one, scored[one.name], watched[one.name])
             recordings |= files
             troubles += false
-    more = plugins.times_as_many(cell.method, cell.env, conditions.budget)
+    more = effort.times_as_many(cell.method, cell.env, conditions.budget)
     if more > effort.MOST:
         its = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"
         missed.append(f"{cell.name}: its own settings ask for {its}: not compared like with like")

@@ -22,8 +22,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from harness.judge.results import LEARNED
-from harness.registry import BadInput, Unfinished
-from harness.run import given, node, orphans, plugins
+from harness.registry import BadInput, Unfinished, plugins
+from harness.run import given, node, orphans
 from harness.run.engines import WORK, Job, Outcome, describe
 from harness.run.environment import CHOSEN, numeric, of_user
 from harness.run.processes import write_program

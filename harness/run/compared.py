@@ -19,7 +19,7 @@ from harness.judge.results import (
 )
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator
-from harness.registry import ENVS, SPECS, BadInput
+from harness.registry import KNOWN, SPECS, BadInput
 from harness.run.artifacts import read_artifact
 from harness.run.files import write_atomic
 from methods.base import Policy
@@ -38,7 +38,7 @@ def write_compared(
     for result in results:
         cell = result.cell
         asked = (cell.seed, cell.dynamics, cell.shown) == (SEED, NOMINAL, ALL_SHOWN)
-        if asked and result.artifacts and cell.env in ENVS and cell.method not in CONTROLS:
+        if asked and result.artifacts and cell.env in KNOWN.entries["env"] and cell.method not in CONTROLS:
             learned.setdefault(cell.env, []).append(result)
     files = []
     for env, its in sorted(learned.items()):

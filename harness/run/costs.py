@@ -18,7 +18,8 @@ from envs import EnvSpec
 from envs.dynamics import Dynamics
 from envs.learners import PPO
 from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
-from harness.run import plugins
+from harness.registry import plugins
+from harness.registry.known import Offer
 from harness.run.engines import Job
 from harness.run.environment import cache_folder
 from harness.run.files import read, write_atomic
@@ -143,7 +144,7 @@ def slowness() -> float:
     return min(took) / WORK
 
 
-def _rate(task: plugins.Offer | EnvSpec) -> float:
+def _rate(task: Offer | EnvSpec) -> float:
     """Return about how many steps RL takes in a second there."""
     if not isinstance(task, EnvSpec) or not isinstance(task.rl, PPO):
         return REPLAYED

@@ -27,13 +27,14 @@ from harness.judge.results import (
     policies_of,
     usable,
 )
-from harness.run import plugins
+from harness.registry import plugins
+from harness.registry.keys import cell_keys
+from harness.registry.known import Plugin
+from harness.registry.machine import machine
 from harness.run.cache import compiled_once
 from harness.run.codec import decode, encode, printable
 from harness.run.environment import hint, of_this_process
 from harness.run.files import LARGEST_OF_CELL, sha256_of
-from harness.run.keys import cell_keys, machine
-from harness.run.plugins import Plugin
 
 WORK = "harness.run.cells"
 

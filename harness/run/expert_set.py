@@ -13,9 +13,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.registry import BadInput
+from harness.registry.keys import EXPERTS, ROOT, expert_files
 from harness.run.cache import Kept, load
 from harness.run.files import read, sha256
-from harness.run.keys import EXPERTS, ROOT, expert_files
 from harness.run.sums import SUMS, readable
 from methods.network import Network
 

@@ -21,10 +21,10 @@ from harness.learn.simulator import Simulator
 from harness.learn.stored import from_arrays, to_arrays
 from harness.learn.world import solver_for, without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator
+from harness.registry.keys import experts_version
 from harness.run.artifacts import learned_in
 from harness.run.cache import Kept, as_bytes, from_bytes, kept
 from harness.run.expert_set import shipped, shipped_policies
-from harness.run.keys import experts_version
 from methods.base import Episodes, Policy
 from methods.network import Network
 

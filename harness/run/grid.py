@@ -24,11 +24,11 @@ from harness.judge.results import (
     files_of,
     needs,
 )
+from harness.registry.keys import cell_keys
+from harness.registry.plugins import modules, needed
 from harness.run.codec import decode
 from harness.run.costs import Costs
 from harness.run.engines import Engine, Inline, Job, Outcome
-from harness.run.keys import cell_keys
-from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
 

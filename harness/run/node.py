@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
-from harness.run import given, plugins
+from harness.registry import plugins
+from harness.run import given
 from harness.run.engines import Job, Outcome
 from harness.run.files import write_atomic
 from harness.run.isolated import Isolated

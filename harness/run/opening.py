@@ -10,9 +10,9 @@ from pathlib import Path
 
 from harness.judge.results import Request
 from harness.registry import BadInput
+from harness.registry.keys import cell_keys
 from harness.run.environment import numeric
 from harness.run.files import appending, opened, remove_unfinished, share_lock
-from harness.run.keys import cell_keys
 from harness.run.marked import held, in_use
 from harness.run.request import FOLDERS, LOCK, REQUEST, existing, merged, write_request
 from harness.run.store import LOG, REBUILT, RunDirectory

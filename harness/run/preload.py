@@ -11,7 +11,7 @@ from harness.run.environment import PRELOAD_VARIABLE
 _usual = ("harness.run.isolated", "harness.learn.world", "harness.judge.advantage", "torch._dynamo")
 with contextlib.suppress(BaseException):
     # What a cell's key is of, read once, too.
-    _keys = importlib.import_module("harness.run.keys")
+    _keys = importlib.import_module("harness.registry.keys")
     _keys.sources(*_keys.RUNNING), _keys.packages.required()
 for _name in (*_usual, *filter(None, os.environ.get(PRELOAD_VARIABLE, "").split(","))):
     # Whatever this raises, a cell's own import raises again, and there it is told.

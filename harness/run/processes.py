@@ -21,10 +21,10 @@ from typing import Any
 import psutil
 
 from harness.registry import BadInput
+from harness.registry.keys import program
 from harness.run import orphans
 from harness.run.cache import compiled_once
 from harness.run.environment import for_cells
-from harness.run.keys import program
 from harness.run.scratch import scratch_folder
 from harness.run.signals import STOPS, deaf_to, stops_wait
 

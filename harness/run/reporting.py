@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from harness.judge.results import CellResult, Request
+from harness.registry.keys import PAGE_PARTS, program
 from harness.run.files import write_atomic
-from harness.run.keys import PAGE_PARTS, program
 from harness.show.report import report_files
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from harness.judge.results import ALL_SHOWN, FORMATS, MOST_SEEDS, Conditions, Request
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput
-from harness.run import plugins
+from harness.registry import KNOWN, BadInput
+from harness.registry.gymnasium_tasks import task_or_name
 from harness.run.codec import checked, checksum, printable
 from harness.run.files import read, unfinished, write_atomic
 
@@ -90,8 +90,8 @@ def merged(path: Path, request: Request) -> Request:
 
 def _check_known(path: Path, old: Request) -> None:
     """Raises BadInput where the run in `path` has methods or environments that are not known here."""
-    known = {*METHODS, *VARIANTS, *ENVS}
-    if strangers := [name for name in (*old.methods, *old.envs) if plugins.task_or_name(name) not in known]:
+    known = {*KNOWN.entries["method"], *KNOWN.entries["env"]}
+    if strangers := [name for name in (*old.methods, *old.envs) if task_or_name(name) not in known]:
         raise BadInput(
             f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
             "or give another --out",
@@ -107,8 +107,8 @@ def _grown(path: Path, old: Request, request: Request) -> Request:
             said = f"{name} {there}, not {asked}"
             raise BadInput(f"{path} holds a run with {said}; give another --out", "commands")
     return Request(
-        methods=_union(METHODS | VARIANTS, old.methods, request.methods),
-        envs=_union(ENVS, old.envs, request.envs),
+        methods=_union(KNOWN.entries["method"], old.methods, request.methods),
+        envs=_union(KNOWN.entries["env"], old.envs, request.envs),
         seeds=tuple(sorted({*old.seeds, *request.seeds})),
         conditions=dataclasses.replace(old.conditions, record=request.conditions.record),
         shown=tuple(sorted({*old.shown, *request.shown})),

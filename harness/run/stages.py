@@ -1,7 +1,7 @@
 """What a cell's numbers come from, in stages that hand values on: demonstrate, fit, retrain, score, measure.
 
-Whatever is done here changes the keys of all cells (`harness.run.keys`); what is kept and recorded of it is
-`harness.run.cells`'.
+Whatever is done here changes the keys of all cells (`harness.registry.keys`); what is kept and recorded of it
+is `harness.run.cells`'.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld, solver_for
 from harness.registry import ASKING, load_method
+from harness.registry.plugins import settings_for
 from harness.run.codec import printable
 from harness.run.experts import Shared, task_for
-from harness.run.plugins import settings_for
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
 
@@ -119,6 +119,7 @@ class Task:
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
             told=lambda steps: self.tell(f"fit, {steps:,} steps so far"),
             solve_steps=self.rl_steps,
+            budget=self.conditions.budget,
         )
 
 

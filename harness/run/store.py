@@ -19,6 +19,8 @@ from typing import BinaryIO
 
 from harness.judge.results import PROGRAM_NAME, REFERENCE, Cell, CellResult, Request, artifact_of, files_of
 from harness.registry import BadInput
+from harness.registry.keys import report_key, task_of, task_version
+from harness.registry.machine import origin
 from harness.run.codec import decode, encode
 from harness.run.files import (
     LARGEST,
@@ -31,7 +33,6 @@ from harness.run.files import (
     sha256_of,
     write_atomic,
 )
-from harness.run.keys import origin, report_key, task_of, task_version
 from harness.run.request import BASELINE, FOLDERS, LOCK, REQUEST, as_text, existing
 from harness.run.sums import SUMS, as_lines, in_words, listed_in, named, readable, seal_of, why_damaged
 

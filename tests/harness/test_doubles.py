@@ -15,9 +15,9 @@ from gymnasium import spaces
 from envs import EnvSpec
 from envs.learners import DDPG
 from harness.learn.world import TaskWorld
-from harness.testing import ContractError, check_method
-from harness.testing.methods import known_task
-from harness.testing.worlds import FakeWorld, FiniteWorld
+from harness.registry.contract import ContractError, check_method
+from harness.registry.contract.methods import known_task
+from tests.methods.worlds import FakeWorld, FiniteWorld
 from methods.base import Array, Episodes, Learned, Transitions, World
 from methods.network import Network
 from methods.rewards import Constant

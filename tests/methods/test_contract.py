@@ -10,9 +10,9 @@ import pytest
 
 from harness import registry
 from harness.registry import load_method
-from harness.testing import ContractError, check_method
-from harness.testing.contract import Check
-from harness.testing.methods import ACT, OBS, checks
+from harness.registry.contract import ContractError, check_method
+from harness.registry.contract.check import Check
+from harness.registry.contract.methods import ACT, OBS, checks
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Learned, Method, World
 from methods.settings import settings_for

@@ -18,7 +18,7 @@ from harness.run import cache, experts, packages
 from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
-from harness.run.keys import experts_version, program
+from harness.registry.keys import experts_version, program
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})

@@ -14,7 +14,7 @@ import pytest
 from harness import registry
 from harness.judge.results import Cell, Conditions
 from harness.run import keys
-from harness.run.keys import PROGRAM, ROOT
+from harness.registry.keys import PROGRAM, ROOT
 from methods import settings
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

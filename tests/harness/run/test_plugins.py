@@ -19,7 +19,7 @@ from harness.registry import SPECS, VARIANTS, BadInput, load_method
 from harness.run import keys, plugins
 from harness.run.engines import Job, compute, describe
 from harness.run.environment import of_this_process
-from harness.run.plugins import Plugin
+from harness.registry.known import Plugin
 from tests.harness import fake_cells
 from tests.harness.plugged import MINE
 

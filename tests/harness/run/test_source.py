@@ -23,7 +23,7 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
-from harness.run.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
+from harness.registry.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
 from harness.run.processes import NAME, fresh_processes
 from tests.harness.fake_runs import compute
 
