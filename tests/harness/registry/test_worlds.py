@@ -17,11 +17,11 @@ from envs.learners import DDPG
 from harness.learn.world import TaskWorld
 from harness.registry.contract import ContractError, check_method
 from harness.registry.contract.methods import known_task
-from tests.methods.worlds import FakeWorld, FiniteWorld
 from methods.base import Array, Episodes, Learned, Transitions, World
 from methods.network import Network
 from methods.rewards import Constant
 from methods.stochastic import SquashedGaussian
+from tests.methods.worlds import FakeWorld, FiniteWorld
 
 UNIT = DDPG().unit
 
