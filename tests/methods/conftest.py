@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.methods.worlds import FakeWorld, FiniteWorld, NoEnvironment
 from methods.base import Episodes, Policy
+from tests.methods.worlds import FakeWorld, FiniteWorld, NoEnvironment
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """Plug-ins for tests: known while a test lasts, and looked at in its own process where that is asked for."""
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,8 +15,13 @@ CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 
 @pytest.fixture(autouse=True)
 def _for_now() -> Iterator[None]:
+    """Plug-ins, and helpers that they import, go with the test."""
+    before = set(sys.modules)
     with KNOWN.for_now():
         yield
+    for name in set(sys.modules) - before:
+        if name.startswith(("theirs", "its_helper", "far_")):
+            del sys.modules[name]
 
 
 @pytest.fixture

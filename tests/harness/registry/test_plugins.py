@@ -1,15 +1,12 @@
 """Methods and tasks of others: named, broken, keyed, and never mistaken for one another."""
 
 import os
-import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
-import gymnasium
 import msgspec
 import pytest
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Conditions
@@ -18,7 +15,6 @@ from harness.registry import (
     METHODS,
     SPECS,
     BadInput,
-    gymnasium_tasks,
     keys,
     load_method,
     loading,
@@ -33,16 +29,6 @@ from tests.harness.plugged import MINE
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 Key = Callable[..., str]
 pytestmark = pytest.mark.usefixtures("here")
-
-
-@pytest.fixture(autouse=True)
-def forgotten() -> Iterator[None]:
-    """Modules that were imported in a test go with it."""
-    before = set(sys.modules)
-    yield
-    for name in set(sys.modules) - before:
-        if name.startswith(("theirs", "its_helper", "far_")):
-            del sys.modules[name]
 
 
 def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, key: Key, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,74 +263,3 @@ def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
     (tmp_path / "folder/mine.py").write_text(MINE)
     with pytest.raises(BadInput, match=r"two plug-ins are called mine\.py"):
         plugins.add([str(mine), str(tmp_path / "folder/mine.py")])
-
-
-def test_a_key_is_of_what_a_task_is_registered_with(key: Key, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = "gymnasium.envs.classic_control:PendulumEnv"
-
-    def key_with(horizon: int = 200, **kwargs: object) -> str:
-        spec = EnvSpec("Heavy-v0", entry, max_episode_steps=horizon, kwargs=kwargs)
-        monkeypatch.setitem(gymnasium.registry, "Heavy-v0", spec)
-        return key("bc", gymnasium_tasks.add_task("Heavy-v0"))
-
-    assert len({key_with(g=10.0), key_with(g=2.0), key_with(horizon=100, g=2.0)}) == 3
-    with pytest.raises(BadInput, match="registered with arguments that are neither numbers nor texts"):
-        key_with(g=object())
-
-
-@pytest.mark.parametrize("kind", ["plug-in", "gymnasium"])
-def test_a_key_is_of_modules_that_a_task_is_registered_with(
-    kind: str, tmp_path: Path, key: Key, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Gymnasium's registry names them as text: nothing imports them."""
-    texts = {
-        "far_env": "from gymnasium.envs.classic_control import PendulumEnv as Far\nimport far_away",
-        "far_wrap": "from gymnasium import Wrapper as Pay",
-        "far_away": "",
-        "far": "from irl_bench import from_gymnasium\nENVS = {'far': from_gymnasium('Far-v0', 'far')}",
-    }
-    for name, text in texts.items():
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    wrappers = (WrapperSpec("Pay", "far_wrap:Pay", {}),)
-    spec = EnvSpec("Far-v0", "far_env:Far", max_episode_steps=200, additional_wrappers=wrappers)
-    monkeypatch.setitem(gymnasium.registry, "Far-v0", spec)
-
-    def key_now() -> str:
-        if kind == "plug-in":
-            return key("bc", "far", tmp_path / "far.py")
-        return key("bc", gymnasium_tasks.add_task("Far-v0"))
-
-    found = [key_now()]
-    for name in ("far_env", "far_wrap", "far_away"):
-        (tmp_path / f"{name}.py").write_text(f"{texts[name]}\nMORE = 1\n")
-        found.append(key_now())
-    assert len(set(found)) == 4
-
-
-def test_a_task_of_gymnasium_needs_its_id_alone(key: Key) -> None:
-    assert gymnasium_tasks.task_or_name("gym:Pendulum-v1") == "gym_Pendulum-v1"
-    assert SPECS["gym_Pendulum-v1"].env_id == "Pendulum-v1"
-    plugins.load([], ["gym_Pendulum-v1"])
-    assert key("bc", "gym_Pendulum-v1") != key("bc", "swingup")
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("gym:NoSuchTask-v0", "NameNotFound"),
-        ("gym:Pendulum", "Pendulum names no version of the task"),
-        ("gym:Blackjack-v1", "observations must be a flat box"),
-        ("gym:../run-v0", "no id of Gymnasium"),
-        ("gym:", "no id of Gymnasium|cannot be loaded"),
-    ],
-)
-def test_of_a_task_that_cannot_be_derived_it_is_said_why(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reason: str
-) -> None:
-    out = tmp_path / "run"
-    assert main(["run", "--methods", "bc", "--envs", name, "--out", str(out)]) == 2
-    err = capsys.readouterr().err
-    assert re.search(reason, err), err
-    assert err.count("\n") == 1
-    assert not out.exists()
