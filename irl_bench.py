@@ -95,7 +95,7 @@ def _begin() -> None:
 
 
 def _register_tasks() -> None:
-    """Register every task with Gymnasium, such as irl_bench/Swingup-v0. The command answers sooner without."""
+    """Register every task with Gymnasium, as irl_bench/Swingup-v0. The command answers sooner without."""
     if not os.path.basename(sys.argv[0] if sys.argv else "").startswith("irl-bench"):
         from harness.registry.gymnasium_tasks import register_tasks
 

@@ -1,4 +1,4 @@
-"""The first import of plug-ins, in a process of its own. All that they do as they are loaded is done there."""
+"""The first import of plug-ins, in a process of its own. All that they do meanwhile is done there."""
 
 from __future__ import annotations
 

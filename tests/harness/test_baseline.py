@@ -13,8 +13,8 @@ from harness import commands, exchange
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.judge.statistics import probability_of_improvement
-from harness.registry import BadInput
-from harness.run import baseline, keys, store
+from harness.registry import KNOWN, BadInput, keys
+from harness.run import baseline, store
 from harness.run.codec import checksum
 from harness.run.environment import numeric
 from harness.run.files import append, sha256
@@ -91,7 +91,8 @@ def test_seeds_of_two_versions_of_a_method_are_not_mixed(
         made(tmp_path / "two/b", computed((1, 2)), request),
     ]
     edited(tmp_path / "two", lambda result: result.update(key=result["key"] + "0"))
-    monkeypatch.setattr(baseline, "METHODS", {})  # of a plug-in, which nobody knows here
+    # As of a plug-in, which nobody knows here.
+    monkeypatch.setattr(KNOWN, "entries", {"method": {}, "env": KNOWN.entries["env"]})
     found, left_out = baseline.comparable(runs, MINE, VARIABLES)
     assert [result.cell.seed for result in found] == [0, 1]
     assert left_out == ["gail in b is of another version than in a"]

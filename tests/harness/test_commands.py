@@ -12,7 +12,8 @@ import msgspec
 import pytest
 
 from harness.judge.results import CellResult, Request
-from harness.run import keys, opening, plan, store
+from harness.registry import keys
+from harness.run import opening, plan, store
 from harness.run.events import AnyEvent, Begun, Ended, Reported
 from tests.harness.fake_runs import PER_SEED, SMOKE, computed, faults, scores
 from tests.harness.small_runs import snapshot

@@ -14,9 +14,9 @@ import pytest
 
 from harness import scale
 from harness.judge.results import Cell, CellResult, Request, Shown
+from harness.registry.keys import PAGE_PARTS, ROOT, cell_keys
 from harness.run.engines import Outcome
 from harness.run.environment import CACHE_VARIABLE
-from harness.registry.keys import PAGE_PARTS, ROOT, cell_keys
 from harness.show import charts, curves, figures, page, report
 
 PARTS = {Path(name).name: (ROOT / name).read_text(encoding="utf-8") for name in PAGE_PARTS}

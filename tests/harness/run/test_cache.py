@@ -13,12 +13,12 @@ import safetensors.numpy
 from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
-from harness.registry import SPECS
-from harness.run import cache, experts, packages
+from harness.registry import SPECS, packages
+from harness.registry.keys import experts_version, program
+from harness.run import cache, experts
 from harness.run.cache import Kept, cache_file, kept, load
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
 from harness.run.experts import Shared, demonstrations_for, expert_for, prepare
-from harness.registry.keys import experts_version, program
 
 CARTPOLE = SPECS["cartpole"]
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})

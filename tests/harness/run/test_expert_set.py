@@ -24,14 +24,14 @@ from harness.expert_training import (
 )
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.learn.seeds import held_out_seeds, tuning_seeds
-from harness.registry import SPECS, BadInput, all_specs
-from harness.run import expert_set, keys
+from harness.registry import SPECS, BadInput, all_specs, keys
+from harness.registry.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
+from harness.run import expert_set
 from harness.run.cache import load
 from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.run.expert_set import shipped
 from harness.run.experts import expert_for
 from harness.run.files import sha256
-from harness.registry.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
 from harness.run.opening import open_for_report, open_for_run
 from methods.network import Network
 

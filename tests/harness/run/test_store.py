@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.judge.results import FORMATS, LARGEST, Cell, CellResult, Conditions, Request, Row
-from harness.registry import BadInput
-from harness.run import marked, packages
+from harness.registry import BadInput, packages
+from harness.run import marked
 from harness.run.codec import checksum, decode, encode
 from harness.run.files import sha256_of, write_atomic
 from harness.run.opening import open_for_report, open_for_run, open_to_verify
