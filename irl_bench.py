@@ -1,4 +1,4 @@
-"""The public interface of this benchmark.
+"""All that a plug-in, a notebook or another program needs of this benchmark, under one name.
 
 import irl_bench
 
@@ -14,7 +14,15 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    pass
+    from envs import EnvSpec, from_gymnasium
+    from envs.learners import DDPG, DQN, PPO, SAC, TD3
+    from envs.spec import Quantity, Shape
+    from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
+    from harness.frames import Frames, add_plugins, load, run
+    from harness.registry.contract import ContractError, check_env, check_method
+    from methods.base import Agent, Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
+    from methods.network import Network
+    from methods.rewards import LinearReward, MeanReward, NetworkReward, StateReward
 
 _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
@@ -22,25 +30,62 @@ _FROM = {
     "envs.spec": ("Quantity", "Shape"),
     "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
     "harness.frames": ("Frames", "add_plugins", "load", "run"),
-    "harness.testing": ("ContractError", "check_env", "check_method"),
+    "harness.registry.contract": ("ContractError", "check_env", "check_method"),
     "methods.base": (
-        *("Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
+        *("Agent", "Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
     ),
     "methods.network": ("Network",),
     "methods.rewards": ("LinearReward", "MeanReward", "NetworkReward", "StateReward"),
 }
 WHERE = {name: module for module, names in _FROM.items() for name in names}
-"""Home module of each public name."""
+"""The module that each name comes from."""
 
-__all__ = list(WHERE)
+__all__ = [
+    "DDPG",
+    "DQN",
+    "PPO",
+    "SAC",
+    "TD3",
+    "Agent",
+    "ContractError",
+    "EnvSpec",
+    "Episodes",
+    "Exported",
+    "ExportedPolicy",
+    "Frames",
+    "Learned",
+    "LearnedReward",
+    "LinearReward",
+    "MeanReward",
+    "Method",
+    "Network",
+    "NetworkReward",
+    "Policy",
+    "Quantity",
+    "Reward",
+    "Shape",
+    "StateReward",
+    "Transitions",
+    "Unsuitable",
+    "World",
+    "add_plugins",
+    "check_env",
+    "check_method",
+    "export",
+    "from_gymnasium",
+    "load",
+    "load_learned",
+    "make",
+    "run",
+]
 
 
 def _begin() -> None:
-    """Import this program's packages before others of their names, such as those beside a script."""
+    """Make this program's packages be found before others of their names, such as those beside a script."""
     here = os.path.dirname(os.path.realpath(__file__))
     sys.path.insert(0, here)
     try:
-        from harness.run import ours
+        from harness.registry import ours
     except ImportError as error:
         file = getattr(sys.modules.get("harness"), "__file__", None)
         raise ImportError(f"{file} hides this program's package 'harness': rename it") from error
@@ -49,18 +94,27 @@ def _begin() -> None:
     ours.first()
 
 
+def _register_tasks() -> None:
+    """Register every task with Gymnasium, as irl_bench/Swingup-v0. The command answers sooner without."""
+    if not os.path.basename(sys.argv[0] if sys.argv else "").startswith("irl-bench"):
+        from harness.registry.gymnasium_tasks import register_tasks
+
+        register_tasks()
+
+
 _begin()
+_register_tasks()
 
 
 def start() -> int:
-    """Run the command line, and return its exit code."""
+    """Do what the command line asks for, and return the exit code. For a process of its own."""
     from harness.__main__ import start
 
     return start()
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name on first use, because torch takes a second."""
+    """Import a name when it is first asked for. Torch alone takes a second."""
     if name not in WHERE:
         raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(importlib.import_module(WHERE[name]), name)

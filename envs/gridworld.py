@@ -169,7 +169,7 @@ def phi(obs: Array, act: Array) -> Array:
 SPEC = EnvSpec(
     name="gridworld",
     summary=f"objectworld, {SIZE} by {SIZE} cells: find what pays, avoid what costs; the model is known",
-    env_id="irl_bench/GridWorld-v0",
+    env_id="irl_bench_bare/GridWorld-v0",
     obs_size=WORLD.obs.shape[1],
     act_size=len(ACTIONS),
     obs_names=(

@@ -128,7 +128,7 @@ def task(
     positions without the first, and their rates. `fields`: more fields of `EnvSpec`."""
     env = make(gymnasium_id)
     model = env.model
-    env_id = f"irl_bench/{gymnasium_id}"
+    env_id = f"irl_bench_bare/{gymnasium_id}"
     horizon = gym.spec(gymnasium_id).max_episode_steps
     assert horizon is not None
     motors = [model.joint(int(joint)) for joint in model.actuator_trnid[:, 0]]

@@ -136,7 +136,7 @@ THESIS = DDPG(final_learning_rate=1e-4, batch=256, noise=1.0, checkpoint_every=2
 SPEC = EnvSpec(
     name="point_maze",
     summary="AIRL's maze: push a ball around the end of a wall to a target, 100 steps",
-    env_id="irl_bench/PointMaze-v0",
+    env_id="irl_bench_bare/PointMaze-v0",
     obs_size=4,
     act_size=2,
     obs_names=(Quantity("x", "m"), Quantity("y", "m"), Quantity("x rate", "m/s"), Quantity("y rate", "m/s")),
@@ -150,7 +150,7 @@ SPEC = EnvSpec(
     eval_episodes={"smoke": 5, "quick": 100, "full": 100},
     phi=phi,
     draw=draw,
-    batch=partial(MujocoBatch, "irl_bench/PointMaze-v0", EnvSpec.why_ended),
+    batch=partial(MujocoBatch, "irl_bench_bare/PointMaze-v0", EnvSpec.why_ended),
     shipped=Shipped(steps=750_000, bar=-5.0, checkpoint_every=2500, rl=PPO()),
     rl=FEW_JOINTS,
     ddpg=THESIS,

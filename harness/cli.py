@@ -16,19 +16,22 @@ from typing import Any
 from harness.arguments import parser
 from harness.registry import (
     ASKING,
-    BUILT_IN,
     ENVS,
     GROUPS,
+    KNOWN,
     METHODS,
-    PLUGINS,
     SPECS,
     VARIANTS,
     BadInput,
     Unfinished,
     choose,
     load_method,
+    ours,
+    plugins,
 )
-from harness.run import ours, plugins
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.loading import in_words
+from harness.registry.names import plain
 from harness.run.signals import ignore_stops, importing
 
 NO_MEMORY = ("failed to map segment", "Cannot allocate memory")
@@ -53,14 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, MemoryError) or any(sign in said for sign in NO_MEMORY):
             limits = "".join(f" (ulimit -{letter} {most})" for letter, most in _limits().items())
             said = f"out of memory{limits}: {said}".removesuffix(": ")
-        print(f"irl-bench: error: {_plain(' '.join(said.split()))}", file=sys.stderr)
+        print(f"irl-bench: error: {plain(' '.join(said.split()))}", file=sys.stderr)
         return 2
     except Unfinished as error:
-        print(f"irl-bench: {_plain(str(error))}", file=sys.stderr)
+        print(f"irl-bench: {plain(str(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         ignore_stops()
-        again = _plain(shlex.join([*_program(), *argv]))
+        again = plain(shlex.join([*_program(), *argv]))
         kept = f"what is finished is kept. To go on, run the same again:\n  {again}{_how_to_report(argv)}"
         resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
@@ -72,7 +75,7 @@ def _how_to_report(argv: Sequence[str]) -> str:
     if argv[0] != "run":
         return ""
     command = [*_program(), "report", str(parser().parse_args(argv).out)]
-    return f"\nFor a report of what is finished:\n  {_plain(shlex.join(command))}"
+    return f"\nFor a report of what is finished:\n  {plain(shlex.join(command))}"
 
 
 def _limits() -> dict[str, int]:
@@ -110,17 +113,12 @@ def _program() -> list[str]:
     return [sys.executable, "-m", "harness"] if Path(name).name == "__main__.py" else [name]
 
 
-def _plain(text: str) -> str:
-    """The text with all escaped that is not shown as it is."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
 def _dispatch(argv: list[str]) -> int:
     try:
         args = parser().parse_args(argv)
     except SystemExit:  # --help, the only other way out of a parser whose error() raises
         return 0
-    with plugins.for_now():
+    with KNOWN.for_now():
         return _do(args)
 
 
@@ -171,16 +169,16 @@ def _check_python() -> None:
 def _list(named: Sequence[str]) -> int:
     troubles = plugins.add(named)
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
-    theirs = PLUGINS["method"] | PLUGINS["env"]
     sections = {
-        title: {name: entry.summary for name, entry in table.items() if name not in theirs}
-        for title, table in tables.items()
+        title: {name: entry.summary for name, entry in table.items()} for title, table in tables.items()
     }
     sections["groups of envs"] = {name: ", ".join(members) for name, members in GROUPS.items()}
-    for kind, table in PLUGINS.items():
-        if table:
+    for kind in KNOWN.entries:
+        if table := KNOWN.of_plugins(kind):
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
-    dynamics = {name: ", ".join(entry.variants) for name, entry in ENVS.items() if entry.variants}
+    dynamics = {
+        name: ", ".join(entry.variants) for name, entry in KNOWN.entries["env"].items() if entry.variants
+    }
     sections["dynamics of envs, for --transfer"] = dynamics
     width = max(len(name) for section in sections.values() for name in section)
     for title, section in sections.items():
@@ -188,7 +186,7 @@ def _list(named: Sequence[str]) -> int:
         for name, summary in section.items():
             print(f"  {name:{width}} {summary}")
     for trouble in troubles:
-        print(f"not usable: {_plain(trouble)}")
+        print(f"not usable: {plain(trouble)}")
     return 0
 
 
@@ -235,34 +233,34 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
     from harness.engines.cell_environment import as_in_cells
 
     plugins.add(named, names)
-    names = [plugins.task_or_name(name) for name in names]
-    methods = (*METHODS, *VARIANTS)
+    names = [task_or_name(name) for name in names]
+    methods, envs = KNOWN.entries["method"], KNOWN.entries["env"]
     for name in names:
-        if choose("method or env", name, (*methods, *ENVS)) != (name,):
+        if choose("method or env", name, (*methods, *envs)) != (name,):
             raise BadInput(f"give methods and envs one by one, with spaces between, not {name!r:.80}")
     with as_in_cells():
-        plugins.load([name for name in names if name in methods], [name for name in names if name in ENVS])
+        plugins.load([name for name in names if name in methods], [name for name in names if name in envs])
         with importing():
-            from harness import testing
-        return _checked(names, testing)
+            from harness.registry import contract
+        return _checked(names, contract)
 
 
-def _checked(names: Sequence[str], testing: Any) -> int:
-    """Says what each check came to; testing: the module `harness.testing`."""
+def _checked(names: Sequence[str], contract: Any) -> int:
+    """Print the outcome of each check. contract: the module `harness.registry.contract`."""
     from harness.run.progress import say
 
     failed = False
     for name in names:
-        if name in METHODS or name in VARIANTS:
+        if name in KNOWN.entries["method"]:
             try:
                 method = load_method(name)(**plugins.settings_for(name, "", "smoke"))
             except Exception as error:
-                say(f"FAILED  {name}: it can be made without arguments: {plugins.in_words(error)}")
+                say(f"FAILED  {name}: it can be made without arguments: {in_words(error)}")
                 failed = True
                 continue
-            found = testing.methods.checks(method, name in ASKING)
+            found = contract.methods.checks(method, name in ASKING)
         else:
-            found = testing.envs.checks(SPECS[name])
+            found = contract.tasks.checks(SPECS[name])
         for check in found:
             outcome, why = check.outcome()
             failed |= outcome == "FAILED"
@@ -278,7 +276,7 @@ def _bench(part: str | None, as_json: bool) -> int:
     with as_in_cells():
         with importing():
             from harness.benchmarks import growth, scale, speed, spread  # in that environment
-            from harness.run.keys import origin
+            from harness.registry.machine import origin
 
             parts = {"speed": speed, "growth": growth, "scale": scale, "spread": spread}
 
@@ -319,9 +317,9 @@ def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
 
 def _experts(args: argparse.Namespace) -> int:
     plugins.add(args.plugin, args.envs)
-    asked = [plugins.task_or_name(name.strip()) for name in ",".join(args.envs).split(",")]
-    envs = choose("env", ",".join(asked), BUILT_IN["env"], [*PLUGINS["env"]], groups=GROUPS)
-    if theirs := [env for env in envs if env in PLUGINS["env"]]:
+    asked = [task_or_name(name.strip()) for name in ",".join(args.envs).split(",")]
+    envs = KNOWN.chosen_envs(",".join(asked))
+    if theirs := [env for env in envs if env in KNOWN.of_plugins("env")]:
         if args.what == "check" or len(theirs) < len(envs):
             raise BadInput(
                 f"{theirs[0]} has no shipped experts: `experts train {theirs[0]}`, by itself, makes its own"

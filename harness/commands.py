@@ -19,21 +19,10 @@ from harness.engines import scratch
 from harness.engines.jobs import Engine
 from harness.engines.server import suspend_workers_too
 from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, failed_rows
-from harness.registry import (
-    ASKING,
-    BUILT_IN,
-    ENVS,
-    GROUPS,
-    GYMNASIUM_NAME,
-    METHODS,
-    PLUGINS,
-    SPECS,
-    VARIANTS,
-    BadInput,
-    Unfinished,
-    choose,
-)
-from harness.run import baseline, keys, plugins
+from harness.registry import ASKING, ENVS, SPECS, BadInput, Unfinished, choose, keys, packages, plugins
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.known import GYMNASIUM_NAME, KNOWN
+from harness.run import baseline
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
 from harness.run.progress import progress_for, say, tell
 from harness.run.signals import stop_cleanly
@@ -210,7 +199,7 @@ def _given(args: argparse.Namespace, envs: Sequence[str]) -> Demonstrations:
 def _prepare() -> None:
     """Raises BadInput where nothing could be computed or drawn, before anything is written."""
     scratch.remove_abandoned(scratch.base())
-    keys.versions(keys.PACKAGES)
+    packages.versions(packages.PACKAGES)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # such as where it would keep fonts
     try:
         importlib.import_module("harness.engines.processes")
@@ -224,10 +213,8 @@ def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Methods and environments, those of plug-ins included, which are imported. Raises BadInput for what
     there is not, and where one is broken."""
     plugins.add(args.plugin, [args.methods, args.envs])
-    envs = ",".join(plugins.task_or_name(name.strip()) for name in args.envs.split(","))
-    methods = choose("method", args.methods, METHODS, VARIANTS, {"plugins": (*PLUGINS["method"],)})
-    groups = {**GROUPS, "plugins": (*PLUGINS["env"],)}
-    chosen = choose("env", envs, BUILT_IN["env"], (*PLUGINS["env"],), groups)
+    envs = ",".join(task_or_name(name.strip()) for name in args.envs.split(","))
+    methods, chosen = KNOWN.chosen_methods(args.methods), KNOWN.chosen_envs(envs)
     plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
     return methods, chosen
 
@@ -235,8 +222,9 @@ def _named(args: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
     """Tasks of other dynamics, those of these names or all. Raises BadInput where there are none, or they
     cannot be told."""
+    entries, theirs = KNOWN.entries["env"], KNOWN.of_plugins("env")
     try:
-        known = {env: ENVS[env].variants if env in PLUGINS["env"] else SPECS[env].variants for env in envs}
+        known = {env: entries[env].variants if env in theirs else SPECS[env].variants for env in envs}
         found = [f"{env}.{name}" for env in envs for name in known[env]]
     except Exception as error:  # whatever is wrong with an environment's file
         raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
@@ -256,7 +244,7 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
     from harness.engines import inline, processes
 
     # Those of plug-ins are imported in their own cells alone, which all others would share.
-    modules = [ENVS[env].target.partition(":")[0] for env in envs if env in BUILT_IN["env"]]
+    modules = [ENVS[env].target.partition(":")[0] for env in envs if env in ENVS]
     fixed = _is_deterministic(args)
     if args.engine == "ray":
         from harness.engines import ray

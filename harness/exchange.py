@@ -15,8 +15,9 @@ import numpy as np
 from harness import outcome
 from harness.arguments import installed_version
 from harness.judge.results import CellResult, Conditions, Request
-from harness.registry import ENVS, SPECS, BadInput, Demonstrator, choose
-from harness.run import baseline, keys, plugins
+from harness.registry import KNOWN, SPECS, BadInput, Demonstrator, choose, keys, plugins
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.run import baseline
 from harness.run.progress import say, tell
 from harness.run.signals import stop_cleanly
 from harness.store.files import new_folder, write_atomic
@@ -88,8 +89,8 @@ def bounds(pairs: Sequence[tuple[float, float]] | None) -> Array | None:
 def _one_env(args: argparse.Namespace) -> str:
     """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
     plugins.add(args.plugin, [args.env])
-    env = plugins.task_or_name(args.env)
-    if choose("env", env, ENVS) != (env,):
+    env = task_or_name(args.env)
+    if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {args.env!r:.80}")
     plugins.load([], [env])
     return env

@@ -23,8 +23,8 @@ from envs import EnvSpec
 from envs.checks import number
 from harness.judge.results import NOMINAL, REFERENCE, CellResult, PolicyName
 from harness.learn.stored import from_arrays, to_arrays
-from harness.registry import ENVS, SPECS, BadInput, choose
-from harness.run import plugins
+from harness.registry import KNOWN, SPECS, BadInput, choose, plugins
+from harness.registry.gymnasium_tasks import task_or_name
 from harness.store.artifacts import NOT_KEPT
 from harness.store.cache import Kept, as_bytes, from_bytes
 from harness.store.codec import checksum, printable
@@ -129,7 +129,7 @@ def export(
     policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
-    directory, env = Path(directory), plugins.task_or_name(env)
+    directory, env = Path(directory), task_or_name(env)
     result, learned = _learned(directory, env, method, seed)
     cell, reward = result.cell, learned.get("reward")
     if learned.get(policy) is None:
@@ -163,7 +163,7 @@ def _learned(directory: Path, env: str, method: str, seed: int) -> tuple[CellRes
         has = f"seeds {', '.join(map(str, seeds))}" if seeds else ", ".join(known)[:300] or "no cell"
         unread = [f"; {file}: {why}" for file, why in (unusable | damaged).items()]
         raise BadInput(f"{directory} has no {env} {method}, seed {seed}; it has {has}{''.join(unread[:1])}")
-    if env not in ENVS:
+    if env not in KNOWN.entries["env"]:
         raise BadInput(f"{env} is a plug-in's task: name that with --plugin", page="plugins")
     result = results[cells[0]]
     if not result.learned:
@@ -183,8 +183,8 @@ def load_learned(folder: Path | str) -> Exported:
             raise ValueError(f"{FACTS} is not as it was written")
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        env = plugins.task_or_name(str(facts["env"]))
-        if isinstance(facts["env"], str) and env not in ENVS:
+        env = task_or_name(str(facts["env"]))
+        if isinstance(facts["env"], str) and env not in KNOWN.entries["env"]:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
         spec = SPECS[env]
         policy, reward = (_part(folder, name, facts) for name in PARTS)
@@ -208,8 +208,8 @@ def _part(folder: Path, part: str, facts: Mapping[str, Any]) -> Any:
 
 def make(env: str) -> gym.Env[Any, Any]:
     """Return the environment that policies of the task are for. Raises BadInput for an unknown one."""
-    env = plugins.task_or_name(env)
-    if choose("env", env, ENVS) != (env,):
+    env = task_or_name(env)
+    if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {env!r:.80}")
     plugins.load([], [env])
     return SPECS[env].make()

@@ -17,10 +17,9 @@ from harness import commands
 from harness.arguments import parser
 from harness.judge.leaderboard import Entry
 from harness.judge.results import Row
-from harness.registry import BadInput
+from harness.registry import KNOWN, BadInput, ours
+from harness.registry import plugins as plugged_in
 from harness.report.spreadsheet import read_csv
-from harness.run import ours
-from harness.run import plugins as plugged_in
 from harness.store.database import FILE
 from harness.store.files import opened
 from harness.store.opening import open_to_verify
@@ -90,7 +89,7 @@ def run(
         if getattr(alone, name) != getattr(none, name):
             raise BadInput(f"options cannot hold --{name}")
     words = ["run", *options, *its_own, *(f"--plugin={plugin}" for plugin in plugins)]
-    with plugged_in.for_now():
+    with KNOWN.for_now():
         commands.run(parser().parse_args(words))
     return load(out)
 

@@ -225,7 +225,9 @@ class World(Protocol):
     horizon: int
     gamma: float
     solve_steps: int
-    """Environment steps of an RL solve from scratch, at the run's budget."""
+    """Environment steps that a solve takes here from scratch, at the run's budget."""
+    budget: str
+    """The run's budget: 'smoke', 'quick' or 'full'."""
     discrete: bool
     """True if actions are choices."""
     model: Model | None
@@ -277,6 +279,15 @@ class Learned:
     reward: Reward | None
     curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
     details: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return a line without arrays."""
+        parts = [f"policy={type(self.policy).__name__}"]
+        parts.append(f"reward={type(self.reward).__name__ if self.reward is not None else None}")
+        curves = ", ".join(f"{name} ({len(values)} values)" for name, values in self.curves.items())
+        details = ", ".join(f"{name} {value:g}" for name, value in self.details.items())
+        parts += [f"{name}: {text}" for name, text in (("curves", curves), ("details", details)) if text]
+        return f"Learned({'; '.join(parts)})"
 
 
 class Method(Protocol):

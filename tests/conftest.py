@@ -114,12 +114,10 @@ def _forget_plugins() -> Iterator[None]:
     """Forgets which plug-ins a test imported, after which nothing else is computed in their process."""
     before = {*sys.modules}
     yield
-    if plugins := sys.modules.get("harness.run.plugins"):
-        for name in plugins._ever & (sys.modules.keys() - before):
-            if not name.startswith("harness."):
-                del sys.modules[name]
-        plugins._ever.clear()
-        plugins._replaced.clear()
+    if known := sys.modules.get("harness.registry.known"):
+        for name in {one.module.__name__ for one in known.KNOWN.loaded if one.is_plugin} - before:
+            sys.modules.pop(name, None)
+        known.KNOWN.loaded.clear()
 
 
 @pytest.fixture

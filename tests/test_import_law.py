@@ -16,11 +16,19 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 
 ROOMS = (
-    *("envs", "methods", "harness.registry", "harness.learn", "harness.judge"),
-    ("harness.run", "harness.demonstrations", "harness.cell", "harness.engines", "harness.schedule"),
+    *("envs", "methods", "harness.registry.names", "harness.judge.results"),
+    ("harness.run.environment", "harness.engines.containment"),
+    *(
+        "harness.registry",
+        "harness.learn",
+        "harness.registry.contract",
+        "harness.judge",
+        "harness.demonstrations",
+    ),
+    ("harness.run", "harness.cell", "harness.engines", "harness.schedule", "harness.store"),
     *("harness.report", "harness.recordings", "harness.benchmarks", "harness"),
 )
-"""Each may import itself and those before it."""
+"""Packages and modules; each may import itself and those before it."""
 
 
 def modules(tree: ast.AST) -> set[str]:
@@ -45,10 +53,14 @@ def importers(library: str) -> list[str]:
 
 
 def room(module: str) -> int | None:
-    """The number of the first room that a module belongs to, if it is of this program."""
-    rooms = [(names,) if isinstance(names, str) else names for names in ROOMS]
-    above = [any(f"{module}.".startswith(f"{name}.") for name in names) for names in rooms]
-    return above.index(True) if any(above) else None
+    """The number of the innermost room that a module belongs to, if it is of this program."""
+    inside = [
+        (len(name), number)
+        for number, names in enumerate((n,) if isinstance(n, str) else n for n in ROOMS)
+        for name in names
+        if f"{module}.".startswith(f"{name}.")
+    ]
+    return max(inside)[1] if inside else None
 
 
 @pytest.mark.parametrize("file", FILES)

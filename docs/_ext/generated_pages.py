@@ -18,7 +18,7 @@ TITLES = {
     "envs": "Tasks",
     "envs.spec": "Parts of a task",
     "envs.learners": "Learners",
-    "harness.testing": "The contract",
+    "harness.registry.contract": "The contract",
 }
 """What the names of the public module's homes are about, in the order of the page."""
 

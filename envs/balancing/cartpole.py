@@ -100,7 +100,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 SPEC = EnvSpec(
     name="cartpole",
     summary="continuous cart-pole: keep the pole upright for 500 steps (RLLab's reward)",
-    env_id="irl_bench/CartPole-v0",
+    env_id="irl_bench_bare/CartPole-v0",
     obs_size=4,
     act_size=1,
     obs_names=(POSITION, VELOCITY, ANGLE, RATE),

@@ -48,7 +48,7 @@ class DiscreteCartPole(CartPoleEnv):
 SPEC = EnvSpec(
     name="cartpole_discrete",
     summary="Gymnasium's CartPole-v1, two actions: keep the pole upright for 500 steps",
-    env_id="irl_bench/CartPoleDiscrete-v0",
+    env_id="irl_bench_bare/CartPoleDiscrete-v0",
     obs_size=4,
     act_size=2,
     obs_names=cartpole.SPEC.obs_names,

@@ -140,7 +140,7 @@ THESIS = DDPG(checkpoint_every=2000, check_episodes=5)
 SPEC = EnvSpec(
     name="pendulum",
     summary="MuJoCo InvertedPendulum-v5: balance the pole for 1000 steps",
-    env_id="irl_bench/Pendulum-v0",
+    env_id="irl_bench_bare/Pendulum-v0",
     obs_size=4,
     act_size=1,
     obs_names=(POSITION, ANGLE, VELOCITY, RATE),

@@ -126,7 +126,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 SPEC = EnvSpec(
     name="acrobot",
     summary="RLLab's Acrobot: lift two links upright by a motor between them, and hold them, within 10 s",
-    env_id="irl_bench/Acrobot-v0",
+    env_id="irl_bench_bare/Acrobot-v0",
     obs_size=6,
     act_size=1,
     obs_names=(

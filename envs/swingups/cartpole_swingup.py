@@ -112,7 +112,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 SPEC = EnvSpec(
     name="cartpole_swingup",
     summary="RLLab's Cart-Pole Swing Up: swing the pole up from hanging, and hold it, within 25 s",
-    env_id="irl_bench/CartPoleSwingup-v0",
+    env_id="irl_bench_bare/CartPoleSwingup-v0",
     obs_size=5,
     act_size=1,
     obs_names=(

@@ -92,7 +92,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 SPEC = EnvSpec(
     name="swingup",
     summary="Gymnasium's Pendulum-v1: swing a pendulum up with a weak motor, and hold it for 10 s",
-    env_id="irl_bench/Swingup-v0",
+    env_id="irl_bench_bare/Swingup-v0",
     obs_size=3,
     act_size=1,
     obs_names=(Quantity("cosine of the angle"), Quantity("sine of the angle"), Quantity("rate", "rad/s")),

@@ -21,7 +21,7 @@ from harness.engines.cell_environment import as_in_cells
 from harness.judge.results import Conditions
 from harness.learn.seeds import held_out_seeds, rng_for
 from harness.registry import SPECS, BadInput
-from harness.run.keys import EXPERTS, ROOT
+from harness.registry.keys import EXPERTS, ROOT
 from harness.run.progress import say, tell
 from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
 from harness.store.marked import open_marked

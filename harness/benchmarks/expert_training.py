@@ -15,7 +15,7 @@ from harness.judge.results import thinned
 from harness.learn.rl import Agent, Solution, disturbed
 from harness.learn.seeds import rng_for, tuning_seeds
 from harness.registry import SPECS
-from harness.run.keys import origin
+from harness.registry.machine import origin
 from methods.base import Policy
 from methods.network import Network
 

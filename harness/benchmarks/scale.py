@@ -30,9 +30,9 @@ from harness.judge.results import (
     row_of,
 )
 from harness.registry import ENVS
+from harness.registry.machine import origin
 from harness.report.files import recorded_in, write_report
 from harness.report.model import build
-from harness.run.keys import origin
 from harness.schedule.grid import Grid, Sink
 from harness.schedule.plan import Silent, Simulated
 from harness.store.codec import encode

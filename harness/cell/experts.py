@@ -31,8 +31,8 @@ from harness.learn.stored import from_arrays
 from harness.learn.stored import to_arrays as stored_arrays
 from harness.learn.world import TaskWorld, solver_for, without_rewards
 from harness.registry import SPECS, BadInput, Demonstrator, load_method
-from harness.run.keys import experts_version
-from harness.run.plugins import settings_for
+from harness.registry.keys import experts_version
+from harness.registry.plugins import settings_for
 from harness.store.cache import Kept, kept
 from methods.base import Episodes, Policy
 

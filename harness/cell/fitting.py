@@ -25,7 +25,7 @@ from harness.learn.learned import check_learned
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld
 from harness.registry import load_method
-from harness.run.plugins import settings_for
+from harness.registry.plugins import settings_for
 from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast

@@ -96,6 +96,7 @@ class Inputs:
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
             told=lambda steps: self.report(Phase("fit", steps)),
             solve_steps=self.rl_steps,
+            budget=self.conditions.budget,
         )
 
 

@@ -12,7 +12,7 @@ from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
 from harness.judge.results import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
-from harness.run import plugins
+from harness.registry import plugins
 from harness.run.phases import Phase
 from harness.run.resolved import settings_of
 from harness.store.artifacts import artifact
@@ -104,7 +104,7 @@ def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
 def _effort(inputs: Inputs) -> str:
     """Return a warning where a plug-in's settings ask for many more environment steps than others' do."""
     cell = inputs.cell
-    more = plugins.times_as_many(cell.method, cell.env, inputs.conditions.budget)
+    more = effort.times_as_many(cell.method, cell.env, inputs.conditions.budget)
     if more <= effort.MOST:
         return ""
     asked = f"about {more:.0f} times the environment steps of {plugins.like(cell.method)[0]}"

@@ -18,7 +18,7 @@ from harness.judge.ranking import Ranked, ranked
 from harness.judge.results import LEARNED, Conditions, Shown, name_of
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.registry import SPECS
-from harness.run.keys import experts_version
+from harness.registry.keys import experts_version
 from harness.store.artifacts import learned_in
 from harness.store.cache import Kept, as_bytes, from_bytes
 from methods.base import Episodes, Policy

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from harness.learn.stored import compact
 from harness.registry import BadInput
-from harness.run.keys import expert_files
+from harness.registry.keys import expert_files
 from harness.store.cache import Kept, as_bytes, from_bytes
 from methods.network import Network
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from harness.engines.scratch import scratch_folder
 from harness.registry import BadInput
+from harness.registry.keys import program
 from harness.run.environment import of_cells
-from harness.run.keys import program
 from harness.store.cache import compiled_once
 
 

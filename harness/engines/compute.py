@@ -18,9 +18,10 @@ import numpy as np
 
 from harness.engines.jobs import Job, Outcome
 from harness.judge.results import REFERENCE, Cell, CellResult, files_of, policies_of, usable
-from harness.run import plugins
+from harness.registry import plugins
+from harness.registry.keys import cell_keys
+from harness.registry.machine import machine
 from harness.run.environment import hint, of_this_process
-from harness.run.keys import cell_keys, machine
 from harness.run.phases import Phase
 from harness.store.codec import decode, encode, printable
 from harness.store.files import LARGEST_OF_CELL, sha256_of

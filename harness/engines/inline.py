@@ -10,7 +10,7 @@ from typing import Self
 
 from harness.engines.compute import compute, describe, process_restored
 from harness.engines.jobs import WORK, Job, Outcome
-from harness.run import plugins
+from harness.registry import plugins
 from harness.run.environment import of_this_process
 from harness.run.phases import Phase
 from harness.store.cache import compiled_once

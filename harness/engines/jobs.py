@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from harness.judge.results import Cell, Conditions
+from harness.registry.known import Plugin
 from harness.run.phases import Phase
-from harness.run.plugins import Plugin
 
 WORK = "harness.cell.run"
 """The module that does jobs: `prepare` makes what cells share, `run_cell` a cell's result and files."""

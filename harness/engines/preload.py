@@ -10,5 +10,5 @@ for _name in ("harness.engines.worker", "harness.learn.world", "harness.judge.ad
         importlib.import_module(_name)
 with contextlib.suppress(BaseException):
     # What a cell's key is of, read once, too.
-    _keys = importlib.import_module("harness.run.keys")
+    _keys = importlib.import_module("harness.registry.keys")
     _keys.sources(*_keys.RUNNING), _keys.packages.required()

@@ -34,8 +34,7 @@ from harness.engines.jobs import WORK, Job, Outcome
 from harness.engines.processes import Processes
 from harness.engines.scratch import scratch_folder
 from harness.judge.results import LEARNED
-from harness.registry import BadInput, Unfinished
-from harness.run import plugins
+from harness.registry import BadInput, Unfinished, plugins
 from harness.run.environment import CHOSEN, numeric, of_user
 from harness.run.phases import Phase
 from harness.store.files import write_atomic

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from harness.judge.results import Request
-from harness.registry import BUILT_IN, GYMNASIUM_NAME
+from harness.registry.known import GYMNASIUM_NAME
+from harness.registry.names import BUILT_IN
 
 
 def as_seeds(seeds: Sequence[int]) -> str:

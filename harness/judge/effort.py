@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
-from harness.registry import BUILT_IN, SPECS
+from harness.registry import BUILT_IN, SPECS, load_method, plugins
+from methods.settings import settings_for
 
 NO_NUMBERS = "It warns of steps that were taken."
 
@@ -28,6 +29,20 @@ def asked(method: Any, rl_steps: int) -> float:
         return float(method.rl_rounds * rl_steps)
     rolled = getattr(method, "rounds", 0) * getattr(method, "rollouts", 0)
     return float(getattr(method, "rl_steps", rolled))
+
+
+def times_as_many(method: str, env: str, budget: str) -> float:
+    """Return about how many times the steps of the built-in method of its class a plug-in's method takes.
+
+    By its settings; 1 for all others. The method is imported.
+    """
+    if not (names := plugins.like(method)):
+        return 1.0
+    own = load_method(method)(**plugins.settings_for(method, env, budget))
+    usual = load_method(names[0])(**settings_for(names[0], env, budget))
+    steps = plugins.task(env).rl_steps[budget]
+    most = asked(usual, steps)
+    return asked(own, steps) / most if most else 1.0
 
 
 def warnings(results: Sequence[CellResult], budget: str) -> list[str]:

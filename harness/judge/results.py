@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta
 
-from harness.registry import Demonstrator, Experts, LearnerName, Library, Record
+from harness.registry.names import Demonstrator, Experts, LearnerName, Library, Record
 
 Point = TypeVar("Point")
 
@@ -270,7 +270,7 @@ class CellResult:
     learned: Text = ""
     """SHA-256 of what was learned (`harness.store.artifacts`), '' where nothing is stored."""
     key: Text = ""
-    """The digest of all that can change it (`harness.run.keys`)."""
+    """The digest of all that can change it (`harness.registry.keys`)."""
     origin: Annotated[dict[Text, Text], Meta(max_length=100)] = field(default_factory=dict)
     """The machine and the versions that computed it."""
     finished: Text = ""
@@ -284,7 +284,7 @@ class CellResult:
     like: Annotated[list[Name], Meta(max_length=10)] = field(default_factory=list)
     """Built-in methods whose class a plug-in's method has or derives from."""
     task_version: Text = ""
-    """The version of its task, experts and scoring (`harness.run.keys.task_version`)."""
+    """The version of its task, experts and scoring (`harness.registry.keys.task_version`)."""
     solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
     """Every RL solve of the reward, in order. pi_R is the one judged best; ties go to the first."""
     settings: Annotated[Settings, Meta(max_length=10)] = field(default_factory=dict)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from harness.registry import ENVS, SPECS
+from harness.registry import KNOWN, SPECS
 
 PACKAGES = ("envs", "methods", "harness.learn", "harness.judge", "harness.cell")
 """Packages whose dataclasses are stored and loaded: importing one of their modules does nothing else."""
@@ -45,7 +45,7 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
     if type(thing) is tuple:
         return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
     if isinstance(thing, EnvSpec):
-        known = SPECS[thing.name] if thing.name in ENVS else None
+        known = SPECS[thing.name] if thing.name in KNOWN.entries["env"] else None
         # What is stored asks no learner, so a task with another one is the same.
         if known is None or dataclasses.replace(thing, rl=known.rl, rl_steps=known.rl_steps) != known:
             raise TypeError(f"{thing.name} is no registered environment")

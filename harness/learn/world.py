@@ -41,7 +41,7 @@ class TaskWorld:
     it.
 
     `expert`: answers methods that are marked as asking. `told`: called now and then with the environment
-    steps so far. `solve_steps`: as of a `World`. `answers`: actions that the expert gave.
+    steps so far. `solve_steps`, `budget`: as of a `World`. `answers`: actions that the expert gave.
     """
 
     def __init__(
@@ -52,9 +52,11 @@ class TaskWorld:
         expert: Policy | None = None,
         told: Callable[[int], None] = lambda done: None,
         solve_steps: int = 1000,
+        budget: str = "full",
     ) -> None:
         self.obs_size, self.act_size, self.discrete = spec.obs_size, spec.act_size, spec.discrete
         self.horizon, self.gamma, self.solve_steps = spec.horizon, spec.gamma, solve_steps
+        self.budget = budget
         self.phi = Features(spec)
         self.model = spec.tabular.model if spec.tabular else None
         self.env_steps = self.check_steps = self.rl_solves = self.answers = 0

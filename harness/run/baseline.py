@@ -1,8 +1,8 @@
 """Cells of other runs that a run is shown beside, so that they need not be computed again.
 
 That is sound where experts, demonstrations and evaluation episodes are the same, which a task's version says
-(`harness.run.keys.task_version`), and methods are those that are known here by their names, which the second
-half of a key says; machine and packages may be others, and are told.
+(`harness.registry.keys.task_version`), and methods are those that are known here by their names, which the
+second half of a key says; machine and packages may be others, and are told.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from harness.judge.results import (
     Request,
     Shown,
 )
-from harness.registry import METHODS, VARIANTS, BadInput
-from harness.run.keys import cell_keys, experts_version, method_of, origin, task_of, task_version
+from harness.registry import KNOWN, BadInput
+from harness.registry.keys import cell_keys, experts_version, method_of, task_of, task_version
+from harness.registry.machine import origin
 from harness.store.codec import printable
 from harness.store.database import FILE
 from harness.store.opening import open_to_verify
@@ -118,7 +119,7 @@ def is_comparable(result: CellResult, tasks: Mapping[str, str], request: Request
 
 def _methods_now(cells: Iterable[Cell], request: Request, variables: Mapping[str, str]) -> dict[Cell, str]:
     """The keys of the methods that are known here, by cell."""
-    known = {*METHODS, *VARIANTS, *CONTROL_METHODS, REFERENCE}
+    known = {*KNOWN.entries["method"], *CONTROL_METHODS, REFERENCE}
     keys = cell_keys([cell for cell in cells if cell.method in known], request.conditions, variables)
     return {cell: method_of(key) for cell, key in keys.items()}
 

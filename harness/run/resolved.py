@@ -16,8 +16,7 @@ from harness.judge.results import (
     Settings,
     usable,
 )
-from harness.registry import load_method
-from harness.run import plugins
+from harness.registry import load_method, plugins
 from harness.store.codec import printable
 
 NO_NUMBERS = "It tells people what keys are of already."

@@ -21,7 +21,8 @@ from envs.dynamics import Dynamics
 from envs.learners import PPO
 from harness.engines.jobs import Job
 from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
-from harness.run import plugins
+from harness.registry import plugins
+from harness.registry.known import Offer
 from harness.run.environment import cache_folder
 from harness.store.files import read, write_atomic
 
@@ -145,7 +146,7 @@ def slowness() -> float:
     return min(seconds) / WORK
 
 
-def _rate(task: plugins.Offer | EnvSpec) -> float:
+def _rate(task: Offer | EnvSpec) -> float:
     """Return a guess of the RL steps a second in a task."""
     if not isinstance(task, EnvSpec) or not isinstance(task.rl, PPO):
         return REPLAYED

@@ -26,9 +26,9 @@ from harness.judge.results import (
     files_of,
     needs,
 )
-from harness.run.keys import cell_keys
+from harness.registry.keys import cell_keys
+from harness.registry.plugins import modules, needed
 from harness.run.phases import Phase
-from harness.run.plugins import modules, needed
 from harness.run.progress import Progress, progress_for
 from harness.run.tally import Tally
 from harness.schedule.costs import Costs

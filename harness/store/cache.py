@@ -17,8 +17,9 @@ from typing import Any
 
 import safetensors.numpy
 
+from harness.registry.keys import expert_key
+from harness.registry.machine import machine
 from harness.run.environment import cache_folder
-from harness.run.keys import expert_key, machine
 from harness.store.files import can_write, opened, write_atomic
 
 COMPILED_VARIABLE = "JAX_COMPILATION_CACHE_DIR"

@@ -15,7 +15,8 @@ from typing import Any
 
 from harness.judge.results import LEARNED, PROGRAM_NAME, Cell, CellResult, Request, files_of
 from harness.registry import BadInput
-from harness.run.keys import origin, task_version
+from harness.registry.keys import task_version
+from harness.registry.machine import origin
 from harness.store.codec import decode, encode
 from harness.store.database import FILE, Database
 from harness.store.files import append, sha256_of, write_atomic

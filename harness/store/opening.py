@@ -10,8 +10,8 @@ from pathlib import Path
 
 from harness.judge.results import Request
 from harness.registry import BadInput
+from harness.registry.keys import cell_keys
 from harness.run.environment import numeric
-from harness.run.keys import cell_keys
 from harness.store.cells import LOG
 from harness.store.codec import encode
 from harness.store.database import FILE, Damaged, Database, move_aside, open_to_read, open_to_write, rescue

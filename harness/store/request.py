@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.judge.results import Conditions, Request
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput
-from harness.run import plugins
+from harness.registry import ENVS, METHODS, VARIANTS, BadInput, plugins
 from harness.store.codec import encode, parsed
 
 NO_NUMBERS = "It merges what was asked for, of which keys are."

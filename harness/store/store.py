@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from harness.judge.results import CellResult
 from harness.registry import BadInput
-from harness.run.keys import report_key
+from harness.registry.keys import report_key
 from harness.store.cells import LOG, StoredCells, recordings_of
 from harness.store.codec import encode, parsed
 from harness.store.database import FILE

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from harness.judge.results import REFERENCE, Cell, CellResult
-from harness.run.keys import task_of
+from harness.registry.keys import task_of
 
 NO_NUMBERS = "It leaves results out and changes none."
 

@@ -14,9 +14,9 @@ from envs.learners import DDPG, DQN
 from envs.scaled import scaled
 from envs.spec import Quantity
 from harness.registry import SPECS, all_specs
-from harness.testing import ContractError, check_env
-from harness.testing.contract import Check
-from harness.testing.envs import checks
+from harness.registry.contract import ContractError, check_env
+from harness.registry.contract.check import Check
+from harness.registry.contract.tasks import checks
 
 # A task of others, of which nothing is told but its id: it is wrapped, never terminates and draws nothing.
 DERIVED = from_gymnasium("Pendulum-v1", "derived", variants={"moon": {"g": 1.62}})

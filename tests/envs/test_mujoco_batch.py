@@ -15,8 +15,8 @@ from envs import EnvSpec, from_gymnasium
 from envs.copies import try_out
 from envs.mujoco_batch import MujocoBatch, may_touch, twin
 from harness.learn.simulator import Simulator
-from harness.testing.envs import checks
-from harness.testing.lockstep import assert_together_as_alone
+from harness.registry.contract.lockstep import assert_together_as_alone
+from harness.registry.contract.tasks import checks
 
 
 @pytest.fixture(autouse=True)

@@ -22,7 +22,7 @@ def model_of(spec: EnvSpec) -> MujocoEnv:
 @pytest.mark.parametrize("spec", TASKS, ids=ids)
 def test_the_task_is_gymnasiums_bit_for_bit(spec: EnvSpec, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # Gymnasium's own may leave MuJoCo's log there
-    ours, theirs = spec.make(), gym.make(spec.env_id.removeprefix("irl_bench/"))
+    ours, theirs = spec.make(), gym.make(spec.env_id.removeprefix("irl_bench_bare/"))
     rng = np.random.default_rng(0)
     for seed in range(3):
         assert np.array_equal(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])

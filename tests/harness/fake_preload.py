@@ -5,7 +5,7 @@ import gc
 
 import harness.engines.processes  # noqa: F401
 from harness.judge.results import Cell, Conditions
-from harness.run.keys import cell_keys
+from harness.registry.keys import cell_keys
 
 cell_keys([Cell("cartpole", "bc", 0)], Conditions("smoke", "absorbing", "sb3"), {})
 gc.freeze()

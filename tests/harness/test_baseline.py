@@ -10,8 +10,8 @@ import pytest
 from harness import commands
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
-from harness.registry import BadInput
-from harness.run import baseline, keys
+from harness.registry import KNOWN, BadInput, keys
+from harness.run import baseline
 from harness.run.environment import numeric
 from harness.store.opening import open_for_run
 from harness.store.store import Store
@@ -86,7 +86,8 @@ def test_seeds_of_two_versions_of_a_method_are_not_mixed(
         made(tmp_path / "two/b", computed((1, 2)), request),
     ]
     edited(tmp_path / "two", lambda result: result.update(key=result["key"] + "0"))
-    monkeypatch.setattr(baseline, "METHODS", {})  # of a plug-in, which nobody knows here
+    # As of a plug-in, which nobody knows here.
+    monkeypatch.setattr(KNOWN, "entries", {"method": {}, "env": KNOWN.entries["env"]})
     found, left_out = baseline.comparable(runs, MINE, VARIABLES)
     assert [result.cell.seed for result in found] == [0, 1]
     assert left_out == ["gail in b is of another version than in a"]

@@ -12,8 +12,8 @@ import msgspec
 import pytest
 
 from harness.judge.results import CellResult
+from harness.registry import keys
 from harness.report.model import Report
-from harness.run import keys
 from harness.run.events import AnyEvent, Begun, Ended, Reported
 from harness.schedule import plan
 from harness.store import opening

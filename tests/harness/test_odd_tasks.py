@@ -26,7 +26,7 @@ from harness.exported import Exported, ExportedPolicy, LearnedReward
 from harness.learn.simulator import Simulator, drawings
 from harness.learn.training_env import TrainingEnv
 from harness.registry import BadInput
-from harness.testing.envs import checks
+from harness.registry.contract.tasks import checks
 from methods.base import Array
 
 LIMIT = 20

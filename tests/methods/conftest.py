@@ -1,4 +1,4 @@
-"""Worlds that answer at once (`harness.testing.worlds`), for what methods compute themselves."""
+"""Worlds that answer at once (`tests.methods.worlds`), for what methods compute themselves."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from harness.testing.worlds import FakeWorld, FiniteWorld, NoEnvironment
 from methods.base import Episodes, Policy
+from tests.methods.worlds import FakeWorld, FiniteWorld, NoEnvironment
 
 
 @pytest.fixture

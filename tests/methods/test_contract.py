@@ -10,9 +10,9 @@ import pytest
 
 from harness import registry
 from harness.registry import load_method
-from harness.testing import ContractError, check_method
-from harness.testing.contract import Check
-from harness.testing.methods import ACT, OBS, checks
+from harness.registry.contract import ContractError, check_method
+from harness.registry.contract.check import Check
+from harness.registry.contract.methods import ACT, OBS, checks
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Learned, Method, World
 from methods.settings import settings_for
@@ -121,17 +121,17 @@ def draw(demos: Episodes, rng: np.random.Generator) -> Learned:
 BROKEN = [
     (Thawed(), "it is a frozen dataclass", "must be frozen"),
     (Returns(None), "fit returns a policy and a reward", "fit must return a Learned, not NoneType"),
-    (Returns(Learned(lambda obs: obs[:, 0], None)), "fit returns", r"actions \(40, 2\) .* not \(40,\)"),
-    (Returns(Learned(lambda obs: obs[:, :2], None)), "fit returns", r"must lie in \[-1, 1\]"),
+    (Returns(Learned(lambda obs: obs[:, 0], None)), "fit returns", "actions must"),
+    (Returns(Learned(lambda obs: obs[:, :2], None)), "fit returns", r"lie in \[-1, 1\]"),
     (Returns(Learned(lambda obs: np.full((len(obs), 2), np.nan), None)), "fit returns", "finite"),
     (Returns(Learned(lambda obs: linear(obs - len(obs)), None)), "fit returns", "same batch"),
     (Returns(Learned(lambda obs: linear(obs) + 0j, None)), "fit returns", "real numbers.*docs/plugins.md"),
     (Returns(Learned(linear, None, {"loss": []})), "fit returns", "the curve 'loss'"),
-    (Returns(Learned(linear, linear)), "fit returns", "needs `absorbing`"),  # type: ignore[arg-type]
-    (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "must be a finite number, not None"),
+    (Returns(Learned(linear, linear)), "fit returns", "lacks `absorbing`"),  # type: ignore[arg-type]
+    (Returns(Learned(linear, Pays(absorbing=None))), "fit returns", "`absorbing` must be a number, not None"),
     (Returns(Learned(linear, Pays(size=2))), "fit returns", r"one number a step, \(40,\), not \(80,\)"),
     (Returns(Learned(linear, Pays(1j))), "fit returns", "rewards must be real numbers"),  # type: ignore[arg-type]
-    (Returns(Learned(linear, Pays(np.inf))), "fit returns", "rewards must be finite"),
+    (Returns(Learned(linear, Pays(np.inf))), "fit returns", "one finite number for each step"),
     (Returns(change), "it leaves demonstrations as they are", "changed the demonstrations"),
     (Returns(draw), "nothing but its generator decides", "draw from `rng` alone"),
     (Returns(lambda demos, rng: 1 / 0), "fit returns", "ZeroDivisionError"),

@@ -29,7 +29,7 @@ def steps(act: Array) -> Transitions:
 @pytest.fixture
 def does(monkeypatch: pytest.MonkeyPatch) -> Callable[[Array], None]:
     """Has every agent seen itself do these actions."""
-    replay = "harness.testing.worlds.FakeAgent.replay"
+    replay = "tests.methods.worlds.FakeAgent.replay"
     return lambda act: monkeypatch.setattr(replay, lambda self: steps(act))
 
 

@@ -15,11 +15,11 @@ import pytest
 from harness.benchmarks import scale
 from harness.engines.jobs import Outcome
 from harness.judge.results import Request, Shown
+from harness.registry.keys import cell_keys
 from harness.report import charts, curves, figures, html, model
 from harness.report.files import report_files
 from harness.report.model import build
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.keys import cell_keys
 
 
 @pytest.fixture(autouse=True)

@@ -16,10 +16,9 @@ from harness.cell.shipped import shipped_experts
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Conditions, Request, Row
 from harness.learn.seeds import held_out_seeds
-from harness.registry import SPECS, BadInput, all_specs
-from harness.run import keys
+from harness.registry import SPECS, BadInput, all_specs, keys
+from harness.registry.keys import EXPERTS, ROOT, cell_keys, experts_version, program
 from harness.run.environment import CACHE_VARIABLE, numeric
-from harness.run.keys import EXPERTS, ROOT, cell_keys, experts_version, program
 from harness.store.cache import as_bytes, from_bytes
 from harness.store.opening import open_for_report, open_for_run
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,8 +9,8 @@ import gymnasium
 import pytest
 
 from harness.cli import main
-from harness.registry import ENVS, PLUGINS, SPECS
-from harness.run import plugins
+from harness.registry import KNOWN
+from harness.registry.gymnasium_tasks import TASKS
 
 ODD = """
 import gymnasium as gym
@@ -47,15 +46,12 @@ REASONS = {"not whole ones": (WHOLE, "1.0"), "gives nan as reward of step 7": (F
 @pytest.fixture(autouse=True)
 def registered() -> Iterator[None]:
     """What is made known here is forgotten again."""
-    tables = [ENVS, SPECS, PLUGINS["env"], plugins.gymnasium, gymnasium.registry]
-    known, before = [dict(table) for table in tables], set(sys.modules)
-    yield
-    for table, its in zip(tables, known, strict=True):
-        for name in table.keys() - its.keys():
-            del table[name]
-    for name in set(sys.modules) - before:
-        if name.startswith(plugins.FILE_MODULE):
-            del sys.modules[name]
+    before = {*gymnasium.registry}
+    with KNOWN.for_now():
+        yield
+    TASKS.clear()
+    for name in gymnasium.registry.keys() - before:
+        del gymnasium.registry[name]
 
 
 @pytest.mark.parametrize("quiet", [True, False])

@@ -17,10 +17,9 @@ from harness.cell.shared import Shared, prepare
 from harness.judge.results import Conditions, Shown
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
-from harness.registry import SPECS
-from harness.run import packages
+from harness.registry import SPECS, packages
+from harness.registry.keys import experts_version, program
 from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
-from harness.run.keys import experts_version, program
 from harness.store import cache
 from harness.store.cache import Kept, cache_file, kept, load
 

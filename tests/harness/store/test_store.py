@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from harness.cli import main
 from harness.judge.results import LARGEST, LEARNED, Cell, CellResult, Conditions, Request, Row
-from harness.registry import BadInput
-from harness.run import packages
+from harness.registry import BadInput, packages
 from harness.store import marked
 from harness.store.codec import decode, encode
 from harness.store.database import FILE

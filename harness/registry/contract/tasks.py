@@ -1,4 +1,4 @@
-"""What every task must satisfy, cheap checks first."""
+"""The contract of tasks, cheap checks first."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from gymnasium.wrappers import TransformObservation
 
 from envs import BUDGETS, EnvSpec
 from envs.copies import Copies, alone
-from harness.testing.contract import Check, expect
-from harness.testing.lockstep import assert_together_as_alone
+from harness.registry.contract.check import Check, expect
+from harness.registry.contract.lockstep import assert_together_as_alone
 from methods.base import Array
 
 LARGE = 100
@@ -23,7 +23,7 @@ LARGE = 100
 
 
 def checks(spec: EnvSpec) -> list[Check]:
-    """What it must satisfy; each is to be called."""
+    """Return the checks of a task, to be called."""
     found = [
         Check("budgets grow", partial(_budgets, spec)),
         Check("actions are scaled and sizes are as said", partial(_sizes, spec)),
@@ -41,7 +41,7 @@ def checks(spec: EnvSpec) -> list[Check]:
 
 
 def play(copy: Copies, seed: int, acts: Array) -> list[Any]:
-    """Return what the first copy gives in the episode of that seed and these actions (T, A)."""
+    """Return the observations and steps of the first copy, in the episode of a seed and actions (T, A)."""
     seen: list[Any] = [copy.reset(0, seed).tolist()]
     for act in acts:
         step = [part[0].tolist() for part in copy.step([0], act[None])]

@@ -11,7 +11,7 @@ import pytest
 
 import irl_bench
 from harness.cli import main
-from harness.run import plugins
+from harness.registry import KNOWN
 from tests.harness.plugged import MINE, SMOKE, command
 
 ROOT = Path(__file__).parents[3]
@@ -112,12 +112,12 @@ def test_numbers_that_are_not_real_fail_the_cell(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("IRL_BENCH_CACHE", str(tmp_path / "cache"))
     words = ("run", "--methods", "mine", "--envs", "swingup", "--plugin", "odd.py", "--engine", "inline")
-    with plugins.for_now():
+    with KNOWN.for_now():
         assert main([*words, *SMOKE]) == 1
     scores = irl_bench.load(tmp_path / "results/latest").scores
     reasons = scores[scores.method == "mine"].reason
     assert len(reasons)
-    assert reasons.str.startswith("ComplexWarning: Casting complex values to real").all()
+    assert reasons.str.startswith("TypeError: actions must be real numbers, not complex128").all()
 
 
 def test_experts_of_a_task_of_gymnasium_are_trained_for_runs(tmp_path: Path) -> None:

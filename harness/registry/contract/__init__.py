@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from envs import EnvSpec
-from harness.testing import envs, methods
-from harness.testing.contract import Check, ContractError
+from harness.registry.contract import methods, tasks
+from harness.registry.contract.check import Check, ContractError
 from methods.base import Method
 
-__all__ = ["ContractError", "check_env", "check_method"]
+__all__ = ["ContractError", "check_env", "check_method", "methods", "tasks"]
 
 
 def check_method(method: Method) -> None:
-    """Raises ContractError where it breaks the contract of methods, with what was expected and what came."""
+    """Raise ContractError, with what was expected and what came, for a method that breaks the contract."""
     _run(methods.checks(method))
 
 
 def check_env(spec: EnvSpec) -> None:
-    """Raises ContractError where it breaks the contract of tasks, with what was expected and what came."""
-    _run(envs.checks(spec))
+    """Raise ContractError, with what was expected and what came, for a task that breaks the contract."""
+    _run(tasks.checks(spec))
 
 
 def _run(checks: list[Check]) -> None:

@@ -6,7 +6,7 @@ import sys
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
-from harness.registry import BadInput
+from harness.registry.names import BadInput
 
 NO_NUMBERS = "It says where Python finds the program, whose source is in the keys."
 PACKAGES = ("envs", "methods", "harness")
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class _First:
-    """A finder of this program's packages, and of the module that gives names of theirs."""
+    """A finder of this program's packages, and of the public module."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
@@ -23,8 +23,7 @@ class _First:
 
 
 def first() -> None:
-    """Make Python find this program's packages first. Raises BadInput where another one of their names is
-    imported already."""
+    """Make Python find this program's packages first. Raises BadInput for another one that is imported."""
     if _First not in sys.meta_path:
         sys.meta_path.insert(0, _First)
     for name in PACKAGES:
@@ -33,8 +32,5 @@ def first() -> None:
             continue
         places = [*getattr(there, "__path__", []), getattr(there, "__file__", None)]
         if ROOT / name not in [Path(place).resolve() for place in places if place]:
-            raise BadInput(hides(str(places[-1] or places[0]), name), page="plugins")
-
-
-def hides(file: str, name: str) -> str:
-    return f"{file} hides this program's package {name!r}: rename it"
+            file = places[-1] or places[0]
+            raise BadInput(f"{file} hides this program's package {name!r}: rename it", page="plugins")

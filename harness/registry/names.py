@@ -1,24 +1,23 @@
-"""Names, for all rooms: which methods and environments there are, known without importing any of them."""
+"""Names of everything built in, known without an import of any of it, and the choice among names."""
 
 from __future__ import annotations
 
 import difflib
-import importlib
 import re
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, NamedTuple, cast
-
-if TYPE_CHECKING:
-    from envs import EnvSpec
-    from methods.base import Method
+from typing import Literal, NamedTuple
 
 NO_NUMBERS = {
     "METHODS": "Keys are of a cell's own entry.",
     "VARIANTS": "Keys are of a cell's own entry.",
     "ENVS": "Keys are of a cell's own entry.",
-    "NO_NAMES": "It says what users may mean.",
-    "GROUPS": "It says what users may type.",
+    "BUILT_IN": "Keys are of a cell's own entry.",
+    "NO_NAMES": "It answers users who look for these.",
+    "GROUPS": "It lists what users may type.",
+    "choose": "It reads what users type.",
+    "_instead": "It answers users.",
+    "_mentioning": "It answers users.",
 }
 
 Library = Literal["sbx", "sb3"]
@@ -37,13 +36,13 @@ ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
-"""What becomes of an episode's end (`harness.learn.rl`); the last two are parts of the first."""
+"""Treatments of an episode's end (`harness.learn.rl`). The last two are parts of the first."""
 
 
 class BadInput(Exception):
-    """What the user asked for cannot be done; its text is the one line they are told.
+    """A request that cannot be done. Its text is the one line that the user reads.
 
-    page: of docs/, without its ending, where it says what can be done; the line ends with it.
+    page: the page of docs/ that helps, without its ending. The line ends with it.
     """
 
     def __init__(self, text: str, page: str = "") -> None:
@@ -51,16 +50,16 @@ class BadInput(Exception):
 
 
 class Unfinished(Exception):
-    """An end of a run before it was done, which its text tells in one line; what is finished is kept."""
+    """An end of a run before it was done. Its text is one line, and what is finished is kept."""
 
     def __init__(self, why: str) -> None:
         super().__init__(f"{why}; what is finished is kept, and the same command goes on")
 
 
 class Entry(NamedTuple):
-    """Where a method or an environment's `EnvSpec` is ('module:name') and what it is, in one line.
+    """The place of a method's class or a task's `EnvSpec` ('module:name'), and a summary of one line.
 
-    variants: an environment's other dynamics, known here without importing it.
+    variants: a task's other dynamics.
     """
 
     target: str
@@ -108,9 +107,9 @@ VARIANTS = {
         "methods.maxmargin:MaxMargin", "maxmargin by the paper's projection method instead"
     ),
 }
-"""Methods that run when they are named, but are not part of 'all'."""
+"""Methods that run when they are named, and are not part of 'all'."""
 ASKING = ("dagger",)
-"""Methods that ask the expert what it would do: a ceiling, and no rivals of those that do not."""
+"""Methods that ask the expert for its actions: a ceiling for the others."""
 ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",
@@ -191,7 +190,7 @@ NO_NAMES = {
         "{} learns from rewards: tasks name their learner (docs/design.md)",
     ),
 }
-"""What is said of names, in lower case and with _, that others might look for here."""
+"""Advice on names that users may look for, in lower case and with _."""
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
@@ -200,30 +199,13 @@ GROUPS = {
 }
 """Names that stand for several environments."""
 
-
 BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
-"""What is part of this program."""
-GYMNASIUM_NAME = "gym_"
-"""How the names begin of tasks that are known by their id in Gymnasium, which follows."""
-PLUGINS: dict[str, dict[str, Entry]] = {"method": {}, "env": {}}
-"""What is not (`harness.run.plugins`); those are among `VARIANTS` and `ENVS`, too."""
+"""Names of this program's own methods and tasks."""
 
 
-class _Specs(dict[str, "EnvSpec"]):
-    """Imports an environment when it is first asked for; its length and order are of those so far."""
-
-    def __missing__(self, name: str) -> EnvSpec:
-        self[name] = cast("EnvSpec", _load(ENVS[name].target))
-        return self[name]
-
-
-SPECS = _Specs()
-"""Environments by name, each imported when it is asked for."""
-
-
-def all_specs() -> list[EnvSpec]:
-    """Every environment of this program, imported now, in the order of `ENVS`."""
-    return [SPECS[name] for name in BUILT_IN["env"]]
+def plain(text: str) -> str:
+    """Return the text with every character escaped that cannot be printed."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def choose(
@@ -233,10 +215,10 @@ def choose(
     variants: Collection[str] = (),
     groups: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> tuple[str, ...]:
-    """The names in a comma-separated `text`, 'all' being every known one but no variant, and a group's name
-    all that are of it, without repeats, in the order of `known` and then `variants`.
+    """Return the names in a text with commas between, in the order of `known` and `variants`.
 
-    Raises BadInput, with the closest matches, for unknown names; and for an empty one.
+    'all' stands for every name of `known`, and a group's name for its members.
+    Raises BadInput for an empty name and, with the closest matches, for unknown ones.
     """
     names = [name.strip() for name in text.split(",")]
     choices = (*known, *variants)
@@ -244,24 +226,24 @@ def choose(
     if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     if unknown := [name for name in names if name not in groups and name not in choices]:
-        told = "; ".join(_instead(unknown, [*choices, *groups])) or f"there are {', '.join(choices)}"
-        raise BadInput(f"no {kind} named {', '.join(map(repr, unknown))}; {told}")
+        help_ = "; ".join(_instead(unknown, [*choices, *groups])) or f"there are {', '.join(choices)}"
+        raise BadInput(f"no {kind} named {', '.join(map(repr, unknown))}; {help_}")
     chosen = {one for name in names for one in groups.get(name, (name,))}
     return tuple(name for name in choices if name in chosen)
 
 
 def _instead(unknown: Sequence[str], choices: Sequence[str]) -> list[str]:
-    """What is said of these names instead of all that there are; nothing where one of them is like none."""
-    told, meant = list[str](), list[str]()
+    """Return advice on these names. It is empty where one of them resembles no choice."""
+    advice, meant = list[str](), list[str]()
     for name in unknown:
         as_ours = name.lower().replace("-", "_").replace("iqlearn", "iq_learn")
         env, _, variant = name.partition(".")
         if as_ours in choices:
             meant.append(repr(as_ours))
         elif as_ours in NO_NAMES:
-            told.append(NO_NAMES[as_ours].format(name))
+            advice.append(NO_NAMES[as_ours].format(name))
         elif env in ENVS and variant in ENVS[env].variants:
-            told.append(f"it is --envs {env} --transfer {variant}")
+            advice.append(f"it is --envs {env} --transfer {variant}")
         elif near := (
             [one for one in choices if one.startswith(as_ours)]
             or _mentioning(name, choices)
@@ -269,31 +251,14 @@ def _instead(unknown: Sequence[str], choices: Sequence[str]) -> list[str]:
         ):
             meant.append(repr(near[0]))
         elif re.fullmatch(r".+-v\d+", name):
-            told.append(f"a task of Gymnasium is gym:{name}")
+            advice.append(f"a task of Gymnasium is gym:{name}")
         else:
             return []
-    return told + ([f"did you mean {', '.join(meant)}?"] if meant else [])
+    return advice + ([f"did you mean {', '.join(meant)}?"] if meant else [])
 
 
 def _mentioning(name: str, choices: Collection[str]) -> list[str]:
-    """Those of the choices whose summary has the name in it, such as 'CartPole-v1' or 'D-REX'."""
+    """Return the choices whose summary has the name in it, such as 'CartPole-v1' or 'D-REX'."""
     whole = re.compile(rf"(?<![\w-]){re.escape(name)}(?![\w-])", re.IGNORECASE)
     entries = METHODS | VARIANTS | ENVS
     return [one for one in choices if one in entries and whole.search(entries[one].summary)]
-
-
-def load_method(name: str) -> type[Method]:
-    """The method's dataclass, imported now. Raises BadInput for an unknown name."""
-    entries = METHODS | VARIANTS
-    if name not in entries:
-        choose("method", name, METHODS, VARIANTS)
-        raise BadInput(f"{name!r} is not one method")
-    return cast("type[Method]", _load(entries[name].target))
-
-
-def _load(target: str) -> object:
-    """The attribute of a module, 'module:attribute', or what that has by a key, 'module:attribute/key'."""
-    module, _, place = target.partition(":")
-    attribute, _, key = place.partition("/")
-    found = getattr(importlib.import_module(module), attribute)
-    return found[key] if key else found

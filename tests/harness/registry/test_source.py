@@ -12,7 +12,9 @@ import pytest
 from numpy._core._multiarray_umath import __cpu_features__
 
 from harness.judge.results import Cell, Conditions
-from harness.run import keys
+from harness.registry import keys, packages
+from harness.registry.keys import ROOT, RUNNING, cell_keys, expert_key, program, sources
+from harness.registry.sources import PROGRAM
 from harness.run.environment import (
     CHOSEN,
     FIXED,
@@ -23,7 +25,6 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
-from harness.run.keys import PROGRAM, ROOT, RUNNING, cell_keys, expert_key, program, sources
 from tests.harness.fake_runs import compute, prepared
 
 HERE = Path(__file__).parents[1]
@@ -83,7 +84,7 @@ def start(copy: Path, *arguments: str, **variables: str) -> subprocess.Popen[str
 
 def test_what_is_edited_counts_from_the_next_run_on_and_for_its_own_cells(copy: Path) -> None:
     """An editor has a file open all the while."""
-    bc, registry = copy / "methods/bc.py", copy / "harness/registry.py"
+    bc, registry = copy / "methods/bc.py", copy / "harness/registry/names.py"
     as_it_was = bc.read_text()
     (copy / "methods/.#bc.py").symlink_to("nobody@nowhere")
     process = start(copy, *RUN)
@@ -125,7 +126,7 @@ TELLS = """
 import json, os
 from harness.judge.results import Cell, Conditions
 from harness.run.environment import of_this_process
-from harness.run.keys import cell_keys
+from harness.registry.keys import cell_keys
 
 def prepare(cells, conditions):
     try:
@@ -163,7 +164,7 @@ def test_only_what_python_would_import_counts(reading: Path) -> None:
     (reading / "methods/bc copy.py").write_text("a copy")
     (reading / "methods/bc.py~").write_text("a backup")
     (reading / "methods/.bc.py.swp").write_bytes(b"\xff")
-    (reading / "envs/notes.txt").write_text("mine")
+    (reading / "envs/notes.json").write_text("{}")
     (reading / "methods/__pycache__").mkdir()
     (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
     program.cache_clear()
@@ -330,7 +331,7 @@ def test_a_module_that_hides_an_installed_one_is_part_of_the_key(
     (tmp_path / name / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, name, raising=False)
-    keys._elsewhere.cache_clear()
+    packages.elsewhere.cache_clear()
     assert expert_key("cartpole", None) != before
     monkeypatch.undo()
-    keys._elsewhere.cache_clear()
+    packages.elsewhere.cache_clear()

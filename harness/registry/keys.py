@@ -1,0 +1,183 @@
+"""Keys: digests of all that can change a result, so that a stored result is used for no other request."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from harness.judge.results import CONTROL_METHODS, Cell, Conditions, Shown
+from harness.registry import packages, plugins
+from harness.registry.known import KNOWN
+from harness.registry.plugins import settings_for
+from harness.registry.sources import PROGRAM, OfProgram, Sources, reach
+from harness.run import environment
+
+NO_NUMBERS = "Its results are the keys themselves."
+
+RUNNING = (
+    *("harness.schedule.grid", "harness.store.store", "harness.cell.run", "harness.engines.ray"),
+    *("harness.engines.processes", "harness.engines.preload"),
+)
+"""Modules that feed, start, compute and store cells."""
+EXPERTS_MODULE = "harness.cell.shared"
+"""The module that makes what cells share."""
+CLONE = "bc"
+"""The method that replaces an absent expert (`harness.cell.experts.NoExpert`)."""
+SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
+"""Modules that score policies, and choose the episodes."""
+REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
+"""Packages that decide, besides the program, how cells are reported."""
+PUBLIC = "irl_bench.py"
+"""The module that gives plug-ins all of the program under one name."""
+EXPERTS = ("results/reference/experts", "harness/shipped")
+"""Folders of the shipped experts: in the repository, and where the package is installed."""
+KINDS = ("py", "html.j2", "css", "js", "json", "csv", "npz", "safetensors")
+"""Endings of the program's files, data files included."""
+ROOT = Path(__file__).parents[2]
+
+
+@functools.cache
+def program() -> dict[str, bytes]:
+    """Return the program's files and the shipped experts, by path below `ROOT`, as they were first read.
+
+    Keys are of this reading, and the processes of cells execute it whatever the files hold by then.
+    """
+    files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _is_ours(file)]
+    files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
+    files.append(ROOT / PUBLIC)
+    return {file.relative_to(ROOT).as_posix(): file.read_bytes() for file in files if file.is_file()}
+
+
+def _is_ours(file: Path) -> bool:
+    """Return whether it is no backup, hidden file or bytecode."""
+    *folders, name = file.relative_to(ROOT).parts
+    stem, _, kind = name.partition(".")
+    return kind in KINDS and all(part.isidentifier() for part in (*folders, stem))
+
+
+def expert_files(env: str) -> dict[str, bytes]:
+    """Return the file of a task's shipped experts by its path below `ROOT`; empty where it has none."""
+    names = [f"{folder}/{env}.safetensors" for folder in EXPERTS]
+    return {name: program()[name] for name in names if name in program()}
+
+
+def experts_version(env: str) -> str:
+    """Return eight hexadecimal digits of a task's shipped experts; '' where it has none."""
+    digests = [
+        f"{Path(name).name} {hashlib.sha256(data).hexdigest()}" for name, data in expert_files(env).items()
+    ]
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:8] if digests else ""
+
+
+def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[str, str]) -> dict[Cell, str]:
+    """Return the key that each cell must have been computed under to count, 'TASK:METHOD'.
+
+    TASK is a digest of all that the cells of a task share, METHOD one of the source and the settings of the
+    cell's own method. Cells can be compared where TASK is the same.
+    variables: `environment.numeric` variables of the processes that compute the cells.
+    """
+    more: list[object] = [_installed(), dict(variables)]
+    tasks, methods = dict[str, str](), dict[tuple[str, str, Shown, str], str]()
+    keys = {}
+    for cell in cells:
+        if cell.env not in tasks:
+            tasks[cell.env] = _task_digest(cell.env, conditions, more)
+        part = (cell.env, cell.method, cell.shown, cell.dynamics)
+        if part not in methods:
+            methods[part] = _method_digest(cell, conditions.budget)
+        keys[cell] = f"{tasks[cell.env]}:{methods[part]}"
+    return keys
+
+
+def _task_digest(env: str, conditions: Conditions, more: list[object]) -> str:
+    asked: list[object] = [_asked(conditions), experts_version(env), _target("env", env)]
+    running = [*RUNNING]
+    if conditions.experts == "none":
+        asked += [_target("method", CLONE), settings_for(CLONE, env, conditions.budget)]
+        running.append(_target("method", CLONE).partition(":")[0])
+    return _digest_of("env", env, running, asked, more)
+
+
+def _method_digest(cell: Cell, budget: str) -> str:
+    method = CONTROL_METHODS.get(cell.method, cell.method)
+    settings = settings_for(method, cell.env, budget)
+    asked = [method, _target("method", method), settings, _asked(cell.shown), cell.dynamics]
+    return _digest_of("method", method, [], asked, [])
+
+
+def task_version(env: str) -> str:
+    """Return a digest of a task, its shipped experts, and the scoring of policies in it.
+
+    Where it is the same, scores can be compared, whatever machine and packages they were computed with.
+    """
+    return _digest_of("env", env, SCORING, [experts_version(env), _target("env", env)], [])
+
+
+def expert_key(env: str, asked: object) -> str:
+    """Return the key of a task's expert and what is made with it. asked: a value that JSON can hold."""
+    return _digest_of("env", env, [EXPERTS_MODULE], asked, [_installed(), environment.of_this_process()])
+
+
+def report_key(cells: object) -> str:
+    """Return the key of a report: of the program, and of cells that JSON can hold."""
+    shown_by = {
+        name: hashlib.sha256(data).hexdigest()
+        for name, data in program().items()
+        if name.startswith("harness/")
+    }
+    return _digest({}, [cells, shown_by, _installed(), packages.versions(REPORT_PACKAGES)])
+
+
+def task_of(key: str) -> str:
+    """Return the part of a cell's key that comparable cells share."""
+    return key.partition(":")[0]
+
+
+def method_of(key: str) -> str:
+    """Return the part of a cell's key that is of its method alone."""
+    return key.partition(":")[2]
+
+
+def sources(*modules: str) -> dict[str, str]:
+    """Return the digests of the program's files that numbers of these modules can come from, by path."""
+    return reach(OfProgram(program()), modules)
+
+
+def _asked(value: Conditions | Shown) -> dict[str, object]:
+    """Return the fields without `record` and without defaults: a new field changes no key."""
+    return {
+        field.name: asked
+        for field in dataclasses.fields(value)
+        if (asked := getattr(value, field.name)) != field.default and field.name != "record"
+    }
+
+
+def _target(kind: str, name: str) -> str:
+    """Return the place that the registry has for a name, '' where it is not known."""
+    entry = KNOWN.entries[kind].get(name)
+    return entry.target if entry else ""
+
+
+def _installed() -> list[object]:
+    return [platform.python_version(), packages.required(), packages.elsewhere()]
+
+
+def _digest_of(kind: str, name: str, modules: Iterable[str], asked: object, more: list[object]) -> str:
+    """Return a digest of a method or task, program modules, and values that JSON can hold."""
+    others, needed = Sources(), dict[str, str]()
+    if name in KNOWN.of_plugins(kind):
+        others = plugins.sources(kind, name)
+        needed = plugins.packages_of_task(name) if kind == "env" else {}
+    own = _target(kind, name).partition(":")[0]
+    files = sources(*modules, *filter(None, [own]), *others.program)
+    return _digest(files, [asked, more, others.digests, needed])
+
+
+def _digest(files: Mapping[str, str], values: object) -> str:
+    everything = json.dumps([values, files], sort_keys=True)
+    return hashlib.sha256(everything.encode()).hexdigest()[:16]

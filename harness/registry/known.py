@@ -1,0 +1,237 @@
+"""The registry: every method and task that is known by a name, built-in ones and those of plug-ins."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any, cast
+
+from harness.registry.names import BUILT_IN, ENVS, GROUPS, METHODS, VARIANTS, BadInput, Entry, choose
+from harness.registry.sources import PROGRAM, Sources, sources_of
+
+if TYPE_CHECKING:
+    from envs import EnvSpec
+    from methods.base import Method
+
+FILE_MODULE = "irl_bench_plugin_"
+"""Beginning of the names of modules that are made of files."""
+GYMNASIUM_NAME = "gym_"
+"""Beginning of the names of tasks that are known by their id in Gymnasium."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A plug-in as it was named. place: the file, or the folder where Python finds the module."""
+
+    name: str
+    place: str
+
+    @property
+    def is_file(self) -> bool:
+        return self.name.endswith(".py")
+
+    @property
+    def module(self) -> str:
+        return FILE_MODULE + re.sub(r"\W", "_", Path(self.place).stem) if self.is_file else self.name
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Facts about a plug-in's method or task, without the object itself.
+
+    like: the built-in methods whose class a method has, or derives from.
+    takes: the hyper-parameters that it takes from their settings.
+    variants, discrete, rl_steps, ddpg_steps, solves: fields of a task's `EnvSpec`.
+    packages: the versions of the packages that a task needs.
+    registered: the sources of the modules that Gymnasium's registry names for a task.
+    """
+
+    kind: str
+    name: str
+    target: str
+    summary: str
+    like: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
+    discrete: bool = False
+    rl_steps: dict[str, int] = field(default_factory=dict)
+    ddpg_steps: dict[str, int] = field(default_factory=dict)
+    solves: dict[str, int] = field(default_factory=dict)
+    packages: dict[str, str] = field(default_factory=dict)
+    registered: Sources = field(default_factory=Sources)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A module that was imported in this process. sources: its sources then.
+
+    is_plugin: whether it defines methods or tasks; else a task is registered with it.
+    """
+
+    module: ModuleType
+    sources: Sources
+    is_plugin: bool
+
+    @property
+    def is_current(self) -> bool:
+        """Whether neither the module nor a source of it was replaced since."""
+        name = self.module.__name__
+        with suppress(OSError):
+            return sys.modules.get(name) is self.module and sources_of(name) == self.sources
+        return False
+
+
+class Specs(dict[str, "EnvSpec"]):
+    """Tasks by name, each imported when it is asked for."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+
+    def __missing__(self, name: str) -> EnvSpec:
+        self[name] = cast("EnvSpec", self._registry.imported(self._registry.entries["env"][name]))
+        return self[name]
+
+
+class Registry:
+    """Methods and tasks by name, with all that is known of plug-ins.
+
+    entries: by kind ('method' or 'env') and name. specs: tasks by name.
+    plugins: those that were named, by module. offers: facts that another process reported, by target.
+    sources: of modules, as it reported them. loaded: plug-ins' modules that this process imported.
+    """
+
+    def __init__(self) -> None:
+        self.entries: dict[str, dict[str, Entry]] = {"method": METHODS | VARIANTS, "env": {**ENVS}}
+        self.specs = Specs(self)
+        self.plugins: dict[str, Plugin] = {}
+        self.offers: dict[str, Offer] = {}
+        self.sources: dict[str, Sources] = {}
+        self.loaded: list[Loaded] = []
+
+    @contextmanager
+    def for_now(self) -> Iterator[None]:
+        """Forget, as the context ends, the plug-ins that were added in it; imported modules stay so."""
+        tables: list[dict[str, Any]] = [*self.entries.values(), self.plugins, self.offers, self.sources]
+        before = [dict(table) for table in tables]
+        try:
+            yield
+        finally:
+            for table, entries in zip(tables, before, strict=True):
+                table.clear()
+                table.update(entries)
+            for name in self.specs.keys() - self.entries["env"].keys():
+                del self.specs[name]
+
+    def of_plugins(self, kind: str) -> dict[str, Entry]:
+        """Return the entries that are not this program's own."""
+        return {name: entry for name, entry in self.entries[kind].items() if name not in BUILT_IN[kind]}
+
+    def chosen_methods(self, text: str) -> tuple[str, ...]:
+        """Return the methods in a text with commas between. Raises BadInput as `choose` does."""
+        theirs = tuple(self.of_plugins("method"))
+        return choose("method", text, METHODS, (*VARIANTS, *theirs), {"plugins": theirs})
+
+    def chosen_envs(self, text: str) -> tuple[str, ...]:
+        """Return the tasks in a text with commas between. Raises BadInput as `choose` does."""
+        theirs = tuple(self.of_plugins("env"))
+        return choose("env", text, ENVS, theirs, {**GROUPS, "plugins": theirs})
+
+    def register(self, kind: str, name: object, entry: Entry) -> None:
+        """Add a plug-in's method or task. Raises BadInput for a name that is taken or cannot be used."""
+        if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
+            raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
+        taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", "expert", *GROUPS}
+        if taken or name.startswith(("control_", GYMNASIUM_NAME)):
+            raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
+        known = self.entries[kind].setdefault(name, entry)
+        if known.target != entry.target:
+            raise BadInput(f"two plug-ins name a {kind} {name!r}: {known.summary}, and {entry.summary}")
+        self.entries[kind][name] = entry
+
+    def add(self, plugin: Plugin) -> None:
+        """Add a plug-in, and forget what it named before. A file that was edited is executed anew."""
+        begins = f"{plugin.module}:"
+        for table in self.entries.values():
+            for name in [name for name, entry in table.items() if entry.target.startswith(begins)]:
+                del table[name]
+                self.specs.pop(name, None)
+        for target in [target for target in self.offers if target.startswith(begins)]:
+            del self.offers[target]
+        there = sys.modules.get(plugin.module)
+        if (
+            there
+            and plugin.is_file
+            and not any(one.module is there and one.is_current for one in self.loaded)
+        ):
+            del sys.modules[plugin.module]
+        self.plugins[plugin.module] = plugin
+
+    def module(self, name: str, is_plugin: bool = True) -> ModuleType:
+        """Return a module, imported now. Plug-ins' modules are noted with their sources."""
+        plugin = self.plugins.get(name)
+        if name not in sys.modules and plugin and plugin.is_file:
+            module = _executed(name, plugin.place)
+        else:
+            module = importlib.import_module(name)
+        if name.partition(".")[0] not in PROGRAM and all(one.module is not module for one in self.loaded):
+            self.loaded.append(Loaded(module, sources_of(name), is_plugin))
+        return module
+
+    def imported(self, entry: Entry) -> object:
+        """Return the object of an entry, 'module:attribute' or its item 'module:attribute/key'."""
+        name, _, place = entry.target.partition(":")
+        attribute, _, key = place.partition("/")
+        thing = getattr(self.module(name), attribute)
+        return thing[key] if key else thing
+
+    def thing(self, kind: str, name: str) -> Any:
+        """Return a method's class or a task's `EnvSpec`."""
+        return self.imported(self.entries["method"][name]) if kind == "method" else self.specs[name]
+
+
+def _executed(name: str, file: str) -> ModuleType:
+    """Return a new module made of a file."""
+    loader = _FileLoader(name, file)
+    spec = importlib.util.spec_from_file_location(name, file, loader=loader)
+    assert spec is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        loader.exec_module(module)
+    except BaseException:
+        sys.modules.pop(name, None)
+        raise
+    return module
+
+
+class _FileLoader(SourceFileLoader):
+    """A loader without bytecode: the content of the file counts."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
+KNOWN = Registry()
+"""The registry of this process."""
+SPECS = KNOWN.specs
+
+
+def all_specs() -> list[EnvSpec]:
+    """Return every task of this program, in the order of `ENVS`."""
+    return [SPECS[name] for name in ENVS]
+
+
+def load_method(name: str) -> type[Method]:
+    """Return a method's dataclass, imported now. Raises BadInput for an unknown name."""
+    if name not in KNOWN.entries["method"]:
+        KNOWN.chosen_methods(name)
+        raise BadInput(f"{name!r} is not one method")
+    return cast("type[Method]", KNOWN.thing("method", name))

@@ -1,0 +1,280 @@
+"""Plug-ins: methods and tasks of files and modules that a user names, and of installed packages.
+
+A plug-in's module says `METHODS = {"mine": Mine}`, dataclasses as of `methods.base.Method`, or
+`ENVS = {"task": SPEC}`, of `envs.EnvSpec`, or both. A package's metadata names single ones, as entry points
+of the groups `irl_bench.methods` and `irl_bench.envs`. Those are imported when they are asked for.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.registry import gymnasium_tasks, loading
+from harness.registry.gymnasium_tasks import id_of, task_or_name
+from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin
+from harness.registry.loading import READ
+from harness.registry.names import BUILT_IN, BadInput, Entry
+from harness.registry.sources import Sources, sources_of
+from harness.run import environment
+from methods import settings
+
+if TYPE_CHECKING:
+    from envs import EnvSpec
+
+ENTRY_POINTS = {"method": "irl_bench.methods", "env": "irl_bench.envs"}
+
+
+def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
+    """Make known what plug-ins name, each a file or a module, and what installed packages name.
+
+    Return why some of the latter cannot be used. Plug-ins are imported in a process of their own.
+    asked: names with commas between. Methods and tasks of packages that have these names are imported there,
+    too. Raises BadInput for what is broken.
+    """
+    new = dict[str, Plugin]()
+    for one in map(plugin, named):
+        other = new.get(one.module) or KNOWN.plugins.get(one.module)
+        if other and other.place != one.place:
+            raise BadInput(f"two plug-ins are called {Path(one.name).name}; rename one")
+        new[one.module] = one
+    points, problems = _installed()
+    words = {word.strip() for text in asked for word in text.split(",")}
+    wanted = [
+        (kind, name, entry)
+        for kind, name, entry in points
+        if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in KNOWN.offers
+    ]
+    report = loading.in_a_process([*new.values()], wanted) if new or wanted else loading.Report()
+    for one in new.values():
+        KNOWN.add(one)
+    for offer in report.offers:
+        if (offer.kind, offer.name) not in [point[:2] for point in wanted]:
+            KNOWN.register(offer.kind, offer.name, Entry(offer.target, offer.summary, offer.variants))
+    _keep(report)
+    for kind, name, entry in points:
+        variants = KNOWN.offers[entry.target].variants if entry.target in KNOWN.offers else ()
+        try:
+            KNOWN.register(kind, name, entry._replace(variants=variants))
+        except BadInput as error:
+            problems.append(f"{entry.summary.removeprefix('of the package ')}: {error}")
+    return problems
+
+
+def plugin(name: str) -> Plugin:
+    """Return a plug-in with its place; nothing of it is executed. Raises BadInput where there is none."""
+    if name.endswith(".py"):
+        file = Path(name)
+        path = os.path.join(os.path.realpath(file.parent), file.name)  # Links count before ".." does.
+        if not os.path.isfile(path):
+            raise BadInput(f"there is no plug-in {path}", READ)
+        return Plugin(name, path)
+    if Path(name).is_file():
+        raise BadInput(f"the plug-in {name} is a file whose name does not end in .py")
+    spec = None
+    with suppress(ImportError, ValueError):
+        spec = importlib.util.find_spec(name.partition(".")[0])
+    places = list(spec.submodule_search_locations or []) if spec else []
+    if spec and not places and spec.has_location:
+        places = [str(spec.origin)]
+    return Plugin(name, str(Path(places[0]).absolute().parent) if places else "")
+
+
+def _installed() -> tuple[list[loading.Wanted], list[str]]:
+    """Return what installed packages name, by kind and name, and why that cannot be read."""
+    entries: list[loading.Wanted] = []
+    try:
+        points = importlib.metadata.entry_points()
+    except Exception as error:  # A package's metadata may be damaged.
+        return entries, [f"what installed packages name cannot be read: {loading.in_words(error)}"]
+    for kind, group in ENTRY_POINTS.items():
+        for point in sorted(points.select(group=group)):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
+            entries.append((kind, point.name, Entry(point.value, f"of the package {package}")))
+    return entries, []
+
+
+def _keep(report: loading.Report) -> None:
+    KNOWN.offers.update({offer.target: offer for offer in report.offers})
+    KNOWN.sources.update(report.sources)
+
+
+def load(methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Import those of these that are plug-ins', and step tasks. Raises BadInput where one is broken."""
+    for kind, names in (("method", methods), ("env", envs)):
+        for name in names:
+            if name in KNOWN.of_plugins(kind):
+                with loading.troubles(f"the {kind} {name} cannot be loaded"):
+                    loading.check(kind, name, KNOWN.thing(kind, name))
+                    if kind == "env":
+                        gymnasium_tasks.try_out(name)
+                        for module in gymnasium_tasks.modules_of(SPECS[name].env_id):
+                            KNOWN.module(module, is_plugin=False)
+
+
+def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Make known, in a process of cells, what a job needs, and import that.
+
+    known: the plug-ins that define its method and task. Raises BadInput as `add` does.
+    """
+    for one in known:
+        KNOWN.add(one)
+        if not one.is_file and one.place and one.place not in sys.path:
+            sys.path.append(one.place)
+        loading.offered(one)
+        KNOWN.sources.pop(one.module, None)  # What is here counts, and no earlier report.
+    for kind, name, entry in _installed()[0]:
+        with suppress(BadInput):
+            KNOWN.register(kind, name, entry)
+    for env in envs:
+        task_or_name(env)
+    load(methods, envs)
+
+
+def needed(methods: Sequence[str], envs: Sequence[str]) -> tuple[Plugin, ...]:
+    """Return the plug-ins, of those that were named, that define these methods and tasks."""
+    theirs = modules(methods, envs)
+    return tuple(one for module, one in KNOWN.plugins.items() if module in theirs)
+
+
+def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
+    """Return the modules that define those of these that are plug-ins'."""
+    theirs = {"method": KNOWN.of_plugins("method"), "env": KNOWN.of_plugins("env")}
+    entries = [theirs["method"][name] for name in methods if name in theirs["method"]]
+    entries += [theirs["env"][name] for name in envs if name in theirs["env"]]
+    return {entry.target.partition(":")[0] for entry in entries if not id_of(entry)}
+
+
+def check_alone(methods: Sequence[str], envs: Sequence[str]) -> None:
+    """Raise BadInput where these cannot be computed in this process, because of plug-ins.
+
+    Another plug-in was imported here and may have changed it, or a source of theirs was edited since.
+    """
+    own = modules(methods, envs)
+    for one in KNOWN.loaded:
+        name = one.module.__name__
+        if not one.is_current or (one.is_plugin and name not in own):
+            raise BadInput(
+                f"the plug-in {name.removeprefix(FILE_MODULE)} was imported in this process and may have "
+                "changed what is computed in it: leave out --engine inline, or begin a new process",
+                READ,
+            )
+
+
+def check_inline(jobs: Sequence[tuple[Sequence[str], str]]) -> None:
+    """Raise BadInput where these jobs cannot all be done in this process.
+
+    There must be an order in which each meets no plug-in but its own. jobs: no method or one, and a task.
+    """
+    needs = sorted((modules(methods, [env]) for methods, env in jobs), key=len)
+    if any(fewer - more for fewer, more in pairwise(needs)):
+        raise BadInput(
+            "--engine inline computes in one process, where plug-ins may change each other's cells: name one "
+            "plug-in at a time, or leave it out",
+            READ,
+        )
+    for methods, env in jobs:
+        check_alone(methods, [env])
+
+
+def packed(folder: Path) -> dict[Plugin, Plugin]:
+    """Copy the plug-ins that were named into the folder, for another machine.
+
+    Return them as they are there, with places below the folder.
+    """
+    copies = {}
+    for i, one in enumerate(KNOWN.plugins.values()):
+        at = Path("plugins") / str(i)
+        (folder / at).mkdir(parents=True)
+        source = Path(one.place)
+        if not one.is_file:
+            source /= one.name.partition(".")[0]
+            source = source if source.is_dir() else source.with_suffix(".py")
+        if source.is_dir():
+            target = folder / at / source.name
+            shutil.copytree(source, target, ignore=_not_copied, ignore_dangling_symlinks=True)
+        else:
+            shutil.copy(source, folder / at)
+        copies[one] = Plugin(one.name, str(at / source.name if one.is_file else at))
+    return copies
+
+
+def _not_copied(folder: str, names: list[str]) -> set[str]:
+    """Return names that are left out of a copy: bytecode, and links that lead back."""
+    here = f"{os.path.realpath(folder)}/"
+    back = {name for name in names if here.startswith(f"{os.path.realpath(Path(folder, name))}/")}
+    return back | {name for name in names if name == "__pycache__"}
+
+
+def unpacked(plugins: Sequence[Plugin]) -> tuple[Plugin, ...]:
+    """Return plug-ins that were `packed` into this process's folder, with their places here."""
+    return tuple(Plugin(one.name, str(Path(one.place).absolute())) for one in plugins)
+
+
+def sources(kind: str, name: str) -> Sources:
+    """Return the sources of a plug-in's method or task, and the variables that the user gives to plug-ins.
+
+    They are as another process reported them, or as they are now.
+    """
+    entry = KNOWN.of_plugins(kind)[name]
+    if env_id := id_of(entry):
+        return gymnasium_tasks.sources_of_id(env_id)
+    module = entry.target.partition(":")[0]
+    if module not in KNOWN.sources and module not in sys.modules:
+        _offer_of(kind, name)
+    own = KNOWN.sources[module] if module in KNOWN.sources else sources_of(module)
+    more = _offer_of(kind, name).registered if kind == "env" else Sources()
+    variables = [f"{variable}={value}" for variable, value in environment.of_user().items()]
+    digests = sorted({*own.digests, *more.digests})
+    return Sources([*digests, *variables], sorted({*own.program, *more.program}))
+
+
+def packages_of_task(env: str) -> dict[str, str]:
+    """Return the versions of the packages that a plug-in's task, or one of Gymnasium, needs."""
+    env_id = id_of(KNOWN.entries["env"][env])
+    return gymnasium_tasks.packages_of(env_id) if env_id else _offer_of("env", env).packages
+
+
+def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
+    """Return the hyper-parameters that a method gets in a task at a budget.
+
+    A plug-in's method gets those of the built-in methods whose class it has or derives from, except for the
+    fields that it sets itself.
+    """
+    if method not in KNOWN.of_plugins("method"):
+        return settings.settings_for(method, env, budget)
+    offer = _offer_of("method", method)
+    agreed = settings.agreed(offer.like, env, budget)
+    return {name: value for name, value in agreed.items() if name in offer.takes}
+
+
+def like(method: str) -> tuple[str, ...]:
+    """Return the built-in methods whose class a plug-in's method has or derives from; none for others."""
+    return _offer_of("method", method).like if method in KNOWN.of_plugins("method") else ()
+
+
+def task(env: str) -> Offer | EnvSpec:
+    """Return what is known of a task. A plug-in's task is not imported: the facts are an `Offer`."""
+    entry = KNOWN.of_plugins("env").get(env)
+    return _offer_of("env", env) if entry and not id_of(entry) else SPECS[env]
+
+
+def _offer_of(kind: str, name: str) -> Offer:
+    """Return the facts about a plug-in's method or task.
+
+    Where its module is not imported here, they are another process's. It is asked where it was not.
+    """
+    entry = KNOWN.entries[kind][name]
+    if entry.target not in KNOWN.offers:
+        if entry.target.partition(":")[0] in sys.modules:
+            return loading.offer(kind, name, entry, KNOWN.thing(kind, name))
+        _keep(loading.in_a_process([], [(kind, name, entry)]))
+    return KNOWN.offers[entry.target]
