@@ -31,7 +31,7 @@ from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.run.expert_set import shipped
 from harness.run.experts import expert_for
 from harness.run.files import sha256
-from harness.run.keys import EXPERTS, cell_keys, experts_version, program
+from harness.run.keys import EXPERTS, ROOT, cell_keys, experts_version, program
 from harness.run.opening import open_for_report, open_for_run
 from methods.network import Network
 
