@@ -88,8 +88,9 @@ class Panels(Plot):
         """Draw rings at checkpoints, each with a tooltip."""
         if points:
             xs, ys = self._places(np.array(points), y).T
-            drawn = self.axes.scatter(xs, ys, 30, facecolors="none", edgecolors=ORANGE, zorder=5)
-            drawn.set(linewidths=1.4, gid=f"tips-{len(self.tips)}")
+            look = {"marker": "o", "markersize": 5.5, "markerfacecolor": "none", "linestyle": "none"}
+            (drawn,) = self.axes.plot(xs, ys, color=ORANGE, zorder=5)
+            drawn.set(**look, gid=f"tips-{len(self.tips)}")
             self.tips.append([f"{name}, steps {x:,.0f}: true return {as_text(v, '.1f')}" for x, v in points])
 
     def finish(self) -> None:

@@ -160,9 +160,9 @@ def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 
 
 def look(number: int) -> tuple[str, str, str]:
-    """Return colour, line style and marker of one of several lines; no two of 24 look alike."""
-    turn = number + number // len(COLOURS)
-    return COLOURS[number % len(COLOURS)], STYLES[turn % len(STYLES)], list(MARKERS)[turn % len(MARKERS)]
+    """Return colour, line style and marker of one of several lines; no two of 42 look alike."""
+    style = STYLES[(number + number // len(COLOURS)) % len(STYLES)]
+    return COLOURS[number % len(COLOURS)], style, list(MARKERS)[number % len(MARKERS)]
 
 
 def sign(number: int, meaning: str) -> tuple[int, str, str]:

@@ -94,7 +94,7 @@ class Computed(Event, frozen=True, kw_only=True):
 
 
 class Reported(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag="reported"):
-    """Last. failed: names of cells, of this run and before. found: what people are told, a line each."""
+    """Last. failed: names of cells, of this run and before. found: the closing lines."""
 
     directory: str
     failed: list[str]

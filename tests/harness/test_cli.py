@@ -166,7 +166,10 @@ def test_who_stops_a_run_is_told_how_to_go_on(
     monkeypatch.setattr(cli, "ignore_stops", lambda: None)
     monkeypatch.setattr(sys, "argv", [typed, "run"])
     assert cli.main() == 130
-    assert capsys.readouterr().err.endswith(f"To go on, run the same again:\n  {again}\n")
+    report = f"{again.removesuffix(' run')} report results/latest"
+    assert capsys.readouterr().err.endswith(
+        f"To go on, run the same again:\n  {again}\nFor a report of what is finished:\n  {report}\n"
+    )
 
 
 def test_list_tells_variants_from_methods(main: Main) -> None:

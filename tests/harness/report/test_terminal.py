@@ -126,8 +126,8 @@ def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
     results += [CellResult(cell, its) for cell, its in zip(mine, rows, strict=True)]
     request = dataclasses.replace(ONE, methods=("shaped", "mine", "other"))
     assert found(results, request)["yours"] == (
-        "mine: on cartpole its pi* scores 0.86 [0.85, 0.87] and ranks 3 of 4, "
-        "its pi_R scores 0.86 [0.85, 0.87] and ranks 1 of 3; other: no cell of it is finished"
+        "mine: on cartpole its pi* scores 0.85 [0.85, 0.85] and ranks 3 of 4, "
+        "its pi_R scores 0.85 [0.85, 0.85] and ranks 2 of 3; other: no cell of it is finished"
     )
     assert "yours" not in found(make_results(("cartpole",)))
 
