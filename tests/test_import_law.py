@@ -45,6 +45,7 @@ def importers(library: str) -> list[str]:
 
 def room(module: str) -> int | None:
     """The number of the first room that a module belongs to, if it is of this program."""
+    module = module.replace("harness.store", "harness.run")  # one room until the latter's modules have moved
     return next((i for i, name in enumerate(ROOMS) if f"{module}.".startswith(f"{name}.")), None)
 
 
