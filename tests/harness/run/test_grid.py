@@ -1,11 +1,9 @@
 """The grid keeps what is a job's own, whatever its engine gives back."""
 
 import dataclasses
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Self
 
 import pytest
 
@@ -13,8 +11,6 @@ from harness.engines.inline import Inline
 from harness.engines.jobs import Job, Outcome
 from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of, recording_of
 from harness.run.environment import CACHE_VARIABLE
-from harness.run.progress import Progress
-from harness.run.tally import Tally
 from harness.schedule import grid
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid, Schedule
@@ -134,30 +130,6 @@ def test_a_job_that_is_lost_is_tried_once_more_alone(tmp_path: Path) -> None:
     failed = [r.cell for r in found.results if r.rows[0].status == "failed"]
     assert failed == [CELLS[0]]
     assert len(found.results) == len(CELLS)
-
-
-def test_what_is_told_is_chosen_by_the_users_environment_and_not_that_of_cells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Clean(Scripted):
-        def __enter__(self) -> Self:
-            super().__enter__()
-            monkeypatch.delenv("NO_COLOR")
-            return self
-
-        def __exit__(self, *error: object) -> None: ...
-
-    seen: list[bool] = []
-
-    def told(its: Tally, doing: Callable[[str], str]) -> Progress:
-        seen.append("NO_COLOR" in os.environ)
-        return Silent()
-
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setenv("NO_COLOR", "1")
-    Grid(CONDITIONS, Found(tmp_path), Clean(good), told).run(CELLS)
-    assert seen == [True]
-    assert "NO_COLOR" not in os.environ
 
 
 class Together(Scripted):
