@@ -78,13 +78,19 @@ class TaskWorld:
         return np.array(self._spec.executed(self._expert(obs.copy())))
 
     def agent(
-        self, rng: np.random.Generator, *, kind: Kind = "own", **beginning: Unpack[Beginning]
+        self,
+        rng: np.random.Generator,
+        *,
+        kind: Kind = "own",
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
     ) -> WorldAgent:
         solver = solver_for(
             *(self._spec, self._protocol, rng, self._library),
             kind=kind,
             told=lambda done: self._told(self.env_steps + done),
-            **beginning,
+            **Beginning(init=init, demonstrations=demonstrations, entropy=entropy),
         )
         return WorldAgent(self, solver)
 
