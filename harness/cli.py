@@ -195,9 +195,9 @@ def _list_settings(args: argparse.Namespace) -> int:
     if args.method is None or args.env is None:
         raise BadInput("settings are of a method in an environment: irl-bench list METHOD --env ENV")
     plugins.add(args.plugin, [args.method, args.env])
-    env = plugins.task_or_name(args.env)
-    for kind, name, known in (("method", args.method, (*METHODS, *VARIANTS)), ("env", env, ENVS)):
-        if choose(kind, name, known) != (name,):
+    env = task_or_name(args.env)
+    for kind, name in (("method", args.method), ("env", env)):
+        if choose(kind, name, KNOWN.entries[kind]) != (name,):
             raise BadInput(f"one {kind} is needed, not {name!r:.80}")
     plugins.load([args.method], [env])
     with importing():

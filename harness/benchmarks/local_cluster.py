@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 PROGRAM = """
 import sys
@@ -32,7 +31,6 @@ ENDING = 60.0
 """Seconds that its process has to end."""
 
 
-@dataclass(frozen=True)
 class LocalCluster:
     """A cluster that runs: a head that computes nothing, and nodes of one core each.
 
@@ -63,10 +61,9 @@ def local_cluster(nodes: int) -> Iterator[LocalCluster]:
     command, pipe = [sys.executable, "-c", PROGRAM, str(nodes)], subprocess.PIPE
     with subprocess.Popen(command, text=True, env=os.environ | VARIABLES, stdin=pipe, stdout=pipe) as process:
         try:
-            if not (address := process.stdout.readline().strip()):
-                raise RuntimeError("no Ray cluster could be started on this machine; is Ray installed?")
-            yield LocalCluster(address, process)
+            yield LocalCluster(process)
         finally:
+            assert process.stdin
             process.stdin.close()
             try:
                 process.wait(ENDING)

@@ -34,7 +34,7 @@ from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings import common
 from harness.recordings.episode import send_ending
 from harness.recordings.scenes import Scene, scene
-from harness.registry import ENVS, SPECS, BadInput
+from harness.registry import KNOWN, SPECS, BadInput
 from harness.store.files import write_atomic
 from harness.store.store import Store
 from methods.base import Policy
@@ -83,7 +83,7 @@ def _by_env(results: Iterable[CellResult]) -> dict[str, list[CellResult]]:
     for result in sorted(results, key=lambda one: (one.cell.method != REFERENCE, one.cell.method)):
         cell = result.cell
         is_usual = (cell.seed, cell.dynamics, cell.shown) == (SEED, NOMINAL, ALL_SHOWN)
-        if is_usual and result.learned and cell.env in ENVS and cell.method not in CONTROLS:
+        if is_usual and result.learned and cell.env in KNOWN.entries["env"] and cell.method not in CONTROLS:
             learned.setdefault(cell.env, []).append(result)
     return {
         env: group for env, group in learned.items() if group[0].cell.method == REFERENCE and len(group) > 1

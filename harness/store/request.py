@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from harness.judge.results import Conditions, Request
-from harness.registry import ENVS, METHODS, VARIANTS, BadInput, plugins
+from harness.registry import KNOWN, BadInput
+from harness.registry.gymnasium_tasks import task_or_name
 from harness.store.codec import encode, parsed
 
 NO_NUMBERS = "It merges what was asked for, of which keys are."
@@ -38,9 +39,9 @@ def grown(path: Path, old: Request | None, asked: Request) -> Request:
 
 def _check_known(path: Path, old: Request) -> None:
     """Raise BadInput where the run in `path` has methods or environments that are not known here."""
-    known = {*METHODS, *VARIANTS, *ENVS}
+    known = {*KNOWN.entries["method"], *KNOWN.entries["env"]}
     names = (*old.methods, *old.envs)
-    if strangers := [name for name in names if plugins.task_or_name(name) not in known]:
+    if strangers := [name for name in names if task_or_name(name) not in known]:
         raise BadInput(
             f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
             "or give another --out",
@@ -56,8 +57,8 @@ def _union(path: Path, old: Request, asked: Request) -> Request:
             differs = f"{field.name} {there}, not {here}"
             raise BadInput(f"{path} holds a run with {differs}; give another --out", "commands")
     return Request(
-        methods=_in_order(METHODS | VARIANTS, old.methods + asked.methods),
-        envs=_in_order(ENVS, old.envs + asked.envs),
+        methods=_in_order(KNOWN.entries["method"], old.methods + asked.methods),
+        envs=_in_order(KNOWN.entries["env"], old.envs + asked.envs),
         seeds=tuple(sorted({*old.seeds, *asked.seeds})),
         conditions=old.conditions,
         shown=tuple(sorted({*old.shown, *asked.shown})),

@@ -18,7 +18,7 @@ HORIZON = 10
 ENV_ID = "irl_bench_contract/Noise-v0"
 
 
-class Noise(gym.Env[Array, Array]):
+class Noise(gym.Env[Any, Any]):
     """An environment without dynamics: observations (3,) are uniform noise, and actions (2,) do nothing."""
 
     observation_space: spaces.Box = spaces.Box(-1, 1, (3,))
@@ -40,7 +40,9 @@ class Noise(gym.Env[Array, Array]):
 def noise() -> EnvSpec:
     """Return a task whose model is not known, with a learner that takes little time."""
     if ENV_ID not in gym.registry:
-        gym.register(ENV_ID, entry_point=Noise, max_episode_steps=HORIZON, disable_env_checker=True)
+        gym.register(
+            ENV_ID, entry_point=f"{__name__}:Noise", max_episode_steps=HORIZON, disable_env_checker=True
+        )
     learner = DDPG(net=(64, 64), batch=16, gradient_steps=1)
     return EnvSpec(
         "noise",
