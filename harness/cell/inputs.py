@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from harness.learn.world import TaskWorld
 from harness.registry import ASKING
 from harness.run.phases import Phase
 
-NO_RETURNS: Mapping[str, float] = MappingProxyType({})
 Seconds = Mapping[str, float]
 """Wall time by stage."""
 
@@ -45,9 +43,9 @@ class Inputs:
     report: Callable[[Phase], None] = lambda phase: None
 
     @contextmanager
-    def stage(self, name: str, returns: Mapping[str, float] = NO_RETURNS) -> Iterator[Stopwatch]:
+    def stage(self, name: str, returns: Mapping[str, float] | None = None) -> Iterator[Stopwatch]:
         """Report that a stage begins, and measure its wall time."""
-        self.report(Phase(name, returns=returns))
+        self.report(Phase(name, returns=returns or {}))
         stopwatch, began = Stopwatch(), time.perf_counter()
         try:
             yield stopwatch
