@@ -22,7 +22,8 @@ sys.modules |= dict.fromkeys(("fcntl", "resource", "pwd", "grp", "termios"))
 WORKS = """
 from pathlib import Path
 import harness.cli, harness.commands, harness.exchange, harness.engines.processes
-from harness.run import files, scratch, signals, streams
+from harness.engines import scratch
+from harness.run import files, signals, streams
 harness.commands.handle_signals()
 assert set(signals.STOPS) == {signal.SIGINT, signal.SIGTERM}
 streams.install()
