@@ -75,7 +75,7 @@ class Processes:
             variables = cell_variables(self._scratch, self._deterministic)
             path = [str(self._scratch / "program"), *filter(None, [os.environ.get("PYTHONPATH")])]
             variables |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONSAFEPATH": "1"}
-            stack.callback(self._join)
+            stack.callback(self._forget)
             self._server = stack.enter_context(Server(variables, self._modules))
             self._stack = stack.pop_all()
         return self
@@ -85,9 +85,16 @@ class Processes:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def _join(self) -> None:
+    def _forget(self) -> None:
+        """Wait for the threads of jobs, and forget all of the server that has ended."""
         for thread in self._running.values():
             thread.join(PATIENCE)
+        for worker in self._idle:
+            worker.end()
+        self._running.clear()
+        self._phases.clear()
+        self._idle.clear()
+        self._ended = queue.SimpleQueue()
 
     def submit(self, job: Job) -> None:
         folder = self._scratch / job.name
