@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
+from harness.show.figures import png, styled
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.registry import METHODS
-from harness.show.figures import png, styled
 
 HERE = Path(__file__).parent
 

@@ -14,9 +14,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
-from matplotlib.figure import Figure
-
 from harness.show.figures import BLUE, ORANGE, png, styled
+from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
 HORIZON = 1000
