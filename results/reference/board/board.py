@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
-from harness.show.figures import png, styled
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from harness.registry import METHODS
+from harness.report.figures import as_file, styled
 
 HERE = Path(__file__).parent
 
@@ -45,8 +45,8 @@ COLUMNS = (
 VARIANTS = ("gail_mean", "airl", "maxent_state")
 CONTROLS = ("control_true", "control_clone", "control_shuffled", "control_survival")
 POLICIES = {
-    "pi_star": r"$\pi^*$: the policy that the method returns",
-    "pi_R": r"$\pi_R$: a policy trained on the reward that it returns",
+    "pi_star": "π*: the policy that the method returns",
+    "pi_R": "π_R: a policy trained on the reward that it returns",
 }
 LIGHT, DARK = "#ffffff", "#08306b"
 
@@ -124,4 +124,4 @@ if __name__ == "__main__":
     found = board()
     found.to_csv(HERE / "board.csv", index=False, lineterminator="\n")
     with styled():
-        (HERE / "board.png").write_bytes(png(figure(found)))
+        (HERE / "board.png").write_bytes(as_file(figure(found), "png"))

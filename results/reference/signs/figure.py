@@ -14,13 +14,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
-from harness.show.figures import BLUE, ORANGE, png, styled
 from matplotlib.figure import Figure
+
+from harness.report.figures import BLUE, ORANGE, as_file, styled
 
 HERE = Path(__file__).parent
 HORIZON = 1000
 COLOURS = {"native": ORANGE, "absorbing": BLUE}
-POLICIES = {"pi_star": r"$\pi^*$", "pi_R": r"$\pi_R$"}
+POLICIES = {"pi_star": "π*", "pi_R": "π_R"}
 
 
 def figure(scores: dict[str, pd.DataFrame]) -> Figure:
@@ -49,4 +50,4 @@ def figure(scores: dict[str, pd.DataFrame]) -> Figure:
 if __name__ == "__main__":
     found = {protocol: pd.read_csv(HERE / protocol / "scores.csv") for protocol in COLOURS}
     with styled():
-        (HERE / "signs.png").write_bytes(png(figure(found)))
+        (HERE / "signs.png").write_bytes(as_file(figure(found), "png"))
