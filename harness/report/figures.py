@@ -56,8 +56,11 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Chart:
-    """Plots that belong together. note: how to read them. legend: a colour's number, a sign, and its meaning.
-    table: the numbers that are drawn; or data, too many for a table."""
+    """Plots that belong together.
+
+    note: help with reading them. legend: a colour's number, a sign and its meaning, for each line. table: the
+    numbers that are drawn. data: numbers that are too many for a table.
+    """
 
     title: str
     plots: Sequence[Markup]
@@ -130,7 +133,7 @@ class Plot:
         text = buffer.getvalue()
         drawn = " ".join(text[text.index('<g id="figure_1"') :].split())
         drawn = re.sub(r'<g id="tips-(\d+)">(.*?)</g>', self._with_tips, drawn)
-        drawn = re.sub(r'<g id="[^"]*">', "<g>", drawn).replace("xlink:href", "href")
+        drawn = re.sub(r'<g id="[^"]*"', "<g", drawn).replace("xlink:href", "href")
         drawn = re.sub(r' style="([^"]*)"', _as_attributes, drawn)
         drawn = re.sub(r' (?:d|x|y|transform)="[^"]*"', _rounded, drawn)
         drawn = re.sub(r"#[0-9a-f]{6}\b", lambda match: VARIABLES.get(match[0], match[0]), drawn)

@@ -86,7 +86,7 @@ NOTES = {
     "learning": "Steps are those that RL learned from, not checks. True returns of a task have one scale.",
     "training": "Means over seeds, and their range, by iteration.",
 }
-"""How to read the charts of a section."""
+"""Help with reading the charts of a section."""
 
 
 def _sections(report: Report) -> list[Section]:

@@ -1,4 +1,4 @@
-"""Tables in LaTeX, for the package booktabs."""
+"""Tables in LaTeX, with rules of booktabs."""
 
 from __future__ import annotations
 

@@ -41,8 +41,11 @@ OVERALL = (
 
 @dataclass(frozen=True)
 class Standing:
-    """How methods stand on a board by one policy. ranked: those with a score, best first. best: the one that
-    others are compared with. tied: those not significantly worse. apart: those without a seed in common."""
+    """The order of methods on a board by one policy.
+
+    ranked: methods with a score, best first. best: the method that others are compared with. tied: methods
+    that are not significantly worse. apart: methods that share no seed with the best.
+    """
 
     ranked: Sequence[Entry]
     best: Entry | None
@@ -68,7 +71,7 @@ class Board:
 
     @property
     def is_nominal(self) -> bool:
-        """Whether the dynamics are the environment's own."""
+        """True where the dynamics are the environment's own."""
         return self.entries[0].dynamics == NOMINAL
 
     @property
@@ -83,7 +86,7 @@ class Board:
 
     @property
     def has_one_seed(self) -> bool:
-        """Whether no method has a second seed, without which methods cannot be ranked."""
+        """True where no method has a second seed, and so none can be ranked."""
         return max((e.seeds_ok for e in self.entries if e.role in ("method", ASKS)), default=0) == 1
 
     @property
@@ -122,8 +125,11 @@ class Across:
 
 @dataclass(frozen=True)
 class Report:
-    """All that a report says. entries: of all boards. shown: the boards that are shown, whose first `drawn`
-    have figures, with at most `panels` curves each. facts, warnings, origins: lines on the run."""
+    """The content of a report.
+
+    entries: lines of all boards. shown: boards on the page. drawn: boards that have figures. panels: the most
+    curves of a board. facts, warnings, origins: lines on the run.
+    """
 
     request: Request
     results: Sequence[CellResult]

@@ -18,7 +18,7 @@ Kind = Literal["choice", "text", "note", "number", "interval"]
 
 @dataclass(frozen=True)
 class Value:
-    """A number: its text, itself, and the ends of its 95 % interval; NaN where there is none."""
+    """A number, its text, and the ends of its 95 % interval; what is not known is NaN."""
 
     text: str
     number: float = math.nan
@@ -31,10 +31,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name for programs, its title and meaning for readers, and how it reads an item.
+    """A column of a table.
 
-    places: words of where it is visible: 'first' (the page, before all columns are asked for), 'terminal',
-    and 'scores', 'rewards' and 'costs', tables in Markdown and LaTeX.
+    key: its name for programs. title, meaning: words for readers. read: the function from an item to its text
+    or number. places: where it is visible. 'first' is the page before all columns are asked for. 'scores',
+    'rewards' and 'costs' are tables in Markdown and LaTeX.
     """
 
     key: str
@@ -51,11 +52,11 @@ class Column:
 
     @property
     def is_number(self) -> bool:
-        """Whether the column holds numbers."""
+        """True for a column of numbers."""
         return self.kind in ("number", "interval")
 
     def at(self, place: int) -> Column:
-        """Return the column for items that are sequences of values, of which it shows one."""
+        """Return the column for items that are sequences of values. place: the value that it shows."""
         return dataclasses.replace(self, read=itemgetter(place))
 
 

@@ -45,8 +45,8 @@ COLUMNS = (
 VARIANTS = ("gail_mean", "airl", "maxent_state")
 CONTROLS = ("control_true", "control_clone", "control_shuffled", "control_survival")
 POLICIES = {
-    "pi_star": r"$\pi^*$: the policy that the method returns",
-    "pi_R": r"$\pi_R$: a policy trained on the reward that it returns",
+    "pi_star": "π*: the policy that the method returns",
+    "pi_R": "π_R: a policy trained on the reward that it returns",
 }
 LIGHT, DARK = "#ffffff", "#08306b"
 

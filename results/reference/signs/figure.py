@@ -21,7 +21,7 @@ from harness.report.figures import BLUE, ORANGE, as_file, styled
 HERE = Path(__file__).parent
 HORIZON = 1000
 COLOURS = {"native": ORANGE, "absorbing": BLUE}
-POLICIES = {"pi_star": r"$\pi^*$", "pi_R": r"$\pi_R$"}
+POLICIES = {"pi_star": "π*", "pi_R": "π_R"}
 
 
 def figure(scores: dict[str, pd.DataFrame]) -> Figure:
