@@ -18,11 +18,10 @@ HORIZON = 10
 ENV_ID = "irl_bench_contract/Noise-v0"
 
 
-class Noise(gym.Env[Array, Array]):
+class Noise(gym.Env[Any, Any]):
     """An environment without dynamics: observations (3,) are uniform noise, and actions (2,) do nothing."""
 
-    observation_space: spaces.Box = spaces.Box(-1, 1, (3,))
-    action_space: spaces.Box = spaces.Box(-1, 1, (2,))
+    observation_space, action_space = spaces.Box(-1, 1, (3,)), spaces.Box(-1, 1, (2,))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -40,7 +39,9 @@ class Noise(gym.Env[Array, Array]):
 def noise() -> EnvSpec:
     """Return a task whose model is not known, with a learner that takes little time."""
     if ENV_ID not in gym.registry:
-        gym.register(ENV_ID, entry_point=Noise, max_episode_steps=HORIZON, disable_env_checker=True)
+        gym.register(
+            ENV_ID, entry_point=f"{__name__}:Noise", max_episode_steps=HORIZON, disable_env_checker=True
+        )
     learner = DDPG(net=(64, 64), batch=16, gradient_steps=1)
     return EnvSpec(
         "noise",
