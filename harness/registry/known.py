@@ -52,7 +52,7 @@ class Offer:
     takes: the hyper-parameters that it takes from their settings.
     variants, discrete, rl_steps, ddpg_steps, solves: fields of a task's `EnvSpec`.
     packages: the versions of the packages that a task needs.
-    registered: the sources of the modules that Gymnasium's registry names for a task.
+    sources: those of its module and, for a task, of the modules that Gymnasium's registry names for it.
     """
 
     kind: str
@@ -67,7 +67,7 @@ class Offer:
     ddpg_steps: dict[str, int] = field(default_factory=dict)
     solves: dict[str, int] = field(default_factory=dict)
     packages: dict[str, str] = field(default_factory=dict)
-    registered: Sources = field(default_factory=Sources)
+    sources: Sources = field(default_factory=Sources)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Registry:
 
     entries: by kind ('method' or 'env') and name. specs: tasks by name.
     plugins: those that were named, by module. offers: facts that another process reported, by target.
-    sources: of modules, as it reported them. loaded: plug-ins' modules that this process imported.
+    loaded: plug-ins' modules that this process imported.
     """
 
     def __init__(self) -> None:
@@ -114,13 +114,12 @@ class Registry:
         self.specs = Specs(self)
         self.plugins: dict[str, Plugin] = {}
         self.offers: dict[str, Offer] = {}
-        self.sources: dict[str, Sources] = {}
         self.loaded: list[Loaded] = []
 
     @contextmanager
     def for_now(self) -> Iterator[None]:
         """Forget, as the context ends, the plug-ins that were added in it; imported modules stay so."""
-        tables: list[dict[str, Any]] = [*self.entries.values(), self.plugins, self.offers, self.sources]
+        tables: list[dict[str, Any]] = [*self.entries.values(), self.plugins, self.offers]
         before = [dict(table) for table in tables]
         try:
             yield

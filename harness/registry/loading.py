@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from harness.registry import gymnasium_tasks, ours
@@ -35,15 +34,7 @@ Wanted = tuple[str, str, Entry]
 """Kind, name and entry of an installed package's method or task."""
 
 
-@dataclass(frozen=True)
-class Report:
-    """Methods and tasks of plug-ins, and the sources of their modules by name."""
-
-    offers: tuple[Offer, ...] = ()
-    sources: dict[str, Sources] = field(default_factory=dict)
-
-
-def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> Report:
+def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
     """Return `look`, called in a process of its own in the environment of cells.
 
     Raises BadInput for a plug-in that is broken, and for one that ends its process or hangs.
@@ -73,8 +64,8 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> Report:
         output.seek(0)
         lines = output.read().decode(errors="replace").splitlines()
     kind, _, text = lines[-1].partition(" ") if lines else ("", "", "")
-    if kind == "report":
-        return msgspec.json.decode(text, type=Report)
+    if kind == "offers":
+        return msgspec.json.decode(text, type=list[Offer])
     if kind == "error":
         raise BadInput(json.loads(text))
     what = json.loads(text) if kind == "at" else "a plug-in"
@@ -91,10 +82,10 @@ def _ended(code: int | None) -> str:
 
 
 def answer(request: str) -> NoReturn:
-    """Write to standard output a report on plug-ins, or why they cannot be used, and end this process.
+    """Write to standard output what plug-ins offer, or why they cannot be used, and end this process.
 
     request: JSON of the path of modules, plug-ins, and entries of installed packages. The last line counts:
-    'report' or 'error' with JSON, or 'at' with the plug-in that is being loaded.
+    'offers' or 'error' with JSON, or 'at' with the plug-in that is being loaded.
     """
     path, named, wanted = json.loads(request)
     output = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -123,8 +114,8 @@ def answer(request: str) -> NoReturn:
     try:
         bound_memory()
         entries = [(kind, name, Entry(*entry)) for kind, name, entry in wanted]
-        report = look([Plugin(*one) for one in named], entries, loading)
-        say("report", msgspec.json.encode(report).decode())
+        offers = look([Plugin(*one) for one in named], entries, loading)
+        say("offers", msgspec.json.encode(offers).decode())
     except BadInput as error:
         say("error", json.dumps(str(error)))
     except BaseException as error:
@@ -159,8 +150,8 @@ def look(
     named: Sequence[Plugin],
     wanted: Sequence[Wanted],
     tell: Callable[[str], None] = lambda what: None,
-) -> Report:
-    """Import plug-ins, and return a report on them. tell: called with what is imported next.
+) -> list[Offer]:
+    """Import plug-ins, and return what they offer. tell: called with what is imported next.
 
     Raises BadInput for what is broken.
     """
@@ -180,8 +171,7 @@ def look(
         if one_offer.kind == "env":
             with troubles(f"the env {one_offer.name} cannot be loaded"):
                 gymnasium_tasks.try_out(one_offer.name)
-    modules = {one_offer.target.partition(":")[0] for one_offer in offers}
-    return Report(tuple(offers), {module: sources_of(module) for module in modules})
+    return offers
 
 
 def offered(plugin: Plugin) -> list[Offer]:
@@ -189,6 +179,7 @@ def offered(plugin: Plugin) -> list[Offer]:
     offers = []
     with troubles(f"the plug-in {plugin.name} cannot be loaded"):
         module = KNOWN.module(plugin.module)
+        sources = sources_of(plugin.module)
         if not any(hasattr(module, table) for table in TABLES.values()):
             raise BadInput(f"the plug-in {plugin.name} says neither METHODS nor ENVS", READ)
         for kind, table in TABLES.items():
@@ -199,12 +190,13 @@ def offered(plugin: Plugin) -> list[Offer]:
                 entry = Entry(f"{module.__name__}:{table}/{name}", f"of {plain(plugin.name)}")
                 KNOWN.register(kind, name, entry)
                 check(kind, name, thing)
-                offers.append(offer(kind, name, entry, thing))
+                offers.append(offer(kind, name, entry, thing, sources))
     return offers
 
 
-def offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
-    """Return the facts about a method or task."""
+def offer(kind: str, name: str, entry: Entry, thing: Any, sources: Sources | None = None) -> Offer:
+    """Return the facts about a method or task. sources: of its module, where they are known."""
+    module = entry.target.partition(":")[0]
     if kind == "env":
         steps, ddpg, solves = (
             {budget: int(count) for budget, count in table.items()}
@@ -218,10 +210,11 @@ def offer(kind: str, name: str, entry: Entry, thing: Any) -> Offer:
             ddpg_steps=ddpg,
             solves=solves,
             packages=gymnasium_tasks.packages_of(thing.env_id),
-            registered=sources_of(*gymnasium_tasks.modules_of(thing.env_id)),
+            sources=sources_of(module, *gymnasium_tasks.modules_of(thing.env_id)),
         )
     like, takes = _like(thing)
-    return Offer(kind, name, entry.target, entry.summary, like, takes)
+    own = sources or sources_of(module)
+    return Offer(kind, name, entry.target, entry.summary, like, takes, sources=own)
 
 
 def _like(method: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:

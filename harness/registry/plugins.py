@@ -23,7 +23,7 @@ from harness.registry.gymnasium_tasks import id_of, task_or_name
 from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin
 from harness.registry.loading import READ
 from harness.registry.names import BUILT_IN, BadInput, Entry
-from harness.registry.sources import Sources, sources_of
+from harness.registry.sources import Sources
 from harness.run import environment
 from methods import settings
 
@@ -53,13 +53,13 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
         for kind, name, entry in points
         if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in KNOWN.offers
     ]
-    report = loading.in_a_process([*new.values()], wanted) if new or wanted else loading.Report()
+    offers = loading.in_a_process([*new.values()], wanted) if new or wanted else []
     for one in new.values():
         KNOWN.add(one)
-    for offer in report.offers:
+    for offer in offers:
         if (offer.kind, offer.name) not in [point[:2] for point in wanted]:
             KNOWN.register(offer.kind, offer.name, Entry(offer.target, offer.summary, offer.variants))
-    _keep(report)
+    KNOWN.offers.update({offer.target: offer for offer in offers})
     for kind, name, entry in points:
         variants = KNOWN.offers[entry.target].variants if entry.target in KNOWN.offers else ()
         try:
@@ -102,11 +102,6 @@ def _installed() -> tuple[list[loading.Wanted], list[str]]:
     return entries, []
 
 
-def _keep(report: loading.Report) -> None:
-    KNOWN.offers.update({offer.target: offer for offer in report.offers})
-    KNOWN.sources.update(report.sources)
-
-
 def load(methods: Sequence[str], envs: Sequence[str]) -> None:
     """Import those of these that are plug-ins', and step tasks. Raises BadInput where one is broken."""
     for kind, names in (("method", methods), ("env", envs)):
@@ -130,7 +125,6 @@ def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str
         if not one.is_file and one.place and one.place not in sys.path:
             sys.path.append(one.place)
         loading.offered(one)
-        KNOWN.sources.pop(one.module, None)  # What is here counts, and no earlier report.
     for kind, name, entry in _installed()[0]:
         with suppress(BadInput):
             KNOWN.register(kind, name, entry)
@@ -227,14 +221,9 @@ def sources(kind: str, name: str) -> Sources:
     entry = KNOWN.of_plugins(kind)[name]
     if env_id := id_of(entry):
         return gymnasium_tasks.sources_of_id(env_id)
-    module = entry.target.partition(":")[0]
-    if module not in KNOWN.sources and module not in sys.modules:
-        _offer_of(kind, name)
-    own = KNOWN.sources[module] if module in KNOWN.sources else sources_of(module)
-    more = _offer_of(kind, name).registered if kind == "env" else Sources()
+    own = _offer_of(kind, name).sources
     variables = [f"{variable}={value}" for variable, value in environment.of_user().items()]
-    digests = sorted({*own.digests, *more.digests})
-    return Sources([*digests, *variables], sorted({*own.program, *more.program}))
+    return Sources([*own.digests, *variables], own.program)
 
 
 def packages_of_task(env: str) -> dict[str, str]:
@@ -276,5 +265,5 @@ def _offer_of(kind: str, name: str) -> Offer:
     if entry.target not in KNOWN.offers:
         if entry.target.partition(":")[0] in sys.modules:
             return loading.offer(kind, name, entry, KNOWN.thing(kind, name))
-        _keep(loading.in_a_process([], [(kind, name, entry)]))
+        KNOWN.offers[entry.target], *_ = loading.in_a_process([], [(kind, name, entry)])
     return KNOWN.offers[entry.target]

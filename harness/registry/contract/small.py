@@ -21,8 +21,7 @@ ENV_ID = "irl_bench_contract/Noise-v0"
 class Noise(gym.Env[Any, Any]):
     """An environment without dynamics: observations (3,) are uniform noise, and actions (2,) do nothing."""
 
-    observation_space: spaces.Box = spaces.Box(-1, 1, (3,))
-    action_space: spaces.Box = spaces.Box(-1, 1, (2,))
+    observation_space, action_space = spaces.Box(-1, 1, (3,)), spaces.Box(-1, 1, (2,))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -232,8 +232,8 @@ def test_names_that_are_no_text_are_shown_in_escapes(tmp_path: Path, key: Key) -
     file = folder / os.fsdecode(b"of\xe9.py")
     file.write_text(MINE)
     plugins.add([str(file)])
-    report = loading.look([plugins.plugin(str(file))], [])
-    assert msgspec.json.decode(msgspec.json.encode(report), type=loading.Report) == report
+    offers = loading.look([plugins.plugin(str(file))], [])
+    assert msgspec.json.decode(msgspec.json.encode(offers), type=list[Offer]) == offers
     assert KNOWN.entries["method"]["mine"].summary.endswith(r"b\udcffd/of\udce9.py")
     assert key()
 
