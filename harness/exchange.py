@@ -72,7 +72,9 @@ def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Dem
         f"{installed_version()}, with actions in [-1, 1] or choices.",
     }
     name = f"irl-bench/{re.sub(r'[^-_a-zA-Z0-9]', '_', env)}/{kind}-v0"
-    minari.write(path, name, spec, episodes, rewards, first_choice(spec) if spec.discrete else 0, **facts)
+    minari.write(
+        path, name, spec, episodes, rewards, first_choice(spec.make()) if spec.discrete else 0, **facts
+    )
 
 
 def bounds(pairs: Sequence[tuple[float, float]] | None) -> Array | None:

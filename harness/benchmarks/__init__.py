@@ -1,1 +1,1 @@
-"""What measures the project itself, and trains the experts that are shipped."""
+"""Measurements of the project itself, and training of the experts that are shipped."""

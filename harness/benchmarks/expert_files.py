@@ -81,7 +81,7 @@ def _trained(env: str, workers: int, launch: Callable[[str, int], Training]) -> 
 
 
 def _write_task(out: Path, env: str, agents: Agents) -> None:
-    """Write all agents into the list, and the first that meet the bar, by their seeds, as experts 0, 1, ..."""
+    """Write all agents into the list, and the first that meet the bar, by their seeds, as experts."""
     count = _shipped(env).experts
     good = [seed for seed in sorted(agents) if is_good(agents[seed][0])][:count]
     numbers = {seed: str(number) for number, seed in enumerate(good) if len(good) == count}

@@ -28,8 +28,8 @@ NEAR, MOST_NEAR = 0.01, 12
 """Checkpoints whose returns differ by less, relative to the range from random to best, are near-ties; of
 more than this number, some at equal distances are compared."""
 MEDIUM, MEDIUM_TRIED, MEDIUM_OFF = 0.5, 10, 0.15
-"""Share of that range which a medium expert should have, checkpoints that are measured for it, and how far
-from that share the nearest may be: an agent that learns at a stroke has none."""
+"""Share of that range that a medium expert should have, checkpoints that are measured for it, and the largest
+distance from that share: an agent that learns at a stroke has none."""
 MARGIN = 0.5
 """Share of the early endings that the bar allows on tuning episodes: others may have more."""
 MOST_CHECKS = 200
@@ -39,9 +39,8 @@ MOST_CHECKS = 200
 class Candidate(NamedTuple):
     """A line of candidates.csv: an agent trained for `env` from `seed`, judged on tuning episodes.
 
-    number: of the expert that it became, '' where it missed the bar or there were enough before. terminated:
-    share of episodes that ended early; confirmed: of `MORE` times as many, 1 where something else rules the
-    agent out.
+    `number`: of the expert that it became, or ''. `terminated`: share of episodes that ended early.
+    `confirmed`: that share of `MORE` times as many, 1 where something else rules the agent out.
     """
 
     env: str

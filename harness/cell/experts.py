@@ -1,9 +1,8 @@
-"""Where the expert and the demonstrations of a task and run seed come from: one type with four cases.
+"""Sources of the expert and the demonstrations of a task and run seed: one type with four cases.
 
-Shipped      the expert is one of those that are shipped, and is played to demonstrate
-Trained      it is trained now, or solved where the model is known, and played
-FromFile     demonstrations are a file's, the expert is shipped or trained
-NoExpert     demonstrations are a file's, and what they return scores 1
+`Shipped`: one of the shipped experts is played. `Trained`: an expert is trained, or solved where the model
+is known, and played. `FromFile`: demonstrations are a file's, beside a shipped or trained expert.
+`NoExpert`: they are a file's, and what they return scores 1.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ STAND_IN = "bc"
 class Expert:
     """An expert, and what its training took.
 
-    name: 'VERSION:NUMBER' of a shipped one, 'trained:SEED' of one trained for this run seed alone, 'exact'
-    where the model is known, 'file:DIGEST' of a clone that stands in for an absent one. curve: (environment
-    steps, mean true return) at checkpoints. shown: name of the demonstrations where they are not the
-    expert's, or ''. returns: what scores 1 where that is not the policy's return.
+    `name`: 'VERSION:NUMBER' of a shipped one, 'trained:SEED' of one trained for this run seed alone, 'exact'
+    where the model is known, 'file:DIGEST' of a clone that stands in. `curve`: (environment steps, mean true
+    return) at checkpoints. `shown`: name of the demonstrations where they are a file's, or ''. `returns`:
+    columns of scores.csv of what scores 1, where that is not what the policy returns.
     """
 
     name: str
@@ -128,8 +127,8 @@ class Played(Source):
         return episodes_from(self.kept("demonstrations", astuple(shown), draw).arrays)
 
     def play(self, demos: int, kind: Demonstrator) -> list[Trajectory]:
-        """Return the first episodes of a demonstrator, with their true rewards. Raises BadInput where there
-        is no medium one."""
+        """Return the first episodes of a demonstrator, with their true rewards. Raises BadInput for a
+        medium one that was not shipped."""
         policy = self.medium() if kind == "medium" else self.expert.policy
         if kind == "noisy":
             policy = disturbed(policy, self.spec, NOISE, rng_for(self.seed, self.env, "noise"))

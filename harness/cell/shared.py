@@ -1,12 +1,14 @@
-"""What all cells of a task and run seed share, made once and handed to them as bytes: the expert,
+"""Inputs that all cells of a task and run seed share, made once and handed to them as bytes: the expert,
 demonstrations, and episodes by which rewards are compared."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from harness.cell.experts import Expert, Source, from_kept, source_for, to_kept
 from harness.cell.shipped import shipped_policies
@@ -35,16 +37,20 @@ def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions)
     inputs = {EXPERT: to_kept(source.expert)}
     inputs |= {name_of(one): Kept(to_arrays(source.demonstrations(one)), {}) for one in shown}
     if conditions.retrain and not spec.tabular:
-        inputs[REPLAYED] = _replays(source)
+        expert = source.expert.policy
+        inputs[REPLAYED] = _kept(
+            source, REPLAYED, REPLAYS[conditions.budget], lambda seeds, rng: replay(spec, expert, seeds, rng)
+        )
     if conditions.retrain and (policies := _ranked_by(source)):
-        inputs[RANKING] = _ranking(source, policies)
+        inputs[RANKING] = _kept(
+            source, RANKING, RANKED[conditions.budget], lambda seeds, rng: ranked(spec, policies, seeds, rng)
+        )
     return {name: as_bytes(content) for name, content in inputs.items()}
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What `prepare` made, by name, and what the cell before learned. Raises KeyError for what is not
-    there."""
+    """Inputs by name, from `prepare`, and what the cell before learned. Raises KeyError for a missing one."""
 
     inputs: Mapping[str, bytes]
 
@@ -65,24 +71,14 @@ class Shared:
 
     @property
     def replays(self) -> Replays:
-        """The same states and actions for every reward."""
+        """States and actions, equal for every reward."""
         return Replays(**from_bytes(self.inputs[REPLAYED]).arrays)
 
     @property
     def ranked(self) -> Ranked | None:
-        """The same policies for every reward; None where the task has none."""
+        """Policies, equal for every reward; None where the task has none."""
         data = self.inputs.get(RANKING)
         return Ranked(**from_bytes(data).arrays) if data else None
-
-
-def _replays(source: Source) -> Kept:
-    count = REPLAYS[source.conditions.budget]
-
-    def sample() -> Kept:
-        seeds, rng = evaluation_seeds(source.seed, count), rng_for(source.seed, source.env, "replays")
-        return Kept(replay(source.spec, source.expert.policy, seeds, rng).arrays(), {})
-
-    return source.kept(REPLAYED, count, sample)
 
 
 def _ranked_by(source: Source) -> Sequence[Policy]:
@@ -92,11 +88,13 @@ def _ranked_by(source: Source) -> Sequence[Policy]:
     return [source.expert.policy] if source.spec.tabular else shipped_policies(source.env)
 
 
-def _ranking(source: Source, policies: Sequence[Policy]) -> Kept:
-    count = RANKED[source.conditions.budget]
-
-    def sample() -> Kept:
-        seeds, rng = evaluation_seeds(source.seed, count), rng_for(source.seed, source.env, "ranking")
-        return Kept(ranked(source.spec, policies, seeds, rng).arrays(), {})
-
-    return source.kept(RANKING, [experts_version(source.env), count], sample)
+def _kept(
+    source: Source,
+    name: str,
+    count: int,
+    play: Callable[[range, np.random.Generator], Replays | Ranked],
+) -> Kept:
+    """Return what is played on that many evaluation episodes, by the cache where that knows it."""
+    seeds, rng = evaluation_seeds(source.seed, count), rng_for(source.seed, source.env, name)
+    asked = [experts_version(source.env), count]
+    return source.kept(name, asked, lambda: Kept(play(seeds, rng).arrays(), {}))

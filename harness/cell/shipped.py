@@ -1,11 +1,10 @@
 """Experts that are shipped: trained once, chosen on episodes that nothing is scored on, and fixed.
 
-<env>.safetensors  a task's experts, arrays 'expert0/weight0', and the checkpoints of their trainings with
-about half their returns, 'medium0/weight0'; its metadata says which commit, seed and settings made each
-candidates.csv     every agent that was trained for them, those that missed the bar included SHA256SUMS
-checksums, as of sha256sum
+<env>.safetensors holds a task's experts, arrays 'expert0/weight0', ..., and the checkpoints of their
+trainings with about half their returns, 'medium0/weight0'. Its metadata has the commit, seed and settings
+that made each. Beside it lie candidates.csv, with every agent that was trained for them, and SHA256SUMS.
 
-`harness.benchmarks.expert_training` makes them.
+`harness.benchmarks.expert_files` makes them.
 """
 
 from __future__ import annotations

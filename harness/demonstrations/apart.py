@@ -91,20 +91,17 @@ def _read(path: Path) -> Recording:
 
 
 def answer(path: str, memory: str, seconds: str) -> None:
-    """Write the recording in a file, or why there is none, to standard output: an `.npz`."""
+    """Write the recording in a file, or why it cannot be read, to standard output: an `.npz`."""
     _bound(int(memory), int(seconds))
     with os.fdopen(os.dup(1), "wb") as out:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries print is no answer
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
         try:
-            _write(out, recording_here(Path(path)))
+            recording = recording_here(Path(path))
+            facts = {name: getattr(recording, name) for name in ("form", "first", "unended")}
+            bounds = {} if recording.bounds is None else {BOUNDS: recording.bounds}
+            _save(out, facts, recording.arrays | bounds)
         except (BadInput, ValueError) as error:
             _save(out, {"refused": str(error), "bad_input": isinstance(error, BadInput)}, {})
-
-
-def _write(out: BinaryIO, recording: Recording) -> None:
-    facts = {name: getattr(recording, name) for name in ("form", "first", "unended")}
-    bounds = {} if recording.bounds is None else {BOUNDS: recording.bounds}
-    _save(out, facts, recording.arrays | bounds)
 
 
 def _save(out: BinaryIO, facts: dict[str, object], arrays: dict[str, NDArray[Any]]) -> None:

@@ -1,8 +1,9 @@
 """Episodes as arrays for storage: in files, in the cache and between processes.
 
-N episodes of T steps stand one after the other: obs (sum of T+1, O), act (sum of T, A), lengths (N,) and
-terminated (N,), and rewards (sum of T,) where they are known. Where only some steps are shown, obs and act
-hold these alone, `shown` (N,) counts them and `times` (sum of shown,) numbers them within their episodes.
+N episodes of T steps stand one after the other: obs (sum of T+1, O), act (sum of T, A), lengths (N,),
+terminated (N,). Rewards (sum of T,) are there where they are known. Where only some steps are shown, obs and
+act hold these alone, `shown` (N,) counts them, and `times` (sum of shown,) numbers them within their
+episodes.
 """
 
 from __future__ import annotations

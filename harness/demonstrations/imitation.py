@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.demonstrations.recording import MOST_EPISODES, Recording, check_observed, endings, joined
+from harness.demonstrations.recording import MOST_EPISODES, Recording, check_observed, endings
 from harness.run.files import read as content
 
 STATE = "state.json"
@@ -23,7 +23,7 @@ def read(path: Path) -> Recording:
     if not parts:
         raise ValueError("it holds no episode")
     names = [name for name in parts[0] if all(name in part for part in parts)]
-    return Recording("imitation", {name: joined([part[name] for part in parts], name) for name in names})
+    return Recording("imitation", {name: np.concatenate([part[name] for part in parts]) for name in names})
 
 
 def _names(path: Path) -> list[str]:

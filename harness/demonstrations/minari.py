@@ -27,7 +27,6 @@ from harness.demonstrations.recording import (
     check_size,
     checked_bounds,
     extra,
-    joined,
     opened_to_read,
 )
 from harness.run.files import read as content
@@ -59,11 +58,11 @@ def read(data: Path) -> Recording:
         raise ValueError(f"its {METADATA} tells of {steps!r:.20} steps, and its episodes have {sum(lengths)}")
     check_observed([len(episode["observations"]) for episode in episodes], lengths)
     arrays = {
-        "obs": joined([episode["observations"] for episode in episodes], "observations"),
-        "act": joined([episode["actions"] for episode in episodes], "actions"),
+        "obs": np.concatenate([episode["observations"] for episode in episodes]),
+        "act": np.concatenate([episode["actions"] for episode in episodes]),
         "lengths": np.array(lengths),
         "terminated": np.array([end == "terminated" for end in endings]),
-        "rewards": joined([episode["rewards"] for episode in episodes], "rewards"),
+        "rewards": np.concatenate([episode["rewards"] for episode in episodes]),
     }
     unended = tuple(i for i, end in enumerate(endings) if not end)
     return Recording(f"Minari {kind}", arrays, bounds, first, unended)

@@ -72,7 +72,7 @@ def _archive(file: BinaryIO) -> Any:
 
 
 def _array(archive: Any, name: str) -> NDArray[Any]:
-    """Return an array (N, ...) of an archive. Raises ValueError for a pickle, or what is no array."""
+    """Return an array (N, ...) of an archive. Raises ValueError for a pickle or a number."""
     try:
         array = archive[name]
     except MemoryError:

@@ -28,12 +28,12 @@ LARGEST_RETURN = 1e100
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """What a file holds, for a task.
+    """Demonstrations of a file, as a task has them.
 
-    episodes: actions in [-1, 1], or choices. rewards: (T,) an episode; None where the file has none. form:
-    of the file. guessed: how many episodes end at the horizon and count as cut there, though the file calls
-    them terminal. cut: how many neither terminated nor last until the horizon. units: of actions in the
-    file.
+    `episodes`: actions in [-1, 1], or choices. `rewards`: (T,) an episode; None where the file has none.
+    `form`: name of the file's form. `guessed`: number of episodes that end at the horizon and count as cut
+    there, though the file calls them terminal. `cut`: number of those that neither terminated nor last until
+    the horizon. `units`: units of actions in the file.
     """
 
     episodes: Episodes
@@ -70,8 +70,8 @@ class Demonstrations:
 def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrations:
     """Return what the file or folder holds, for the task.
 
-    bounds: the lowest and the highest actions there; default: as the file says, or else the task's own. An
-    episode that the form may call terminal and that is as long as the horizon counts as cut there. Raises
+    bounds: the lowest and the highest actions there; default: by the file, or else the task's own. An
+    episode as long as the horizon counts as cut there where the form may call such an end terminal. Raises
     BadInput for any other file, and for what does not fit the task.
     """
     try:
@@ -102,18 +102,18 @@ def check_new(path: Path) -> None:
 
 def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demonstrations:
     """Return a recording's episodes as the task's. Raises ValueError for what does not fit."""
-    arrays, lengths = recording.arrays, recording.arrays["lengths"]
+    arrays, lengths, env = recording.arrays, recording.arrays["lengths"], spec.make()
     if lengths.max() > spec.horizon:
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
     obs = _numbers(arrays["obs"], spec.obs_size, "observations")
-    units = units_of(recording, spec, bounds)
+    units = units_of(recording, spec, env, bounds)
     act = (
         _choices(arrays["act"], lengths, spec, units.first)
         if spec.discrete
         else _scaled(arrays["act"], spec, units)
     )
-    _check_possible(obs, lengths, spec)
+    _check_possible(obs, lengths, spec, env.observation_space)
     full = lengths == spec.horizon
     if unended := [i for i in recording.unended if not full[i]]:
         raise ValueError(
@@ -134,9 +134,8 @@ def _rewards(rewards: NDArray[Any], lengths: NDArray[Any]) -> Array:
     return values
 
 
-def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec) -> None:
+def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:
     """Raise ValueError for observations that the task's space does not have."""
-    space = spec.make().observation_space
     assert isinstance(space, gym.spaces.Box)
     low, high = (end.astype(np.float64) for end in (space.low, space.high))
     beyond = SLACK * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))

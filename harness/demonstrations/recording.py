@@ -26,13 +26,12 @@ Bounds = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Recording:
-    """Episodes as a file holds them, whose task is not known.
+    """Episodes as a file holds them, for whatever task.
 
-    form: name of the file's form. arrays: as of `harness.demonstrations.arrays`, with the file's types and
-    units; choices may be whole numbers (sum of T,). bounds: of actions, None where an `.npz` has none,
-    infinite ones where the form should have them. first: number of the first choice, where the file says it.
-    unended: episodes that neither terminated nor were cut, by the file. Raises ValueError for arrays that
-    are not those of the same episodes.
+    `form`: name of the file's form. `arrays`: as of `harness.demonstrations.arrays`, with the file's types
+    and units; choices may be whole numbers (sum of T,). `bounds`: None where an `.npz` has none, infinite
+    where another form lacks them. `first`: number of the first choice, if the file says it. `unended`:
+    episodes that neither terminated nor were cut. Raises ValueError for arrays of different episodes.
     """
 
     form: str
@@ -60,7 +59,7 @@ class Recording:
 
     @property
     def calls_all_ends_terminal(self) -> bool:
-        """Whether the form may call an episode terminal that was cut at the horizon."""
+        """True where an end at the horizon may be called terminal, though it was cut there."""
         return self.form.startswith("imitation")
 
 
@@ -79,16 +78,6 @@ def check_observed(observed: Sequence[int], lengths: Sequence[int]) -> None:
         if rows != steps + 1:
             hint = f" and as many actions; {ONE_MORE}" if rows == steps else f" for {steps} actions"
             raise ValueError(f"episode {i} has {rows} observations{hint}")
-
-
-def joined(parts: Sequence[NDArray[Any]], name: str) -> NDArray[Any]:
-    """Return the rows of all parts. Raises ValueError for parts of several shapes, or of more than is
-    read."""
-    for part in parts:
-        if part.dtype.kind not in "fiub" or part.ndim not in (1, 2) or part.shape[1:] != parts[0].shape[1:]:
-            raise ValueError(f"it has {name} {part.dtype} {part.shape}; {FLAT}")
-    check_size(sum(part.size for part in parts))
-    return np.concatenate(parts)
 
 
 def endings(flags: NDArray[Any]) -> NDArray[np.bool_]:

@@ -67,15 +67,16 @@ class Units:
         return self.low + (act + 1) / 2 * (self.high - self.low)
 
 
-def units_of(recording: Recording, spec: EnvSpec, asked: Bounds | None) -> Units:
+def units_of(recording: Recording, spec: EnvSpec, env: gym.Env[Any, Any], asked: Bounds | None) -> Units:
     """Return the units of a file's actions: as the user says (`asked`), or the file, or else the task.
 
+    env: the environment of the task.
     Raises ValueError where these contradict each other, or where two are possible and nobody says which.
     """
     if spec.discrete:
         if asked is not None:
             raise ValueError(f"its actions are choices, which have no {OPTION}")
-        first = first_choice(spec)
+        first = first_choice(env)
         if recording.first not in (None, first):
             raise ValueError(
                 f"its choices are numbered from {recording.first} on, and the task's from {first} on"
@@ -84,7 +85,7 @@ def units_of(recording: Recording, spec: EnvSpec, asked: Bounds | None) -> Units
         return Units(unused, unused, "the task's own", first)
     if recording.first is not None:
         raise ValueError("its actions are choices, and the task's are numbers")
-    native = _native_bounds(spec)
+    native = _native_bounds(env, spec.act_size)
     if asked is not None:
         return _as_asked(asked, recording.bounds, native, spec.act_size)
     if recording.bounds is not None:
@@ -94,12 +95,12 @@ def units_of(recording: Recording, spec: EnvSpec, asked: Bounds | None) -> Units
     return _as_in_task(recording.arrays["act"], native, spec)
 
 
-def first_choice(spec: EnvSpec) -> int:
-    """Return the number of a discrete task's first choice in its own environment. Raises BadInput where a
+def first_choice(env: gym.Env[Any, Any]) -> int:
+    """Return the number of the first choice beneath the wrappers of a discrete task. Raises BadInput where a
     wrapper hides it."""
-    space = _space_beneath(spec)
+    space = _space_beneath(env)
     if not isinstance(space, spaces.Discrete):
-        raise BadInput(f"a wrapper of {spec.name} changes its choices, so their numbers are not known")
+        raise BadInput("a wrapper of the task changes its choices, so their numbers are not known")
     return int(space.start)
 
 
@@ -158,17 +159,16 @@ def _public_bounds(spec: EnvSpec) -> Bounds | None:
     return None if spec.public_bounds is None else np.array(spec.public_bounds)[:, None]
 
 
-def _native_bounds(spec: EnvSpec) -> Bounds | None:
+def _native_bounds(env: gym.Env[Any, Any], size: int) -> Bounds | None:
     """Return the bounds of actions in the task's own environment; None where a wrapper hides them."""
-    space = _space_beneath(spec)
-    if not isinstance(space, spaces.Box) or space.shape != (spec.act_size,):
+    space = _space_beneath(env)
+    if not isinstance(space, spaces.Box) or space.shape != (size,):
         return None
     return np.array([space.low, space.high], np.float64)
 
 
-def _space_beneath(spec: EnvSpec) -> spaces.Space[Any] | None:
+def _space_beneath(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
     """Return the space of actions beneath all wrappers; None where they do more than scale or number anew."""
-    env: gym.Env[Any, Any] = spec.make()
     outer = env.action_space
     actions = _samples(outer)
     while isinstance(env, gym.Wrapper):

@@ -198,15 +198,11 @@ def test_a_reward_that_could_not_be_kept_is_no_method_without_one(run: Path, tmp
 
 
 def test_without_artifacts_nothing_is_exported(run: Path, tmp_path: Path) -> None:
-    conditions = Conditions("smoke", "absorbing", "sb3", record="none")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CACHE_VARIABLE, str(run.parent / "cache"))
-        with open_for_run(
-            tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), conditions)
-        ) as directory:
-            result, _ = run_cell(CELLS[1], conditions, prepare([CELLS[1]], conditions))
-            directory.save(dataclasses.replace(result, artifacts={}))
-    with pytest.raises(BadInput, match=r"kept nothing of .*: an earlier version ran it with --record none"):
+    with open_to_verify(run) as directory:
+        stored = directory.load()[0][CELLS[1]]
+    with open_for_run(tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), CONDITIONS)) as directory:
+        directory.save(dataclasses.replace(stored, artifacts={}, recordings={}))
+    with pytest.raises(BadInput, match=r"kept nothing of .*: it learned nothing"):
         export(tmp_path / "none", CELLS[1].env, "bc", to=tmp_path / "to")
 
 

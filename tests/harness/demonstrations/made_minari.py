@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from tests.harness.demonstrations.made_demonstrations import SWINGUP
+
 FORMS = ("hdf5", "parquet", "arrow")
+FLAGS = ("terminations", "truncations")
 
 
 @contextmanager
@@ -50,3 +53,16 @@ def minari_folder(
             data_format=form,
         )
     return path.with_name(f"{path.name}-v0").rename(path)
+
+
+def made(
+    kind: Any = np.float64, spec: Any = SWINGUP, lengths: tuple[int, ...] = (200, 7, 3)
+) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    act = [spec.random_actions(n, rng).astype(kind) for n in lengths]
+    return {
+        "obs": [rng.uniform(-0.4, 0.4, (n + 1, spec.obs_size)).astype(kind) for n in lengths],
+        "act": [one.argmax(axis=1) for one in act] if spec.discrete else act,
+        "ended": [n < 200 for n in lengths],
+        "rewards": [rng.normal(size=n) for n in lengths],
+    }

@@ -1,4 +1,4 @@
-"""Demonstrations, and files of them."""
+"""Demonstrations, files of them, and how a file is refused."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pytest
 
-from harness.registry import SPECS
+from harness.demonstrations.reading import read
+from harness.registry import SPECS, BadInput
 from methods.base import Episodes
 
 SWINGUP, CHOICES = SPECS["swingup"], SPECS["cartpole_discrete"]
@@ -28,6 +30,14 @@ def made(
 def same(one: Episodes, other: Episodes) -> bool:
     pairs = zip((*one.obs, *one.act), (*other.obs, *other.act), strict=True)
     return all(map(np.array_equal, *zip(*pairs, strict=True))) and one.terminated == other.terminated
+
+
+def refused(path: Path, why: str, spec: Any = SWINGUP, bounds: Any = None) -> None:
+    """Assert that a file is refused in a line that says why."""
+    with pytest.raises(BadInput, match=f"no demonstrations of {spec.name}: ") as error:
+        read(path, spec, bounds)
+    assert str(error.value).isprintable()
+    assert why in str(error.value)
 
 
 def imitation(path: Path, episodes: Episodes, rewards: Any, parts: int = 2, act: Any = None) -> Path:

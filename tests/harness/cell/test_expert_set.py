@@ -1,0 +1,152 @@
+"""The shipped experts: whole, of a version, each as good as its file says."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness.benchmarks.expert_training import Candidate, is_good, measure
+from harness.cell.experts import source_for
+from harness.cell.shipped import shipped_experts
+from harness.cli import main
+from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.learn.seeds import held_out_seeds
+from harness.registry import SPECS, BadInput, all_specs
+from harness.run import keys
+from harness.run.cache import as_bytes, from_bytes
+from harness.run.environment import CACHE_VARIABLE, numeric
+from harness.run.keys import EXPERTS, PAGE_PARTS, ROOT, cell_keys, experts_version, program
+from harness.run.opening import open_for_report, open_for_run
+
+TASKS = tuple(spec.name for spec in all_specs() if spec.shipped)
+FOLDER = ROOT / EXPERTS[0]
+CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+
+
+@pytest.fixture
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Copy the shipped experts into a folder, to be changed, that this process reads anew."""
+    there = tmp_path / EXPERTS[0]
+    there.mkdir(parents=True)
+    for file in FOLDER.glob("cart*.safetensors"):
+        (there / file.name).write_bytes(file.read_bytes())
+    (tmp_path / PAGE_PARTS[0]).parent.mkdir(parents=True)
+    for part in PAGE_PARTS:
+        (tmp_path / part).write_bytes((ROOT / part).read_bytes())
+    monkeypatch.setattr(keys, "ROOT", tmp_path)
+    program.cache_clear()
+    yield there
+    program.cache_clear()
+
+
+@pytest.mark.parametrize("env", TASKS)
+def test_every_task_has_experts_with_all_that_is_known_of_them(env: str) -> None:
+    file, experts = FOLDER / f"{env}.safetensors", shipped_experts(env)
+    lines = (FOLDER / "SHA256SUMS").read_text().splitlines()
+    listed = {name: digest for digest, name in (line.split("  ") for line in lines)}
+    assert listed[file.name] == hashlib.sha256(file.read_bytes()).hexdigest()
+    training = SPECS[env].shipped
+    assert training is not None
+    assert len(experts) == training.experts
+    for one in experts:
+        assert {"seed", "settings", "curve", "origin", "checkpoint", "medium_checkpoint"} <= one.facts.keys()
+        assert "(" in one.facts["origin"]["irl-bench"]  # the commit
+        assert is_good(Candidate(**{field: one.facts[field] for field in Candidate._fields}))
+    names = [source_for(env, seed, CONDITIONS).expert.name for seed in (0, len(experts) - 1, len(experts))]
+    version = experts_version(env)
+    assert names == [f"{version}:0", f"{version}:{len(experts) - 1}", f"{version}:0"]
+
+
+@pytest.mark.parametrize("env", TASKS)
+def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_uses(env: str) -> None:
+    one, seeds = shipped_experts(env)[0], held_out_seeds(20)
+    best, half = (measure(SPECS[env], policy, seeds) for policy in (one.expert, one.medium))
+    expected, random = one.facts["mean_return"], one.facts["random_return"]
+    assert best.mean_return >= expected - 0.05 * (expected - random)
+    assert half.mean_return < best.mean_return
+
+
+def key(env: str) -> str:
+    (its,) = cell_keys([Cell(env, "bc", 0)], CONDITIONS, numeric(False)).values()
+    return its
+
+
+def change(copy: Path, env: str = "cartpole") -> None:
+    """Write another bias into a task's file, with its checksum renewed."""
+    content = from_bytes((copy / f"{env}.safetensors").read_bytes())
+    content.arrays["expert1/bias0"] = content.arrays["expert1/bias0"] + 1
+    (copy / f"{env}.safetensors").write_bytes(as_bytes(content))
+    program.cache_clear()
+
+
+def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) -> None:
+    versions = {env: (experts_version(env), key(env)) for env in ("cartpole", "cartpole_discrete")}
+    change(copy)
+    assert experts_version("cartpole") != versions["cartpole"][0]
+    assert key("cartpole") != versions["cartpole"][1]
+    other = experts_version("cartpole_discrete"), key("cartpole_discrete")
+    assert other == versions["cartpole_discrete"]
+    file = copy / "cartpole.safetensors"
+    whole = file.read_bytes()
+    for odd in (
+        whole[:-1],
+        whole[:-9] + b"x" + whole[-8:],
+        (copy / "cartpole_discrete.safetensors").read_bytes(),
+    ):
+        file.write_bytes(odd)
+        program.cache_clear()
+        with pytest.raises(BadInput, match=r"cartpole.safetensors is damaged"):
+            shipped_experts("cartpole")
+
+
+def test_a_task_without_shipped_experts_trains_its_own(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    (copy / "cartpole.safetensors").unlink()
+    program.cache_clear()
+    assert (experts_version("cartpole"), shipped_experts("cartpole")) == ("", [])
+    conditions = dataclasses.replace(CONDITIONS, rl="sb3")
+    assert source_for("cartpole", 2, conditions).expert.name == "trained:2"
+
+
+def result(method: str, seed: int = 0) -> CellResult:
+    policies = ("expert", "random") if method == "reference" else ("pi_star", "pi_R")
+    rows = [Row("cartpole", method, seed, policy, "absorbing", return_mean=1.0) for policy in policies]  # type: ignore[arg-type]
+    return CellResult(Cell("cartpole", method, seed), rows)
+
+
+def test_results_of_two_versions_of_experts_are_never_mixed(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    request = Request(("bc", "shaped"), ("cartpole",), (0,), CONDITIONS)
+    out = tmp_path / "run"
+    with open_for_run(out, request) as run:
+        for method in ("reference", "bc", "shaped"):
+            run.save(result(method))
+    change(copy)
+    with open_for_run(out, request) as run:
+        found, unusable = run.load()
+        assert found == {}
+        assert all("its experts" in reason for reason in unusable.values())
+        for method in ("reference", "bc"):  # a run that asked for less
+            run.save(result(method))
+    with open_for_report(out) as run:  # which of no version knows that it is the present one
+        found, unusable = run.load()
+        assert [cell.method for cell in found] == ["bc", "reference"]
+        assert [path.stem for path in unusable] == ["cartpole__shaped__seed0"]
+    assert main(["report", str(out)]) == 1
+    assert "computed by another version" in capsys.readouterr().err
+
+
+def test_the_package_brings_them_where_they_are_looked_for() -> None:
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    repository, installed = EXPERTS
+    assert setup["package-dir"] == {installed.replace("/", "."): repository}
+    assert installed.replace("/", ".") in setup["packages"]
+    assert setup["package-data"][installed.replace("/", ".")] == ["*.safetensors", "LICENSE"]

@@ -1,0 +1,161 @@
+"""A run whose methods are shown the demonstrations of a file, with and without an expert."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness import commands
+from harness.cell import given
+from harness.cell.experts import Trained, source_for
+from harness.cell.shared import Shared
+from harness.cli import main
+from harness.demonstrations.reading import Demonstrations, read, write
+from harness.judge.leaderboard import scored_rows
+from harness.judge.results import Cell, Conditions, Shown
+from harness.run.cells import prepare, run_cell
+from tests.harness.demonstrations.made_demonstrations import SWINGUP, made, same
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+RUN = ["run", "--methods", "bc", "--envs", "swingup", "--out", "run"]
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def stored(factor: float = 1.0, lengths: tuple[int, ...] = (200, 7, 3)) -> Demonstrations:
+    """Return demonstrations that a run may name, of a file."""
+    episodes, rewards = made(lengths, (False, True, True))
+    write(Path("d.npz"), episodes, [factor * paid for paid in rewards])
+    found = read(Path("d.npz"), SWINGUP)
+    given.store(str(found), found.episodes, found.rewards)
+    return found
+
+
+def test_a_run_is_shown_what_a_file_holds() -> None:
+    found = stored(lengths=(30, 20, 10))
+    conditions = Conditions("smoke", "absorbing", "sbx", retrain=False, demonstrations=str(found))
+    shown = [Shown(), Shown(2), Shown(2, every=5)]
+    cells = [Cell("swingup", "bc", 0, one) for one in shown]
+    inputs = prepare(cells, conditions)
+    all_three, two, few = (Shared(inputs).demonstrations(one) for one in shown)
+    assert same(all_three, found.episodes)
+    assert len(two) == 2
+    assert {len(act) for act in two.act} < {30, 20, 10}
+    assert few.times is not None
+    assert [len(times) for times in few.times] == [int(n) // 5 for n in few.lengths]
+    result, _ = run_cell(cells[1], conditions, inputs)
+    assert {row.expert for row in result.rows} == {f"file:{found.digest}"}
+    assert result.rows[0].pairs == sum(len(act) for act in two.act)
+    reference, _ = run_cell(Cell("swingup", "reference", 0), conditions, inputs)
+    assert not any(row.expert.startswith("file") for row in reference.rows)
+    with pytest.raises(ValueError, match="4 demonstrations are asked for, and there are 3"):
+        source_for("swingup", 0, conditions).demonstrations(Shown(4))
+    with pytest.raises(ValueError, match="are gone from the cache"):
+        given.stored("other: 3 episodes")
+
+
+def test_without_an_expert_a_score_of_1_is_what_the_demonstrations_return(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing is trained for it, and rewards are compared in states that a clone visits."""
+
+    def train(*_: object) -> None:
+        raise AssertionError("an expert is trained")
+
+    monkeypatch.setattr(Trained, "_train", train)
+    found = stored(factor=5)
+    rewards = found.rewards or ()
+    conditions = Conditions("smoke", "absorbing", "sbx", experts="none", demonstrations=str(found))
+    cells = [Cell("swingup", method, 0) for method in ("reference", "bc", "control_untrained")]
+    inputs = prepare(cells, conditions)
+    rows = scored_rows([run_cell(cell, conditions, inputs)[0] for cell in cells])
+    by_policy = {(row.method, row.policy): row for row in rows}
+    shown, random = by_policy["reference", "demonstrations"], by_policy["reference", "random"]
+    discounted = [paid @ SWINGUP.gamma ** np.arange(len(paid)) for paid in rewards]
+    assert shown.return_mean == pytest.approx(np.mean([paid.sum() for paid in rewards]))
+    assert shown.discounted_mean == pytest.approx(np.mean(discounted))
+    assert (shown.episodes, shown.length_mean) == (3, pytest.approx(np.mean(found.episodes.lengths)))
+    assert (shown.normalized_score, random.normalized_score) == (1, 0)
+    star = by_policy["bc", "pi_star"]
+    scale = shown.return_mean - random.return_mean
+    assert star.normalized_score == pytest.approx((star.return_mean - random.return_mean) / scale)
+    assert {row.expert for row in rows} == {f"file:{found.digest}"}
+    assert 0 < by_policy["control_untrained", "pi_R"].reward_distance < 1
+
+
+def test_a_file_without_rewards_needs_an_expert(capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("d.npz"), made()[0])
+    assert main([*RUN, "--experts", "none", "--demos-from", "d.npz"]) == 2
+    assert "tells no rewards" in capsys.readouterr().err
+    assert main([*RUN, "--experts", "none"]) == 2
+    assert "is for demonstrations of a file" in capsys.readouterr().err
+    assert not Path("run").exists()
+
+
+def test_episodes_that_were_cut_short_are_no_score(capsys: pytest.CaptureFixture[str]) -> None:
+    """What an episode of 7 steps of 200 returns says nothing of the other 193."""
+    write(Path("d.npz"), *made(ended=(False, True, False)))
+    from_file = [*RUN, "--plan", "--demos-from", "d.npz"]
+    assert main(from_file) == 0
+    assert main([*from_file, "--experts", "none"]) == 2
+    assert "1 of the 3 episodes of" in capsys.readouterr().err
+    assert main(["demos", "inspect", "d.npz", "--env", "swingup"]) == 0
+    assert "1 neither terminated nor last until the horizon" in capsys.readouterr().out
+
+
+def test_other_rewards_are_another_run() -> None:
+    episodes, rewards = made()
+    shuffled = tuple(paid[::-1].copy() for paid in rewards)
+    one, other = (Demonstrations(episodes, paid, "npz") for paid in (rewards, shuffled))
+    assert one.digest == other.digest
+    assert str(one) != str(other)
+
+
+def test_other_content_is_another_run_and_another_key(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.setattr("harness.run.grid.Grid.run", lambda self, cells: None)
+    for name, lengths in (("one", (9, 8)), ("two", (9, 7))):
+        write(Path(f"{name}.npz"), made(lengths, (True, True))[0])
+    assert main([*RUN, "--demos-from", "one.npz", "--plan"]) == 0
+    assert {path.name for path in Path().iterdir()} == {"one.npz", "two.npz"}
+    main([*RUN, "--demos-from", "one.npz"])
+    request = json.loads(Path("run/run.json").read_text())
+    assert request["demonstrations"].endswith(": 2 episodes, 17 steps")
+    assert "--demos-from FILE" in Path("run/leaderboard.md").read_text()
+    capsys.readouterr()
+    assert main([*RUN, "--demos-from", "two.npz"]) == 2
+    assert "holds a run with demonstrations" in capsys.readouterr().err
+    assert main(RUN) == 2
+    assert ": 2 episodes, 17 steps, not none; give another --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--envs", "swingup,hopper"], "is for one environment"),
+        (["--demonstrator", "noisy"], "leaves out --demonstrator"),
+        (["--experts", "none", "--methods", "dagger"], "dagger asks the expert"),
+        (["--experts", "none", "--transfer"], "--transfer carries the expert over"),
+        (["--demos", "4"], "has 3 demonstrations, not 4"),
+        (["--envs", "hopper"], "it has observations float64 (213, 3); (213, 11) are needed"),
+        (["--baseline", "no_such_run"], "no_such_run"),
+        (["--action-bounds", "2"], "is not two numbers"),
+        (["--action-bounds=2,-2"], "is not a lower number and a higher one"),
+        (["--action-bounds=nan,2"], "is not a lower number and a higher one"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_before_anything_is_written(
+    capsys: pytest.CaptureFixture[str], words: list[str], why: str
+) -> None:
+    write(Path("d.npz"), *made())
+    assert main([*RUN, "--demos-from", "d.npz", *words]) == 2
+    err = capsys.readouterr().err
+    assert why in err
+    assert err.count("\n") == 1
+    assert [file.name for file in Path().iterdir()] == ["d.npz"]
