@@ -58,11 +58,11 @@ def read(data: Path) -> Recording:
         raise ValueError(f"its {METADATA} tells of {steps!r:.20} steps, and its episodes have {sum(lengths)}")
     check_observed([len(episode["observations"]) for episode in episodes], lengths)
     arrays = {
-        "obs": np.concatenate([episode["observations"] for episode in episodes]),
-        "act": np.concatenate([episode["actions"] for episode in episodes]),
+        "obs": _joined(episodes, "observations"),
+        "act": _joined(episodes, "actions"),
         "lengths": np.array(lengths),
         "terminated": np.array([end == "terminated" for end in endings]),
-        "rewards": np.concatenate([episode["rewards"] for episode in episodes]),
+        "rewards": _joined(episodes, "rewards"),
     }
     unended = tuple(i for i, end in enumerate(endings) if not end)
     return Recording(f"Minari {kind}", arrays, bounds, first, unended)
@@ -130,6 +130,14 @@ def _minari_writes_to(folder: str) -> Iterator[None]:
         del os.environ[FOLDER]
         if before is not None:
             os.environ[FOLDER] = before
+
+
+def _joined(episodes: Sequence[Columns], name: str) -> NDArray[Any]:
+    """Return a column of all episodes. Raises ValueError where its rows have several shapes."""
+    columns = [episode[name] for episode in episodes]
+    if any(not column.ndim or column.shape[1:] != columns[0].shape[1:] for column in columns):
+        raise ValueError(f"its {name} have rows of several shapes, or none")
+    return np.concatenate(columns)
 
 
 def _described(data: Path) -> tuple[str, int, Any, Bounds | None, int | None]:

@@ -140,7 +140,7 @@ def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: p
     assert SPECS["gridworld"].gamma == GAMMA
     assert value(one.policy) == pytest.approx(best_value(), abs=1e-6)
     np.testing.assert_array_equal(one.policy(WORLD.obs), other.policy(WORLD.obs))
-    assert (one.name, one.curve, one.env_steps, one.check_steps) == ("exact", [], 0, 0)
+    assert (one.name, one.curve, one.env_steps, one.check_steps) == ("exact", (), 0, 0)
 
 
 def test_the_task_is_worth_solving() -> None:
