@@ -201,8 +201,8 @@ def _list_settings(args: argparse.Namespace) -> int:
             raise BadInput(f"one {kind} is needed, not {name!r:.80}")
     plugins.load([args.method], [env])
     with importing():
+        from harness.cell.settings import settings_of
         from harness.judge.results import Conditions
-        from harness.run.resolved import settings_of
 
     conditions = Conditions(args.budget, "absorbing", "sbx")
     for part, settings in settings_of(args.method, env, conditions).items():
@@ -213,7 +213,7 @@ def _list_settings(args: argparse.Namespace) -> int:
 
 
 def _verify(directory: Path) -> int:
-    from harness.run.progress import say
+    from harness.schedule.progress import say
     from harness.store.opening import open_to_verify
 
     with open_to_verify(directory) as run:
@@ -247,7 +247,7 @@ def _check(names: Sequence[str], named: Sequence[str]) -> int:
 
 def _checked(names: Sequence[str], contract: Any) -> int:
     """Print the outcome of each check. contract: the module `harness.registry.contract`."""
-    from harness.run.progress import say
+    from harness.schedule.progress import say
 
     failed = False
     for name in names:
@@ -270,7 +270,7 @@ def _checked(names: Sequence[str], contract: Any) -> int:
 
 def _bench(part: str | None, as_json: bool) -> int:
     from harness.engines.cell_environment import as_in_cells
-    from harness.run.progress import say, tell
+    from harness.schedule.progress import say, tell
 
     measures, missed = [], False
     with as_in_cells():

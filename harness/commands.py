@@ -22,10 +22,10 @@ from harness.judge.results import Cell, CellResult, Conditions, Request, Shown, 
 from harness.registry import ASKING, ENVS, SPECS, BadInput, Unfinished, choose, keys, packages, plugins
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import GYMNASIUM_NAME, KNOWN
-from harness.run import baseline
 from harness.run.environment import cache_folder, can_fix_instructions, numeric
-from harness.run.progress import progress_for, say, tell
 from harness.run.signals import stop_cleanly
+from harness.schedule.progress import progress_for, say, tell
+from harness.store import baseline
 from harness.store.cells import LOG
 from harness.store.files import can_write
 from harness.store.opening import (
@@ -324,7 +324,7 @@ def _compute(
 ) -> dict[Cell, CellResult]:
     """Computes what the request asks for and the directory lacks; returns all that is there then. programs:
     of `outcome.for_programs`."""
-    from harness.run.events import Events
+    from harness.schedule.events import Events
     from harness.schedule.grid import Grid
 
     known, unusable = run.load()

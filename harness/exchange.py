@@ -17,9 +17,9 @@ from harness.arguments import installed_version
 from harness.judge.results import CellResult, Conditions, Request
 from harness.registry import KNOWN, SPECS, BadInput, Demonstrator, choose, keys, plugins
 from harness.registry.gymnasium_tasks import task_or_name
-from harness.run import baseline
-from harness.run.progress import say, tell
 from harness.run.signals import stop_cleanly
+from harness.schedule.progress import say, tell
+from harness.store import baseline
 from harness.store.files import new_folder, write_atomic
 from harness.store.opening import open_to_verify
 from methods.base import Array

@@ -10,7 +10,7 @@ from typing import TextIO
 
 from harness.judge import effort
 from harness.judge.results import CellResult
-from harness.run.progress import say, tell
+from harness.schedule.progress import say, tell
 from harness.store.store import Store
 
 MOST_NAMED = 20
@@ -41,7 +41,7 @@ def report(
     from harness.report import terminal
     from harness.report.files import recorded_in, write_report
     from harness.report.model import build
-    from harness.run.events import Reported, write
+    from harness.schedule.events import Reported, write
 
     forgotten = run.forgotten()
     damaged = run.damaged_files(results)

@@ -16,17 +16,11 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 
 ROOMS = (
-    *("envs", "methods", "harness.registry.names", "harness.judge.results"),
-    ("harness.run.environment", "harness.engines.containment"),
-    *(
-        "harness.registry",
-        "harness.learn",
-        "harness.registry.contract",
-        "harness.judge",
-        "harness.demonstrations",
-    ),
-    ("harness.run", "harness.cell", "harness.engines", "harness.schedule", "harness.store"),
-    *("harness.report", "harness.recordings", "harness.benchmarks", "harness"),
+    *("envs", "methods", "harness.registry.names", "harness.judge.results", "harness.judge.numbers"),
+    *("harness.run", "harness.engines.containment", "harness.registry", "harness.learn"),
+    *("harness.registry.contract", "harness.judge", "harness.store", "harness.demonstrations"),
+    *("harness.recordings", "harness.report", "harness.cell", "harness.engines", "harness.schedule"),
+    *("harness.benchmarks", "harness"),
 )
 """Packages and modules; each may import itself and those before it."""
 
@@ -54,13 +48,8 @@ def importers(library: str) -> list[str]:
 
 def room(module: str) -> int | None:
     """The number of the innermost room that a module belongs to, if it is of this program."""
-    inside = [
-        (len(name), number)
-        for number, names in enumerate((n,) if isinstance(n, str) else n for n in ROOMS)
-        for name in names
-        if f"{module}.".startswith(f"{name}.")
-    ]
-    return max(inside)[1] if inside else None
+    inside = [name for name in ROOMS if f"{module}.".startswith(f"{name}.")]
+    return ROOMS.index(max(inside, key=len)) if inside else None
 
 
 @pytest.mark.parametrize("file", FILES)

@@ -22,7 +22,7 @@ from harness.judge.results import Conditions
 from harness.learn.seeds import held_out_seeds, rng_for
 from harness.registry import SPECS, BadInput
 from harness.registry.keys import EXPERTS, ROOT
-from harness.run.progress import say, tell
+from harness.schedule.progress import say, tell
 from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
 from harness.store.marked import open_marked
 from harness.store.sums import SUMS, as_lines

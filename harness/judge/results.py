@@ -215,7 +215,7 @@ class Row:
     pairs: Count = 0
     """Shown pairs of observation and action; 0 where there are none, or it is unknown."""
     source: Text = ""
-    """The run that it was computed for, if another (`harness.run.baseline`)."""
+    """The run that it was computed for, if another (`harness.store.baseline`)."""
     settings: LongText = ""
     """The result's `settings`, as JSON in one line; filled in where results are shown."""
 
@@ -288,7 +288,7 @@ class CellResult:
     solves: Annotated[list[Solve], Meta(max_length=MOST_SOLVES)] = field(default_factory=list)
     """Every RL solve of the reward, in order. pi_R is the one judged best; ties go to the first."""
     settings: Annotated[Settings, Meta(max_length=10)] = field(default_factory=dict)
-    """The settings that it was computed with (`harness.run.resolved`)."""
+    """The settings that it was computed with (`harness.cell.settings`)."""
 
     @property
     def files(self) -> dict[str, str]:

@@ -29,9 +29,9 @@ from harness.judge.results import (
 from harness.registry.keys import cell_keys
 from harness.registry.plugins import modules, needed
 from harness.run.phases import Phase
-from harness.run.progress import Progress, progress_for
-from harness.run.tally import Tally
 from harness.schedule.costs import Costs
+from harness.schedule.progress import Progress, progress_for
+from harness.schedule.tally import Tally
 from harness.store.codec import decode
 
 Group = tuple[str, int]

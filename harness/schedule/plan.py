@@ -23,10 +23,10 @@ from harness.judge.results import (
 )
 from harness.run.environment import cache_folder
 from harness.run.phases import Phase
-from harness.run.progress import NOTHING
-from harness.run.tally import clock
 from harness.schedule.costs import FILE, SHARED, Costs, name_of
 from harness.schedule.grid import Grid, Schedule
+from harness.schedule.progress import NOTHING
+from harness.schedule.tally import clock
 
 CORES = (2, 64, 1000)
 LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505

@@ -20,6 +20,8 @@ from harness.store.files import (
     write_atomic,
 )
 
+NO_NUMBERS = "It locks folders."
+
 LOCK = ".lock"
 LOCK_MARK = "irl-bench "
 """The beginning of a lock's text, before the number of the process that holds it."""

@@ -14,8 +14,8 @@ import pytest
 from harness.judge.results import CellResult
 from harness.registry import keys
 from harness.report.model import Report
-from harness.run.events import AnyEvent, Begun, Ended, Reported
 from harness.schedule import plan
+from harness.schedule.events import AnyEvent, Begun, Ended, Reported
 from harness.store import opening
 from harness.store.store import Store
 from tests.harness.fake_runs import PER_SEED, SMOKE, computed, faults, scores

@@ -11,7 +11,7 @@ from harness.cli import main
 from harness.judge.statistics import probability_of_improvement
 from harness.report import compare
 from tests.harness.made_results import REQUEST, make_results
-from tests.harness.test_baseline import computed, edited, made, of_another_method
+from tests.harness.store.test_baseline import computed, edited, made, of_another_method
 
 
 def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None:

@@ -209,11 +209,11 @@ CONCERNED = {
     "methods/network.py": {*KEYED},
     "envs/driving/traffic.py": {("highway", "bc"), ("highway", "reference")},
     "harness/learn/rl.py": {*KEYED},
-    "harness/run/cells.py": {*KEYED},
+    "harness/cell/run.py": {*KEYED},
     "harness/registry/names.py": {*KEYED},
-    "harness/show/recordings.py": set(),
+    "harness/recordings/episode.py": set(),
     "harness/judge/leaderboard.py": set(),
-    "harness/run/progress.py": set(),
+    "harness/schedule/progress.py": set(),
 }
 """The cells whose key an edit of a file changes."""
 

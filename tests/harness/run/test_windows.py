@@ -21,13 +21,10 @@ sys.modules |= dict.fromkeys(("fcntl", "resource", "pwd", "grp", "termios"))
 """
 WORKS = """
 from pathlib import Path
-import harness.cli, harness.commands, harness.exchange, harness.run.isolated
+import harness.cli, harness.commands, harness.exchange, harness.engines.processes
 from harness.engines import scratch
 from harness.run import signals, streams
 from harness.store import files
-import harness.cli, harness.commands, harness.exchange, harness.engines.processes
-from harness.engines import scratch
-from harness.run import files, signals, streams
 harness.commands.handle_signals()
 assert set(signals.STOPS) == {signal.SIGINT, signal.SIGTERM}
 streams.install()

@@ -20,8 +20,8 @@ from harness.cli import main
 from harness.judge.results import LEARNED, Cell
 from harness.recordings import viewer as view
 from harness.registry import BadInput
-from harness.run import baseline
 from harness.run.environment import numeric
+from harness.store import baseline
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of
 from harness.store.opening import open_for_run, open_to_verify

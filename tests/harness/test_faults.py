@@ -17,7 +17,7 @@ from harness.judge.results import CONTROLS, Cell
 from tests.harness.fake_runs import compute, scores
 from tests.harness.small_runs import names
 
-HERE = Path(__file__).parents[1]
+HERE = Path(__file__).parent
 ENV = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
 WORKERS = 2
 

@@ -17,7 +17,7 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from harness.run.phases import Phase, returned
-from harness.run.tally import Tally, clock
+from harness.schedule.tally import Tally, clock
 from harness.store.codec import printable
 
 if TYPE_CHECKING:

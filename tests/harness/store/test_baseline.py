@@ -11,8 +11,8 @@ from harness import commands
 from harness.cli import main
 from harness.judge.results import Cell, CellResult, Request, policies_of
 from harness.registry import KNOWN, BadInput, keys
-from harness.run import baseline
 from harness.run.environment import numeric
+from harness.store import baseline
 from harness.store.opening import open_for_run
 from harness.store.store import Store
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from harness.engines.jobs import Job
 from harness.judge.results import Cell, Conditions
-from harness.run import progress, tally
 from harness.run.phases import Phase, short
+from harness.schedule import progress, tally
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 

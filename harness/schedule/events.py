@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal, Self, TextIO
 import msgspec
 
 from harness.run.phases import Phase
-from harness.run.progress import NOTHING
-from harness.run.tally import Tally
+from harness.schedule.progress import NOTHING
+from harness.schedule.tally import Tally
 
 if TYPE_CHECKING:
     from harness.engines.jobs import Job

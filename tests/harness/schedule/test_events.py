@@ -15,10 +15,10 @@ import pytest
 
 from harness.engines.jobs import Job
 from harness.judge.results import Cell, Conditions, Shown
-from harness.run import events
-from harness.run.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
 from harness.run.phases import Phase
-from harness.run.tally import Tally
+from harness.schedule import events
+from harness.schedule.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
+from harness.schedule.tally import Tally
 
 ROOT = Path(__file__).parents[3]
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
