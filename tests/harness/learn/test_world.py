@@ -145,9 +145,10 @@ def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
     }
     assert set(public) == {
         *("obs_size", "act_size", "horizon", "gamma", "phi", "model", "discrete", "solve_steps"),
-        *("env_steps", "check_steps", "rl_solves", "answers"),
+        *("env_steps", "check_steps", "rl_solves", "answers", "budget"),
     }
     assert public.pop("model") is None
+    assert public.pop("budget") == "full"
     assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")
 
 
