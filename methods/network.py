@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -39,21 +38,22 @@ class Network:
     biases: tuple[Array, ...]
     tanh: bool = False
 
+    def __post_init__(self) -> None:
+        # Float64, row by row: products of other layouts round differently, and stored arrays have this one.
+        for name in ("mean", "std"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
+        for name in ("weights", "biases"):
+            arrays = tuple(np.ascontiguousarray(array, np.float64) for array in getattr(self, name))
+            object.__setattr__(self, name, arrays)
+
     def __call__(self, x: Array, /) -> Array:
         if len(x) > ROWS:
             return np.concatenate([self(x[start : start + ROWS]) for start in range(0, len(x), ROWS)])
         x = (x - self.mean) / self.std
-        *hidden, (weight, bias) = self._layers
-        for inner, shift in hidden:
-            x = np.maximum(x @ inner + shift, 0)
-        x = x @ weight + bias
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = np.maximum(x @ weight + bias, 0)
+        x = x @ self.weights[-1] + self.biases[-1]
         return np.tanh(x) if self.tanh else x
-
-    @cached_property
-    def _layers(self) -> list[tuple[Array, Array]]:
-        """Weights and biases in float64, row by row. Products of other layouts round differently."""
-        layers = zip(self.weights, self.biases, strict=True)
-        return [(np.ascontiguousarray(w, np.float64), np.ascontiguousarray(b, np.float64)) for w, b in layers]
 
     @property
     def form(self) -> tuple[Any, ...]:
