@@ -48,9 +48,9 @@ def report(
     beside, unusable = run.beside()
     shown = [*results, *beside]
     if anew or not run.is_sealed():
-        recorded = results if run.request.conditions.record != "none" else []
+        recorded = [result for result in results if result.learned]
         compared = []
-        if recorded:
+        if recorded and run.request.conditions.record != "none":
             from harness.recordings.ghosts import write_compared  # rerun is 30 MB
 
             compared = write_compared(run, recorded)

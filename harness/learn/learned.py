@@ -31,8 +31,8 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = R
     if len(chosen) != len(obs):
         raise ValueError(f"a policy gave {len(chosen)} actions for {len(obs)} observations")
     for name, curve in learned.curves.items():
-        if not len(curve) or not all(isinstance(value, numbers.Real) for value in curve):
-            raise ValueError(f"the curve {name!r} must hold numbers, at least one")
+        if not all(isinstance(value, numbers.Real) for value in curve):
+            raise ValueError(f"the curve {name!r} must hold numbers")
     if learned.reward is not None:
         _check_reward(learned.reward, obs, act)
 

@@ -23,8 +23,8 @@ from harness.store.sums import SUMS
 
 NO_NUMBERS = "It opens what others read and write."
 
-FOLDERS = ("recordings", "figures")
-"""Folders of a run's directory, which must not lead elsewhere."""
+RECORDINGS = "recordings"
+"""The folder of a run's directory. It must not lead elsewhere."""
 STUDY = "study.json"
 """The file that marks the directory of a study, which holds runs (`harness.reproduce`)."""
 EARLIER = "run.json"
@@ -57,7 +57,7 @@ def open_for_run(path: Path, request: Request, variables: Mapping[str, str] | No
             old = _stored(database)
             asked = grown(path, old, request)
             remove_unfinished(path, "|".join(map(re.escape, (SUMS, *REBUILT))))
-            remove_unfinished(path / "recordings", r".+\.rrd")
+            remove_unfinished(path / RECORDINGS, r".+\.rrd")
             if asked != old:
                 with database.writing():
                     database.put("run", REQUEST, encode(asked))
@@ -104,8 +104,8 @@ def holds_run(path: Path) -> bool:
     process leaves that was killed at once. Raises BadInput for anything else."""
     try:
         names = {*os.listdir(path)}
-        if links := [name for name in FOLDERS if name in names and _leads_away(path / name)]:
-            raise BadInput(f"cannot use {path}: its {links[0]} is no folder of its own")
+        if RECORDINGS in names and _leads_away(path / RECORDINGS):
+            raise BadInput(f"cannot use {path}: its {RECORDINGS} is no folder of its own")
         if FILE in names and (path / FILE).lstat().st_size:
             return True
     except OSError as error:

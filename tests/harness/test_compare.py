@@ -19,7 +19,8 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     request = dataclasses.replace(REQUEST, methods=("bc", "shaped", "maxmargin", "gail"), envs=("cartpole",))
     one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
     other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
-    runs = [exchange._read(path) for path in (one, other)]
+    stored = [(path, *exchange._read(path)) for path in (one, other)]
+    runs = [compare.Run(str(path), request.conditions, results) for path, request, results in stored]
     found = {(d.method, d.policy): d for d in compare.differences(*runs).items}
     gail = found["gail", "pi_star"]
     assert (gail.seeds, gail.better) == (2, 1.0)

@@ -87,7 +87,7 @@ def test_what_a_run_was_asked_for_is_remembered_and_grows(tmp_path: Path) -> Non
     assert (grown.shown, grown.variants) == ((Shown(), Shown(5)), ("swingup.light",))
     without = dataclasses.replace(plain, conditions=dataclasses.replace(SMOKE, retrain=False))
     with pytest.raises(BadInput, match="retrain"):
-        merged(tmp_path / "7", without)
+        merged(tmp_path / "plain", without)
     assert {cell.method for cell in without.cells} == {REFERENCE, "bc"}
 
 

@@ -96,7 +96,7 @@ def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> N
     conditions, told = dataclasses.replace(SMOKE, record="none"), list[Phase]()
     result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
     assert result.rows[0].status == "ok"
-    assert [phase.stage for phase in told] == ["demonstrate", "fit", "score", "record"]
+    assert [phase.stage for phase in told] == ["demonstrate", "fit", "score", "score", "record"]
     assert told[-1].returns == {"pi_star": result.rows[0].return_mean}
     assert result.recordings == {}
     assert files.keys() == result.files.keys() == {LEARNED}

@@ -17,11 +17,12 @@ from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
 from harness.cell.watched import Watched, chosen
 from harness.judge.evaluation import evaluate
-from harness.judge.results import Cell, CellResult, Conditions, compared_in, files_of, recording_of
+from harness.judge.results import Cell, CellResult, Conditions, Request, compared_in, files_of, recording_of
 from harness.learn.seeds import evaluation_seeds
 from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings.ghosts import write_compared
 from harness.registry import SPECS, Record
+from harness.store.opening import open_for_run
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 
@@ -185,23 +186,28 @@ def test_a_cut_episode_that_is_too_short_has_no_advantage() -> None:
     assert advantages(SPEC, lambda obs: np.zeros((len(obs), 1)), [cut], [0], None) == [None]
 
 
-def test_all_methods_of_a_run_are_compared_on_one_episode(tmp_path: Path) -> None:
-    results = [ran(method, tmp_path) for method in ("reference", "bc")]
-    assert write_compared(tmp_path, results[:1], lambda file: True) == []
-    (file,) = write_compared(tmp_path, results, lambda file: False)
-    assert file == tmp_path / "recordings" / compared_in("cartpole")
+def test_all_methods_of_a_run_are_compared_on_one_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    conditions, results = dataclasses.replace(SMOKE, record="both"), list[CellResult]()
+    with open_for_run(tmp_path, Request(("bc",), ("cartpole",), (0,), conditions)) as run:
+        for method in ("reference", "bc"):
+            result, files = run_cell(Cell("cartpole", method, 0), conditions, shared())
+            run.save(result, files)
+            results.append(result)
+        assert write_compared(run, results[:1]) == []
+        (file,) = write_compared(run, results)
+        assert file == tmp_path / "recordings" / compared_in("cartpole")
+        learned = run.read_learned(results[1])
+        before = os.stat(file).st_mtime_ns
+        monkeypatch.setattr(run, "is_as_written", lambda file: True)
+        assert write_compared(run, results) == [file]
+        assert os.stat(file).st_mtime_ns == before
     ends = {}
     for chunk in RrdReader(file).stream():
         if chunk.entity_path.startswith("/earned/") and not chunk.is_static:
             batch = chunk.to_record_batch()
             ends[chunk.entity_path.rpartition("/")[2]] = batch.column("Scalars:scalars").to_pylist()[-1][0]
     assert ends.keys() == {"expert", "bc_pi_star"}
-    from harness.store.artifacts import learned_in
-
-    learned = learned_in((tmp_path / "learned").read_bytes())
     first = evaluate(SPEC, learned["pi_star"], evaluation_seeds(0, 1))
     assert ends["bc_pi_star"] == pytest.approx(first.returns[0])
-
-    before = os.stat(file).st_mtime_ns
-    assert write_compared(tmp_path, results, lambda file: True) == [file]
-    assert os.stat(file).st_mtime_ns == before

@@ -1,6 +1,5 @@
 """A run whose methods are shown the demonstrations of a file, with and without an expert."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from harness.cli import main
 from harness.demonstrations.reading import Demonstrations, read, write
 from harness.judge.leaderboard import scored_rows
 from harness.judge.results import Cell, Conditions, Shown
+from tests.harness import small_runs
 from tests.harness.demonstrations.made_demonstrations import SWINGUP, made, same
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -125,8 +125,8 @@ def test_other_content_is_another_run_and_another_key(
     assert main([*RUN, "--demos-from", "one.npz", "--plan"]) == 0
     assert {path.name for path in Path().iterdir()} == {"one.npz", "two.npz"}
     main([*RUN, "--demos-from", "one.npz"])
-    request = json.loads(Path("run/run.json").read_text())
-    assert request["demonstrations"].endswith(": 2 episodes, 17 steps")
+    asked = small_runs.stored(Path("run"), "request", "run")["conditions"]
+    assert asked["demonstrations"].endswith(": 2 episodes, 17 steps")
     assert "--demos-from FILE" in Path("run/leaderboard.md").read_text()
     capsys.readouterr()
     assert main([*RUN, "--demos-from", "two.npz"]) == 2

@@ -118,7 +118,7 @@ def ones(obs: Array) -> Array:
         (ones, Pays(ones), r"shape \(B, 1\), not \(5,\)"),
         (lambda obs: np.zeros((len(obs), 2)), Pays(ones), r"shape \(B, 1\), not \(5, 2\)"),
         (lambda obs: still(obs)[:1], Pays(ones), "1 actions for 5 observations"),
-        (still, Pays(still), "one finite number"),
+        (still, Pays(still), "one number a step"),
         (still, Pays(lambda obs: np.full(len(obs), np.nan)), "one finite number"),
         (still, Pays(ones, absorbing=math.inf), "one finite number"),
     ],
@@ -151,7 +151,7 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
     assert result.warnings == [
         f"{BC.name}: of 102 curves the first {MOST_CURVES - 3} are kept",
         f"{BC.name}: pi_star is not kept (docs/plugins.md): builtins.function is no dataclass of envs, "
-        "methods, harness.learn, harness.judge",
+        "methods, harness.learn, harness.judge, harness.cell",
     ]
 
 

@@ -25,6 +25,7 @@ from harness.exchange import export_demonstrations
 from harness.registry import SPECS
 from tests.harness.demonstrations.made_demonstrations import CHOICES, SWINGUP, refused
 from tests.harness.demonstrations.made_minari import FLAGS, FORMS, made, minari_folder
+from tests.harness.small_runs import stored
 
 UNTOLD = "does not tell the bounds of its actions; give them as --action-bounds"
 pytestmark = pytest.mark.usefixtures("read_here", "own_cache")
@@ -276,5 +277,5 @@ def test_a_run_is_shown_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
     path, out = minari_folder(tmp_path / "d", "hdf5", **made()), tmp_path / "run"
     main(["run", "--methods", "bc", "--envs", "swingup", "--out", str(out), "--demos-from", str(path)])
-    stored = json.loads((out / "run.json").read_text())
-    assert stored["demonstrations"] == str(read(path, SWINGUP))
+    asked = stored(out, "request", "run")["conditions"]
+    assert asked["demonstrations"] == str(read(path, SWINGUP))

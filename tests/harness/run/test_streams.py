@@ -148,7 +148,7 @@ def test_flags_and_variables_of_the_shell_change_nothing(
 ) -> None:
     faults(tmp_path, **{BC: "raise"})
     code, err = shell(tmp_path, f"$IRL {RUN}", *flags.split(), **variables)
-    assert code == 1
+    assert code == 1, err
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").exists()
 
