@@ -53,7 +53,7 @@ EXAMPLES = {
     ),
     "irl-bench table": (
         "irl-bench table results/latest --to scores.tex",
-        "irl-bench table results/reference/board/highway --to highway.md",
+        "irl-bench table results/latest --env highway --to highway.md",
     ),
     "irl-bench compare": (
         "irl-bench compare results/before results/after",
@@ -81,7 +81,6 @@ EXAMPLES = {
     ),
     "irl-bench list": (
         "irl-bench list",
-        "irl-bench list --plugin my_method.py",
         "irl-bench list gail --env hopper --budget full",
     ),
 }
