@@ -190,7 +190,7 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     rows = _rows(cell, conditions, score, steps)
     curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)]}
     if behaviour == "large":
-        curves |= {f"loss {i}": 1000 * curves["pi_R"] for i in range(10)}
+        curves |= {f"loss {i}": 1000 * curves["pi_R"] for i in range(29)}
     return CellResult(cell, rows, curves, warnings=[f"{cell.env}: low bar"])
 
 

@@ -193,8 +193,8 @@ def test_on_a_full_disk_one_line_says_so_and_nothing_is_half_written(
     tmp_path: Path, unbroken: dict[str, str]
 ) -> None:
     faults(tmp_path, **{name.removesuffix(".json"): "large" for name in unbroken})
-    # As a full disk does, the system refuses to write on, here after 200 KiB a file.
-    limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command(tmp_path)]
+    # As a full disk does, the system refuses to write on, here after 600 KiB a file.
+    limited = ["bash", "-c", 'ulimit -f 600; exec "$@"', "-", *command(tmp_path)]
     full = subprocess.run(limited, env=FAKE_ENV, capture_output=True, text=True, check=False)
     assert full.returncode == 2
     assert re.fullmatch(
