@@ -114,6 +114,7 @@ def _bound(memory: int, seconds: int) -> None:
         import resource
     except ImportError:  # on Windows
         return
+    signal.signal(signal.SIGXCPU, signal.SIG_DFL)  # it may have been inherited as ignored
     limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0}
     for limit, most in limits.items():
         _, hard = resource.getrlimit(limit)
