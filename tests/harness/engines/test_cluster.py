@@ -4,6 +4,7 @@ machine."""
 import os
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
@@ -17,6 +18,8 @@ import pytest
 from harness.benchmarks.local_cluster import LocalCluster, local_cluster
 from harness.judge.results import Cell, CellResult
 from harness.store.codec import decode
+from harness.store.database import FILE
+from tests.harness.small_runs import execute
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
 TESTS = Path(__file__).parents[1]
@@ -54,8 +57,13 @@ def wait_for(truth: Callable[[], bool]) -> None:
 
 
 def stored(out: Path) -> dict[Cell, CellResult]:
-    results = [decode(file.read_text()) for file in (out / "cells").glob("*.json")]
-    return {result.cell: result for result in results}
+    if not (out / FILE).is_file():
+        return {}
+    try:
+        rows = execute(out, "SELECT data FROM cells")
+    except sqlite3.OperationalError:  # it has no tables yet
+        return {}
+    return {(result := decode(data)).cell: result for (data,) in rows}
 
 
 def without_times(result: CellResult) -> CellResult:
