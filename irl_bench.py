@@ -1,4 +1,4 @@
-"""All that a plug-in, a notebook or another program needs of this benchmark, under one name.
+"""Names for plug-ins, notebooks and other programs.
 
 import irl_bench
 

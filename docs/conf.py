@@ -1,4 +1,4 @@
-"""How Sphinx builds these pages: `make docs`, which needs no network."""
+"""Settings of Sphinx for these pages. `make docs` needs no network."""
 
 import sys
 from pathlib import Path

@@ -36,9 +36,9 @@ FOLDER = Path(__file__).with_name("pictures")
 SHAPED = "highway_shaped"
 CONDITIONS = Conditions("quick", "absorbing", "sbx")
 SIZE, LIST = (1040, 650), 272
-"""Of what is shown, pixels; how wide the list of recordings beside it is."""
+"""Size of the window, and width of the list of recordings [pixels]."""
 WIDTH, COLOURS = 640, 128
-"""Of a picture."""
+"""Width [pixels] and number of colours of a picture."""
 GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 WAIT = 90
 """Seconds until something is to be seen, at most."""
@@ -67,13 +67,13 @@ def main(names: list[str]) -> None:
 
 
 def of_expert(spec: EnvSpec) -> bytes:
-    """Its first evaluation episode."""
+    """Record the expert's first evaluation episode."""
     expert = source_for(spec.name, 0, CONDITIONS).expert.policy
     return played(spec, "reference", "expert", expert, expert, None)
 
 
 def shaped() -> bytes:
-    """The same of what `shaped` learns on the highway, with its R*."""
+    """Record the same for the policy of `shaped` on the highway, with its R*."""
     spec, expert = SPECS["highway"], source_for("highway", 0, CONDITIONS).expert.policy
     cell = Cell("highway", "shaped", 0)
     star = fit(Inputs(cell, CONDITIONS, Shared(prepare([cell], CONDITIONS)))).star
@@ -104,7 +104,7 @@ def played(
 
 
 def picture(address: str) -> bytes:
-    """What the page shows once it shows something, as PNG."""
+    """Return a PNG of the page, once it shows something."""
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=GPU)
         page = browser.new_page(viewport={"width": SIZE[0] + LIST, "height": SIZE[1]})

@@ -1,4 +1,4 @@
-"""From a method to the board and to another library, cell by cell as in a notebook.
+"""A walk from a method to the board and to another library, cell by cell as in a notebook.
 
 python examples/walk_through.py [BUDGET] [FOLDER]    # smoke, the default: a minute, and no result; quick: one
 """

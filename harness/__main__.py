@@ -4,7 +4,7 @@ import os
 import sys
 
 if __name__ == "__main__":
-    # The current folder is no place for modules, unless it is the program's own: a json.py lies there soon.
+    # Modules of the current folder would hide others, such as a json.py, unless it is the program's own.
     _root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
     if not sys.flags.safe_path and os.path.realpath(sys.path[0]) != _root:
         del sys.path[0]

@@ -1,4 +1,4 @@
-"""What the command line understands: commands, options, their ranges."""
+"""The command line: commands, options and their ranges."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the whole command line. Raises BadInput for what it does not understand."""
+    """Return the parser of the whole command line, which raises BadInput for mistakes."""
     top = _Parser(prog="irl-bench", description=EXIT_CODES, allow_abbrev=False)
     top.add_argument("--version", action="version", version=f"%(prog)s {installed_version()}")
     commands = top.add_subparsers(dest="command", required=True)
@@ -325,7 +325,7 @@ def _count(text: str) -> int:
 
 
 def seeds(text: str) -> tuple[int, ...]:
-    """How many from 0, or numbers and ranges."""
+    """Return the seeds of a text: a count from 0, or numbers and ranges."""
     if "," not in text and "-" not in text[1:]:
         return tuple(range(_count(text)))
     found: set[int] = set()

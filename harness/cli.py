@@ -108,7 +108,7 @@ def _check_folder() -> None:
 
 
 def _program() -> list[str]:
-    """What the user typed, or may type, to start this program."""
+    """Return the command that starts this program, as the user typed it or may type it."""
     name = sys.argv[0]
     return [sys.executable, "-m", "harness"] if Path(name).name == "__main__.py" else [name]
 

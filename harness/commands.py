@@ -1,4 +1,4 @@
-"""What `run`, `reproduce` and `report` do; each returns the exit code (`harness.cli`)."""
+"""The commands `run`, `reproduce` and `report`. Each returns the exit code (`harness.cli`)."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def _prepare() -> None:
         importlib.import_module("harness.engines.processes")
         importlib.import_module("harness.schedule.grid")
         importlib.import_module("harness.report.files")
-    except (ImportError, ValueError, SyntaxError) as error:  # such as of a matplotlibrc that is no text
+    except (ImportError, ValueError, SyntaxError) as error:  # such as from a binary matplotlibrc
         raise BadInput(f"nothing can draw the report: {error}") from error
 
 
@@ -240,7 +240,7 @@ def _variants(envs: Sequence[str], names: str) -> tuple[str, ...]:
 
 
 def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
-    """What the cells of these environments are computed on. Raises BadInput for what it cannot do."""
+    """Return the engine for the cells of these environments. Raises BadInput for options that it lacks."""
     from harness.engines import inline, processes
 
     # Those of plug-ins are imported in their own cells alone, which all others would share.
@@ -261,7 +261,7 @@ def _engine(args: argparse.Namespace, envs: Sequence[str]) -> Engine:
 
 
 def _is_deterministic(args: argparse.Namespace) -> bool:
-    """Whether cells' processes have their instructions fixed; those of this one are chosen already."""
+    """Return whether the instructions of cells' processes are fixed. Those of this process cannot be."""
     return args.engine != "inline" and not args.fast and can_fix_instructions()
 
 
@@ -359,7 +359,7 @@ def _compute(
 
 
 def _beside(run: Store, request: Request, engine: Engine) -> dict[Cell, CellResult]:
-    """What the run is shown beside and need not compute."""
+    """Return the baseline's cells, which the run need not compute."""
     found, unusable = run.beside()
     outcome.tell_unusable(unusable, "left out of the baseline")
     tasks = baseline.tasks_now(run.request, engine.variables)

@@ -1,4 +1,4 @@
-"""What each command's help ends with: two examples, by the command as it is typed."""
+"""Two examples for the end of each command's help, by the command as it is typed."""
 
 from __future__ import annotations
 

@@ -76,9 +76,9 @@ class ExportedPolicy:
 class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """An environment that pays R*, for any RL library. The true reward is `info["true_reward"]`.
 
-    folder: of `export`. offset: pay R* less what absorption pays, so that the end of an episode, after which
-    nothing is paid, is worth what R* says (docs/termination.md). Raises BadInput where there is no R*, or the
-    environment has other observations or actions than its task; `make` gives one that has the same.
+    `folder`: of `export`. `offset`: pay R* less what absorption pays (docs/termination.md). The end of an
+    episode, after which nothing is paid, is then worth what R* says. Raises BadInput if R* is missing, and
+    for an environment with other observations or actions than the task. `make` returns one with the same.
     """
 
     def __init__(self, env: gym.Env[Any, Any], folder: Path | str | Exported, offset: bool = True) -> None:
@@ -123,10 +123,10 @@ def export(
     policy: PolicyName = "pi_star",
     to: Path | str | None = None,
 ) -> Path:
-    """Write what a run's cell learned into a folder, and return that; of several cells that were shown more
-    or less, the first.
+    """Write what a run's cell learned into a folder, and return the folder. Where cells differ only in what
+    they were shown, the first counts.
 
-    policy: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
+    `policy`: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
     directory, env = Path(directory), task_or_name(env)

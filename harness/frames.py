@@ -31,7 +31,7 @@ TEXTS: Mapping[str, type] = {
     **{field.name: str for kind in (Row, Entry) for field in fields(kind) if field.type not in NUMBERS},
     **dict.fromkeys(("budget", "rl", "program", "finished"), str),
 }
-"""Columns of texts, some of which could be taken for numbers."""
+"""Columns of texts. Some look like numbers."""
 _WANTED = {
     "methods": "names: put your class into a file, with METHODS = {'its_name': it} there, and plugins=[FILE]",
     "envs": "names: put your task into a file, with ENVS = {'its_name': it} there, and plugins=[FILE]",
@@ -43,7 +43,7 @@ _WANTED = {
 @dataclass(frozen=True)
 class Frames:
     """scores: a row for each policy of each cell, with the columns of `harness.judge.results.Row`.
-    leaderboard: those over seeds, as in leaderboard.csv."""
+    `leaderboard`: those over seeds, as in leaderboard.csv."""
 
     scores: pd.DataFrame
     leaderboard: pd.DataFrame
@@ -58,11 +58,11 @@ def run(
     plugins: Sequence[Path | str] = (),
     options: Sequence[str] = (),
 ) -> Frames:
-    """Computes what is asked for and not there yet, as `irl-bench run` does; all that is in `out` then.
+    """Compute the cells of a request that `out` lacks, as `irl-bench run` does, and return all of its cells.
 
-    seeds: how many, from 0, or which. plugins: files or modules, as of `--plugin`. options: more of
-    `irl-bench run`'s, such as ["--demos", "5"]. A cell that fails is a row that says why. Plug-ins are known
-    in this call alone, but for those of `add_plugins`.
+    `seeds`: a number of seeds from 0, or a list of seeds. `plugins`: files or modules, as of `--plugin`.
+    `options`: other options of `irl-bench run`, such as ["--demos", "5"].
+    A failed cell is a row that says why. Plug-ins are known in this call alone, `add_plugins` aside.
     Raises `harness.registry.BadInput` for what cannot be done.
     """
     ours.first()
@@ -105,8 +105,8 @@ def add_plugins(named: Sequence[Path | str]) -> None:
 
 
 def load(directory: Path | str) -> Frames:
-    """What a run's directory holds. Raises BadInput where that is no finished run, or not as it was written;
-    tables that lie in a folder without a run are taken as they are."""
+    """Return the tables in a run's directory. Raises BadInput if it has none, or they are not as written.
+    Tables in a folder without a run are taken as they are."""
     folder = Path(directory)
     files = [folder / f"{name}.csv" for name in ("scores", "leaderboard")]
     try:

@@ -1,4 +1,4 @@
-"""What is said of a run: what it came to, what failed, what is damaged; to people, and to programs."""
+"""Messages on a run, to people and to programs: its results, failures and damaged files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ MOST_NAMED = 20
 
 @contextmanager
 def for_programs(asked: bool) -> Iterator[TextIO | None]:
-    """Where JSON for programs goes, if that is asked for: standard output. All text goes to standard error
-    until the context ends."""
+    """Yield the stream of JSON for programs, standard output, if it is asked for. All text goes to standard
+    error until the context ends."""
     if not asked:
         yield None
         return
@@ -36,8 +36,11 @@ def report(
     tables: bool = False,
     programs: TextIO | None = None,
 ) -> bool:
-    """Writes what these results come to, and says it in a few lines. anew: even where it is as written.
-    tables: printed besides. programs: of `for_programs`. Returns whether all is there that the run stored."""
+    """Write the report of these results and print its closing lines. Return whether
+    all stored cells are there.
+
+    `anew`: write it even where it is as written. `tables`: print tables, too. `programs`: of `for_programs`.
+    """
     from harness.report import terminal
     from harness.report.files import recorded_in, write_report
     from harness.report.model import build
@@ -81,9 +84,9 @@ def _and_more(names: Sequence[str]) -> str:
 
 
 def tell_troubles(results: list[CellResult], budget: str, beside: Sequence[CellResult] = ()) -> bool:
-    """Says on stderr what must not be overlooked, last. Returns whether any cell failed.
+    """Print warnings and failures to standard error. Return whether any cell failed.
 
-    beside: what these results are shown beside.
+    `beside`: the results of a baseline.
     """
     told = [warning for result in results for warning in result.warnings]
     for warning in dict.fromkeys([*told, *effort.warnings([*results, *beside], budget)]):
@@ -98,7 +101,7 @@ def tell_troubles(results: list[CellResult], budget: str, beside: Sequence[CellR
 
 
 def tell_unusable(files: dict[Path, str], what_happens: str) -> None:
-    """A line for each reason."""
+    """Print a line for each reason."""
     by_reason: dict[str, list[Path]] = {}
     for path, reason in sorted(files.items()):
         by_reason.setdefault(reason, []).append(path)

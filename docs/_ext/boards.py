@@ -1,4 +1,4 @@
-"""What the reference boards hold, for tables of generated pages."""
+"""Contents of the reference boards, for tables of generated pages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def task_of(row: Row) -> str:
 
 
 def shown(row: Row) -> str:
-    """How many demonstrations, and which of their steps."""
+    """Return the number of demonstrations, and the choice of their steps."""
     demos = int(row["demos"]) or SPECS[row["env"]].demo_episodes["full"]
     return f"{demos}" if row["every"] == "1" else f"{demos}, 1 step in {row['every']}"
 
@@ -53,7 +53,7 @@ def amount(text: str) -> str:
 
 
 def pairs(its: Sequence[Row]) -> list[tuple[Row, Row | None, Row | None]]:
-    """Of each run, task and method: any of its rows, that of pi* and that of pi_R."""
+    """Return three rows of each run, task and method: any row, that of pi* and that of pi_R."""
     found: dict[tuple[str, ...], dict[str, Row]] = {}
     for row in its:
         key = (row["run"], row["demos"], row["every"], task_of(row), row["method"])
@@ -67,6 +67,6 @@ def link(text: str, row: Row) -> str:
 
 
 def table(heading: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
-    """Of Markdown."""
+    """Return a table in Markdown."""
     rule = ["---"] * len(heading)
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in (heading, rule, *lines)) + "\n"

@@ -20,11 +20,11 @@ TITLES = {
     "envs.learners": "Learners",
     "harness.registry.contract": "The contract",
 }
-"""What the names of the public module's homes are about, in the order of the page."""
+"""Titles of the modules that define public names, in the order of the page."""
 
 
 FINDINGS = "results/reference/thesis/FINDINGS.md"
-"""Of the thesis; a page of its own here, where links lead."""
+"""Equations of the thesis, which have a page of their own here."""
 
 
 def write(app: Sphinx) -> None:

@@ -104,7 +104,7 @@ def hyper_parameters(method: Any, names: Sequence[str]) -> str:
 
 
 def field_docs(cls: type) -> dict[str, str]:
-    """What is written below each field, those of the classes that it extends included."""
+    """Return the docstring of each field, including fields of base classes."""
     found: dict[str, str] = {}
     for one in reversed(cls.__mro__[:-1]):
         (tree,) = ast.parse(textwrap.dedent(inspect.getsource(one))).body
@@ -116,7 +116,7 @@ def field_docs(cls: type) -> dict[str, str]:
 
 
 def text_of(node: ast.stmt | None) -> str:
-    """Of a statement that is a text; '' of others."""
+    """Return the text of a statement that is a text; '' for others."""
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return inspect.cleandoc(str(node.value.value))
     return ""

@@ -28,7 +28,7 @@ def is_equation(paragraph: str) -> bool:
 
 
 def markdown(doc: str) -> str:
-    """Of a whole docstring, equations typeset."""
+    """Return a whole docstring with typeset equations."""
     parts = []
     for paragraph in paragraphs(doc):
         if is_equation(paragraph):
@@ -69,8 +69,8 @@ def _escaped(text: str) -> str:
 
 
 def latex(line: str) -> str:
-    """Of an equation as docstrings write them: names of Greek letters, R* and `x^T`, words between symbols,
-    and its number behind five spaces."""
+    """Return TeX for an equation as docstrings write it: names of Greek letters, R* and `x^T`, words
+    between symbols, and its number behind five spaces."""
     line, _, number = line.partition("     ")
     line = re.sub(r"(?<![\w(])E(?=_|\[| )", r"\\mathbb{E}", line)
     line = re.sub(r"_\(([^()]*)\)", r"_{\1}", line)

@@ -28,8 +28,8 @@ NEAR, MOST_NEAR = 0.01, 12
 """Checkpoints whose returns differ by less, relative to the range from random to best, are near-ties; of
 more than this number, some at equal distances are compared."""
 MEDIUM, MEDIUM_TRIED, MEDIUM_OFF = 0.5, 10, 0.15
-"""Share of that range that a medium expert should have, checkpoints that are measured for it, and the largest
-distance from that share: an agent that learns at a stroke has none."""
+"""Share of that range that a medium expert should have, the number of checkpoints that are measured for it,
+and the largest distance from that share. Agents that learn suddenly have no medium expert."""
 MARGIN = 0.5
 """Share of the early endings that the bar allows on tuning episodes: others may have more."""
 MOST_CHECKS = 200

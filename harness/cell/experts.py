@@ -46,10 +46,11 @@ STAND_IN = "bc"
 class Expert:
     """An expert, and what its training took.
 
-    `name`: 'VERSION:NUMBER' of a shipped one, 'trained:SEED' of one trained for this run seed alone, 'exact'
-    where the model is known, 'file:DIGEST' of a clone that stands in. `curve`: (environment steps, mean true
-    return) at checkpoints. `shown`: name of the demonstrations where they are a file's, or ''. `returns`:
-    columns of scores.csv of what scores 1, where that is not what the policy returns.
+    `name`: 'VERSION:NUMBER' if shipped, 'trained:SEED' if trained for this seed alone, 'exact' if the
+    model is known, 'file:DIGEST' for a clone that stands in.
+    `curve`: (environment steps, mean true return) at checkpoints.
+    `shown`: name of a file's demonstrations, or ''.
+    `returns`: columns of scores.csv of what scores 1, where that is not what the policy returns.
     """
 
     name: str

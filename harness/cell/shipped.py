@@ -1,6 +1,6 @@
 """Experts that are shipped: trained once, chosen on episodes that nothing is scored on, and fixed.
 
-<env>.safetensors holds a task's experts, arrays 'expert0/weight0', ..., and the checkpoints of their
+`ENV.safetensors` holds a task's experts in arrays 'expert0/weight0', ... It also holds checkpoints of their
 trainings with about half their returns, 'medium0/weight0'. Its metadata has the commit, seed and settings
 that made each. Beside it lie candidates.csv, with every agent that was trained for them, and SHA256SUMS.
 

@@ -68,9 +68,9 @@ class Demonstrations:
 
 
 def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrations:
-    """Return what the file or folder holds, for the task.
+    """Return the demonstrations of a file or folder, in the units of the task.
 
-    bounds: the lowest and the highest actions there; default: by the file, or else the task's own. An
+    `bounds`: the lowest and the highest actions there; default: by the file, or else the task's own. An
     episode as long as the horizon counts as cut there where the form may call such an end terminal. Raises
     BadInput for any other file, and for what does not fit the task.
     """

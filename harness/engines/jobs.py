@@ -17,10 +17,10 @@ WORK = "harness.cell.run"
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A cell to compute. Where `shared`, the job is what these cells of one environment and seed share.
+    """A cell to compute; or, if `shared`, what several cells of one environment and seed share.
 
-    key: the key under which it must be computed. plugins: those that define its method and task.
-    inputs: arrays and artifacts by name, which the cell shares with others.
+    `key`: the key under which it must be computed. `plugins`: those that define its method and task.
+    `inputs`: arrays and artifacts by name, which the cell shares with others.
     """
 
     cells: tuple[Cell, ...]
@@ -45,8 +45,8 @@ class Job:
 class Outcome:
     """The result of a job, or the error.
 
-    result: the encoded result of a cell. files: those of the cell, or what cells share, by name.
-    log: text that the job printed. lost: whether the error may be another one's fault.
+    `result`: the encoded result of a cell. `files`: those of the cell, or what cells share, by name.
+    `log`: text that the job printed. `lost`: whether the error may be another one's fault.
     """
 
     result: str = ""

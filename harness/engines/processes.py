@@ -46,9 +46,9 @@ LONGEST_MESSAGE = 1 << 29
 class Processes:
     """Jobs in processes of this machine.
 
-    workers: processes at a time. timeout: seconds after which a job is stopped; None for never.
-    modules: modules that many jobs import, such as their environments. work: the module that does jobs.
-    preload: the module that imports what all processes share.
+    `workers`: processes at a time. `timeout`: seconds after which a job is stopped; None for never.
+    `modules`: modules that many jobs import, such as their environments. `work`: the module that does jobs.
+    `preload`: the module that imports what all processes share.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Processes:
 
 
 class Worker:
-    """The run's side of a worker. jobs: how many it has done.
+    """The run's side of a worker. `jobs`: how many it has done.
     Raises OSError, EOFError or psutil's errors where it cannot be started."""
 
     def __init__(self, server: Server) -> None:
@@ -164,7 +164,7 @@ class Worker:
     def do(
         self, work: str, job: Job, folder: Path, timeout: float | None, tell: Callable[[Phase], None]
     ) -> Outcome:
-        """Return the outcome of a job, whatever becomes of the worker. tell: called with each phase."""
+        """Return the outcome of a job, whatever becomes of the worker. `tell`: called with each phase."""
         self.jobs, received = self.jobs + 1, False
         timer = threading.Timer(threading.TIMEOUT_MAX if timeout is None else timeout, self._stop)
         timer.daemon = True

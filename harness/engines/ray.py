@@ -56,8 +56,9 @@ DEMONSTRATIONS = "demonstrations of a file"
 class Ray:
     """Cells on a Ray cluster, or on one that is started on this machine and ends with the run.
 
-    address: the address of the cluster's head, or 'auto'; '' starts a cluster. workers: tasks at a time. None
-    stands for the CPUs of the cluster, counted anew while the run goes on. The others: as of `Processes`.
+    `address`: the address of the cluster's head, or 'auto'; '' starts a cluster.
+    `workers`: tasks at a time. None stands for the CPUs of the cluster, counted anew while the run goes on.
+    The others: as of `Processes`.
     Raises BadInput where Ray is not installed, or no cluster can be reached.
     """
 
@@ -211,7 +212,7 @@ def _engine(timeout: float | None, deterministic: bool, modules: tuple[str, ...]
 
 
 def compute_there(job: Job, settings: tuple[Any, ...], names: Sequence[str], *inputs: bytes) -> Outcome:
-    """Return the outcome of a job, on a node. names: of the inputs that it shares with others."""
+    """Return the outcome of a job, on a node. `names`: of the inputs that it shares with others."""
     shared = dict(zip(names, inputs, strict=True))
     if demonstrations := shared.pop(DEMONSTRATIONS, b""):
         file = given.file_of(job.conditions.demonstrations)

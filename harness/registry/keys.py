@@ -54,7 +54,7 @@ def program() -> dict[str, bytes]:
 
 
 def _is_ours(file: Path) -> bool:
-    """Return whether it is no backup, hidden file or bytecode."""
+    """Return whether the program owns a file. It does not own backups, hidden files and bytecode."""
     *folders, name = file.relative_to(ROOT).parts
     stem, _, kind = name.partition(".")
     return kind in KINDS and all(part.isidentifier() for part in (*folders, stem))

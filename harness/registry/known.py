@@ -30,7 +30,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plug-in as it was named. place: the file, or the folder where Python finds the module."""
+    """A plug-in as it was named. `place`: the file, or the folder where Python finds the module."""
 
     name: str
     place: str
@@ -46,13 +46,13 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Offer:
-    """Facts about a plug-in's method or task, without the object itself.
+    """Facts about a plug-in's method or task, without the object.
 
-    like: the built-in methods whose class a method has, or derives from.
-    takes: the hyper-parameters that it takes from their settings.
-    variants, discrete, rl_steps, ddpg_steps, solves: fields of a task's `EnvSpec`.
-    packages: the versions of the packages that a task needs.
-    sources: those of its module and, for a task, of the modules that Gymnasium's registry names for it.
+    `like`: the built-in methods whose class a method has, or derives from.
+    `takes`: the hyper-parameters that it takes from their settings.
+    `variants`, `discrete`, `rl_steps`, `ddpg_steps`, `solves`: fields of a task's `EnvSpec`.
+    `packages`: the versions of the packages that a task needs.
+    `sources`: those of its module, and of the modules in which Gymnasium finds a task.
     """
 
     kind: str
@@ -72,9 +72,9 @@ class Offer:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A module that was imported in this process. sources: its sources then.
+    """A module that was imported in this process. `sources`: its sources then.
 
-    is_plugin: whether it defines methods or tasks; else a task is registered with it.
+    `is_plugin`: whether it defines methods or tasks; else a task is registered with it.
     """
 
     module: ModuleType
@@ -83,7 +83,7 @@ class Loaded:
 
     @property
     def is_current(self) -> bool:
-        """Whether neither the module nor a source of it was replaced since."""
+        """True unless the module or a source of it was replaced since."""
         name = self.module.__name__
         with suppress(OSError):
             return sys.modules.get(name) is self.module and sources_of(name) == self.sources
@@ -104,9 +104,9 @@ class Specs(dict[str, "EnvSpec"]):
 class Registry:
     """Methods and tasks by name, with all that is known of plug-ins.
 
-    entries: by kind ('method' or 'env') and name. specs: tasks by name.
-    plugins: those that were named, by module. offers: facts that another process reported, by target.
-    loaded: plug-ins' modules that this process imported.
+    `entries`: by kind ('method' or 'env') and name. `specs`: tasks by name.
+    `plugins`: those that were named, by module. `offers`: facts that another process reported, by target.
+    `loaded`: plug-ins' modules that this process imported.
     """
 
     def __init__(self) -> None:

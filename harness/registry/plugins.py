@@ -70,7 +70,7 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
 
 
 def plugin(name: str) -> Plugin:
-    """Return a plug-in with its place; nothing of it is executed. Raises BadInput where there is none."""
+    """Return a plug-in with its place, without executing it. Raises BadInput if it does not exist."""
     if name.endswith(".py"):
         file = Path(name)
         path = os.path.join(os.path.realpath(file.parent), file.name)  # Links count before ".." does.

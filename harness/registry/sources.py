@@ -44,8 +44,8 @@ _DEFINITIONS = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 class Code(NamedTuple):
     """Facts about a source file.
 
-    imports: modules, and names in modules; relative ones begin with dots. texts: possible names of data
-    files. counts: whether the file can change a number.
+    `imports`: modules, and names in modules; relative ones begin with dots. `texts`: possible names of data
+    files. `counts`: whether the file can change a number.
     """
 
     digest: str
@@ -83,7 +83,7 @@ def reach(finder: Finder, modules: Iterable[str]) -> dict[str, str]:
 
 
 def _absolute(module: str, file: str) -> str:
-    """Return the module that a file imports, also where it begins with dots; '' where there is none."""
+    """Return the module that a file imports, also where its name begins with dots. '' if it cannot exist."""
     if not module.startswith("."):
         return module
     try:
@@ -163,7 +163,7 @@ def _is_left_out(part: object, left_out: Collection[str], place: str) -> bool:
 
 @dataclass(frozen=True)
 class OfProgram:
-    """A finder of this program's files. contents: one reading of them, by path."""
+    """A finder of this program's files. `contents`: one reading of them, by path."""
 
     contents: Mapping[str, bytes]
 
@@ -180,8 +180,8 @@ class OfProgram:
 
 @dataclass(frozen=True)
 class Sources:
-    """Sources of plug-ins. digests: of files, and versions of distributions.
-    program: modules of this program, and names in them."""
+    """Sources of plug-ins. `digests`: of files, and versions of distributions.
+    `program`: modules of this program, and names in them."""
 
     digests: list[str] = field(default_factory=list)
     program: list[str] = field(default_factory=list)
@@ -198,8 +198,8 @@ def sources_of(*modules: str) -> Sources:
 class OfOthers:
     """A finder of files outside this program. A package counts whole.
 
-    Of an installed package the version counts, with those of all that it requires, and no file is read.
-    versions: of installed distributions. program: the modules of this program that were asked for.
+    The version of an installed package counts, with the versions of its requirements. Its files are not read.
+    `versions`: of installed distributions. `program`: the modules of this program that were asked for.
     """
 
     def __init__(self) -> None:

@@ -27,9 +27,8 @@ class Run:
 class Difference:
     """A policy of a method in two runs, over the seeds that both have.
 
-    low, high: 95 % interval of the mean of the paired differences, NaN with one seed.
-    better: the probability
-    that a seed there scores more than one here (Agarwal et al. 2021).
+    `low`, `high`: 95 % interval of the mean of the paired differences, NaN with one seed.
+    `better`: the probability that a seed there scores more than one here (Agarwal et al. 2021).
     """
 
     board: str

@@ -58,8 +58,8 @@ _STYLE: dict[Any, Any] = {
 class Chart:
     """Plots that belong together.
 
-    note: help with reading them. legend: a colour's number, a sign and its meaning, for each line. table: the
-    numbers that are drawn. data: numbers that are too many for a table.
+    `note`: help with reading them. `legend`: a colour's number, a sign and its meaning, for each line.
+    `table`: the numbers that are drawn. `data`: numbers that are too many for a table.
     """
 
     title: str
@@ -83,7 +83,7 @@ def styled() -> Iterator[None]:
 class Plot:
     """A plot: a figure with one pair of axes, and the tooltips of its points.
 
-    said: the plot in words. rows: names along the y axis, from the top, instead of numbers.
+    `said`: the plot in words. `rows`: names along the y axis, from the top, instead of numbers.
     """
 
     def __init__(self, said: str, title: str = "", label: str = "", rows: Sequence[str] = ()) -> None:
@@ -103,12 +103,12 @@ class Plot:
     def points(
         self, places: Sequence[tuple[float, float]], colour: str, marker: str, tips: Sequence[str] = ()
     ) -> None:
-        """Draw markers. tips: a text for each, which the pointer brings up."""
+        """Draw markers. `tips`: a text for each, which the pointer brings up."""
         scatter(self.axes, places, colour, marker, tips, gid=f"tips-{len(self.tips)}")
         self.tips.append(tips)
 
     def names(self, points: Sequence[tuple[float, float, str]], avoid: Sequence[tuple[float, float]]) -> None:
-        """Write names beside points, each where it has room, or not at all."""
+        """Write names beside points, where they overlap nothing, or leave them out."""
         to_pixels = self.axes.transData.transform
         boxes = [(x - 4, y - 4, x + 4, y + 4) for x, y in (to_pixels(point) for point in avoid)]
         frame = self.axes.bbox
@@ -174,7 +174,7 @@ def sign(number: int, meaning: str) -> tuple[int, str, str]:
 
 
 def around(values: Sequence[float], least: Sequence[float] = ()) -> tuple[float, float]:
-    """Return limits of an axis that shows the finite ones of these values, and `least`, with some room."""
+    """Return limits of an axis that shows these values where finite, and `least`, with a margin."""
     known = [value for value in (*values, *least) if math.isfinite(value)] or [0.0, 1.0]
     room = 0.06 * (max(known) - min(known)) or 0.5 * abs(known[0]) or 0.5
     return min(known) - room, max(known) + room
@@ -197,7 +197,7 @@ def scatter(
     tips: Sequence[str] = (),
     gid: str | None = None,
 ) -> None:
-    """Draw markers with a thin rim. tips: for a page alone."""
+    """Draw markers with a thin rim. `tips`: for a page alone."""
     xs, ys = zip(*places, strict=True) if places else ([], [])
     drawn = axes.scatter(xs, ys, 26 if marker == "D" else 34, color=colour, marker=marker, zorder=4)
     drawn.set(edgecolors=PAPER, linewidths=0.8, gid=gid)
@@ -234,7 +234,7 @@ def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colou
 
 
 def as_file(figure: Figure, kind: str) -> bytes:
-    """Return the figure as a PNG, PDF or SVG file, of equal bytes for equal figures. kind: 'png', ..."""
+    """Return the figure as a PNG, PDF or SVG file, of equal bytes for equal figures. `kind`: 'png', ..."""
     buffer = io.BytesIO()
     dates = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     mpl.rcParams["svg.hashsalt"] = "irl-bench"

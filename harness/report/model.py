@@ -43,8 +43,8 @@ OVERALL = (
 class Standing:
     """The order of methods on a board by one policy.
 
-    ranked: methods with a score, best first. best: the method that others are compared with. tied: methods
-    that are not significantly worse. apart: methods that share no seed with the best.
+    `ranked`: methods with a score, best first. `best`: the method that others are compared with.
+    `tied`: methods that are not significantly worse. `apart`: methods that share no seed with the best.
     """
 
     ranked: Sequence[Entry]
@@ -56,7 +56,7 @@ class Standing:
 @dataclass(frozen=True)
 class Board:
     """Entries that are compared with each other, best first, their rows, and their cells' results in the
-    same order. flag: why they are not a result, empty where they are."""
+    same order. `flag`: why they are not a result, empty where they are."""
 
     name: str
     entries: Sequence[Entry]
@@ -114,8 +114,8 @@ class Board:
 
 @dataclass(frozen=True)
 class Across:
-    """Comparison over environments. rows: those that are compared. without: environments that are left out,
-    and why. notes: lines on the choice. table: a policy each, best first."""
+    """Comparison over environments. `rows`: those that are compared. `without`: reasons to leave environments
+    out. `notes`: lines on the choice. `table`: a policy each, best first."""
 
     rows: Sequence[Row]
     without: Mapping[str, str]
@@ -127,8 +127,8 @@ class Across:
 class Report:
     """The content of a report.
 
-    entries: lines of all boards. shown: boards on the page. drawn: boards that have figures. panels: the most
-    curves of a board. facts, warnings, origins: lines on the run.
+    `entries`: lines of all boards. `shown`: boards on the page. `drawn`: boards that have figures.
+    `panels`: the most curves of a board. `facts`, `warnings`, `origins`: lines on the run.
     """
 
     request: Request
@@ -159,7 +159,7 @@ class Report:
 
 
 def build(request: Request, results: Sequence[CellResult], recorded: Collection[str] = ()) -> Report:
-    """Return the report of these results, which may be partial. recorded: recordings that exist, by name."""
+    """Return the report of these results, which may be partial. `recorded`: names of existing recordings."""
     results = sorted(results, key=lambda result: result.cell)
     rows = scored_rows(results)
     entries = leaderboard(rows)

@@ -33,9 +33,10 @@ class Value:
 class Column:
     """A column of a table.
 
-    key: its name for programs. title, meaning: words for readers. read: the function from an item to its text
-    or number. places: where it is visible. 'first' is the page before all columns are asked for. 'scores',
-    'rewards' and 'costs' are tables in Markdown and LaTeX.
+    `key`: its name for programs. `title`, `meaning`: words for readers.
+    `read`: the function from an item to its text or number.
+    `places`: where it is visible. 'first' is the page before all columns are asked for.
+    'scores', 'rewards' and 'costs' are tables in Markdown and LaTeX.
     """
 
     key: str
@@ -56,13 +57,13 @@ class Column:
         return self.kind in ("number", "interval")
 
     def at(self, place: int) -> Column:
-        """Return the column for items that are sequences of values. place: the value that it shows."""
+        """Return the column for items that are sequences of values. `place`: the value that it shows."""
         return dataclasses.replace(self, read=itemgetter(place))
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table. name: the beginning of the names of its files. items: one for each line."""
+    """A table. `name`: the beginning of the names of its files. `items`: one for each line."""
 
     name: str
     columns: Sequence[Column]

@@ -33,7 +33,7 @@ FEW_BOARDS, FEW_NAMES = 3, 4
 LABEL = 10
 """Columns of the word that begins a line."""
 UNWRAPPED = 100
-"""Columns of tables where there is no terminal."""
+"""Columns of tables outside a terminal."""
 WITH_INTERVALS = 80
 """Columns that tables need to show the intervals of scores."""
 LONGEST_NOTE = 120
@@ -54,7 +54,7 @@ def closing(report: Report, directory: Path) -> list[str]:
 
 
 def wrapped(line: str) -> str:
-    """Return a line of `closing` within a terminal's width; as it is where there is none."""
+    """Return a line of `closing` within a terminal's width; outside a terminal, the line itself."""
     if not sys.stdout.isatty():
         return line
     width = max(2 * LABEL, shutil.get_terminal_size().columns)

@@ -20,10 +20,10 @@ IN_WORDS = {
 
 @dataclass(frozen=True)
 class Phase:
-    """A stage of a job, and how far it is. Where nothing is known, as on a cluster, stage is ''.
+    """A stage of a job, and its progress. `stage` is '' where that is unknown, as on a cluster.
 
-    step, of: environment steps so far, and of the whole stage; None where unknown.
-    returns: mean true returns of the policies that were scored by now.
+    `step`, `of`: environment steps so far, and of the whole stage; None where unknown.
+    `returns`: mean true returns of the policies that were scored by now.
     """
 
     stage: str = ""

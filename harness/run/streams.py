@@ -1,5 +1,5 @@
 """Standard output and error of the command line, which never end the work. Printing ends where a reader goes
-away, a stream is closed or a disk is full; of a full disk the user is told at the end."""
+away, a stream is closed or a disk is full. The end of the command reports a full disk."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ LOOK_EVERY = 1.0
 
 
 class JobName(msgspec.Struct, frozen=True, kw_only=True):
-    """What is computed: a cell; or, where `method` is null, what the cells of an environment and a seed
-    share. The fields are those of scores.csv."""
+    """Name of a job: a cell, or what the cells of an environment and a seed share, where `method` is null.
+    The fields are those of scores.csv."""
 
     name: str
     env: str
@@ -44,7 +44,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=st
 
 
 class Begun(Event, frozen=True, kw_only=True):
-    """First. cells: to be computed. eta: seconds until all are, as they are expected."""
+    """First. `cells`: to be computed. `eta`: seconds until all are, as they are expected."""
 
     format: Literal[1] = FORMAT
     cells: int
@@ -57,9 +57,11 @@ class Started(Event, frozen=True, kw_only=True):
 
 
 class Doing(Event, frozen=True, kw_only=True):
-    """A job that runs is in another phase, or further in it; told once a second at most. step, of:
-    environment steps, null where they are not told. returns: as of `Ended`, of policies that were scored
-    by now."""
+    """A job that runs is in another phase, or further in it; reported once a second at most.
+
+    `step`, `of`: environment steps, null where unknown.
+    `returns`: as of `Ended`, of policies that were scored by now.
+    """
 
     name: str
     phase: str
@@ -69,9 +71,12 @@ class Doing(Event, frozen=True, kw_only=True):
 
 
 class Ended(Event, frozen=True, kw_only=True):
-    """A job has ended. took: seconds; null where it never ran. reason: why it failed or was skipped. returns:
-    each policy's mean true return over the evaluation episodes. cells_done and cells_left: of `cells`; failed
-    ones are done. eta: as of `Begun`."""
+    """A job has ended.
+
+    `took`: seconds; null where it never ran. `reason`: why it failed or was skipped.
+    `returns`: each policy's mean true return over the evaluation episodes.
+    `cells_done` and `cells_left`: of `cells`; failed ones are done. `eta`: as of `Begun`.
+    """
 
     name: str
     status: Literal["ok", "skipped", "failed"]
@@ -85,7 +90,7 @@ class Ended(Event, frozen=True, kw_only=True):
 
 
 class Computed(Event, frozen=True, kw_only=True):
-    """No more is computed. stopped: whether that is before all was, such as by Ctrl-C."""
+    """No more is computed. `stopped`: whether that is before all was, such as by Ctrl-C."""
 
     cells_done: int
     cells_left: int
@@ -94,7 +99,7 @@ class Computed(Event, frozen=True, kw_only=True):
 
 
 class Reported(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag="reported"):
-    """Last. failed: names of cells, of this run and before. found: the closing lines."""
+    """Last. `failed`: names of cells, of this run and before. `found`: the closing lines."""
 
     directory: str
     failed: list[str]
@@ -111,7 +116,7 @@ def write(stream: TextIO, event: AnyEvent) -> None:
 
 
 class Events:
-    """Events of a run, to a stream. doing: as of `progress_for`."""
+    """Events of a run, to a stream. `doing`: as of `progress_for`."""
 
     def __init__(self, tally: Tally, doing: Callable[[str], Phase], stream: TextIO) -> None:
         self.tally, self.doing, self.stream = tally, doing, stream

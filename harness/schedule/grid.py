@@ -57,7 +57,7 @@ class Sink(Protocol):
 class Grid:
     """The conditions of cells, their engine, and the place for results.
 
-    told: a function that makes the display of progress, as `progress_for` does.
+    `told`: a function that makes the display of progress, as `progress_for` does.
     """
 
     conditions: Conditions

@@ -37,8 +37,8 @@ MEGABYTE = 1 << 20
 class Simulated:
     """An engine in simulated time.
 
-    does: a function from a job to its seconds and its outcome. now: seconds since the beginning. busy: the
-    seconds of all jobs so far.
+    `does`: a function from a job to its seconds and its outcome. `now`: seconds since the beginning.
+    `busy`: the seconds of all jobs so far.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Plan:
 def plan(
     cells: Sequence[Cell], conditions: Conditions, variables: Mapping[str, str], cores: Sequence[int] = CORES
 ) -> Plan:
-    """Return the plan of these cells. variables: those of the engine that would compute them."""
+    """Return the plan of these cells. `variables`: those of the engine that would compute them."""
     costs, silent = Costs(conditions), Silent()
     jobs = Grid(conditions, silent, Simulated(1, _unknown, variables)).jobs(cells, costs)
     counts = Counter(map(name_of, jobs))

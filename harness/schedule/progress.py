@@ -28,16 +28,15 @@ NO_NUMBERS = "It tells people how far a run is."
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 NOTES = 5
-"""Of what was told above the display, that is shown again where a narrower terminal had to be cleared."""
+"""Lines above the display that are shown again after a narrower terminal had to be cleared."""
 
 
 PREPARING = "expert and demonstrations"
-"""What a job does that makes what cells share."""
+"""Name of the phase in which a job makes what cells share."""
 
 
 class Progress(Protocol):
-    """What a run tells as it goes; a context manager. returns: the mean true return of each of a cell's
-    policies."""
+    """Progress of a run, as a context manager. `returns`: the mean true return of each policy of a cell."""
 
     def started(self, job: Job) -> None: ...
 
@@ -53,8 +52,10 @@ class Progress(Protocol):
 
 
 def progress_for(tally: Tally, doing: Callable[[str], Phase]) -> Progress:
-    """Return what suits standard output, by what the environment says now of the terminal. doing: returns the
-    phase of a job that runs, by its name."""
+    """Return the kind of progress that standard output can show.
+
+    `doing`: a function from the name of a running job to its phase.
+    """
     if sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
         return Display(tally, doing, Console(highlight=False))
     return Lines(tally)
@@ -102,9 +103,9 @@ class Lines:
 
 
 class Display:
-    """What runs and how far the whole is, redrawn in place; failures stay above it.
+    """Running jobs and the state of the whole run, redrawn in place. Failures stay above.
 
-    console: of the terminal, made while the environment says what that can show.
+    `console`: of the terminal, made while the environment says what that can show.
     """
 
     def __init__(self, tally: Tally, doing: Callable[[str], Phase], console: Console) -> None:
@@ -158,7 +159,7 @@ class Display:
         return Group(*map(_one_line, lines), bar, *map(_one_line, below))
 
     def _line(self, name: str, seconds: float, width: int) -> str:
-        """What a job does. Of a long name the middle is left out: both ends tell it from others."""
+        """Return the line of a job. A long name loses its middle, because both ends identify it."""
         phase = PREPARING if name in self._preparing else printable(str(self.doing(name)))
         doing = f"  {clock(seconds)}  {phase}"
         room = max(20, width - 2 - len(doing))

@@ -1,4 +1,4 @@
-"""What of a run is done, what runs, and how long the rest may take."""
+"""A count of the jobs of a run: those done, those that run, and the expected time of the rest."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from collections.abc import Collection
 NO_NUMBERS = "It counts what is done, for people."
 
 FEW, EVERY = 64, 1.0
-"""Where more jobs run, how long the rest may take is reckoned once in so many seconds: each is looked at."""
+"""With more running jobs than `FEW`, the time of the rest is computed once every `EVERY` seconds."""
 TRUST = 0.1
-"""What is expected of all jobs counts as much as having seen this share of them: the first job that ends,
-seconds of which are its process's start, does not say how long all others will take."""
+"""Weight of the expected costs, as a share of all jobs. The first job includes the start of its process, so
+its time alone would mislead."""
 OVERDUE = 0.1
-"""A job that takes longer than expected is expected to take this share of its time so far, besides."""
+"""Share of its time so far that an overdue job is expected to take still."""
 
 
 class Tally:
-    """Of jobs by name.
+    """Progress of jobs, by name.
 
-    costs: seconds that each is expected to take, or in any unit. preparing: those that make what cells share;
-    all others are cells, which alone are counted. workers: how many run at a time.
+    `costs`: the expected seconds of each, or in any other unit.
+    `preparing`: jobs that make what cells share. All others are cells, and only cells are counted.
+    `workers`: jobs at a time.
     """
 
     def __init__(self, costs: dict[str, float], preparing: Collection[str] = (), workers: int = 1) -> None:
@@ -31,11 +32,11 @@ class Tally:
         self.running: dict[str, float] = {}
         """When each job started, in seconds of `time.monotonic`."""
         self.cells = self.left = len(costs) - len(preparing)
-        """How many cells there are, and how many have not ended."""
+        """Numbers of cells: all, and those that have not ended."""
         self.failed = 0
         self._preparing = frozenset(preparing)
         self._left = self._all = sum(costs.values())
-        """What is expected of those that wait, and of all."""
+        """Expected cost of the waiting jobs, and of all."""
         self._spent = self._done = 0.0
         self._start = time.monotonic()
         self._eta, self._reckoned = math.nan, -math.inf

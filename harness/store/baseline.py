@@ -1,8 +1,8 @@
-"""Cells of other runs that a run is shown beside, so that they need not be computed again.
+"""Baselines: cells of other runs beside a run's own, which need not be computed again.
 
-That is sound where experts, demonstrations and evaluation episodes are the same, which a task's version says
-(`harness.registry.keys.task_version`), and methods are those that are known here by their names, which the
-second half of a key says; machine and packages may be others, and are told.
+Scores can be compared where experts, demonstrations and evaluation episodes are the same
+(`harness.registry.keys.task_version`) and the methods are those of this version (the second half of a key).
+Another machine and other packages are allowed, and reported.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from harness.store.database import FILE
 from harness.store.opening import open_to_verify
 
 MACHINE = ("processor", "family, model, stepping", "instructions", "system")
-"""Of what a cell was computed with, what is not packages."""
+"""Names of the machine's properties, among packages, in the origin of a result."""
 DECIDING = ("budget", "protocol", "rl", "experts", "retrain", "demonstrations", "learner", "solves")
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"
@@ -40,11 +40,11 @@ OTHER_VERSION = "of another version of the task, its experts, or how policies ar
 def comparable(
     paths: Sequence[Path], request: Request, variables: Mapping[str, str]
 ) -> tuple[list[CellResult], list[str]]:
-    """Cells of the runs in these folders, or in folders of theirs, of the request's environments and what it
-    shows, but none that failed; and what was left out of them, a line each. variables: those of the engine
-    that computes the request.
+    """Return the cells of the runs in these folders or below that can be compared, and a line for each reason
+    to leave others out. Failed cells are left out, too.
 
-    Raises BadInput where there is no run, or none that can be compared for one of the environments.
+    `variables`: those of the engine that computes the request.
+    Raises BadInput where a folder holds no run, or an environment has no cell that can be compared.
     """
     found: dict[Cell, CellResult] = {}
     versions: dict[Cell, tuple[str, str]] = {}
@@ -100,7 +100,7 @@ def comparable(
 
 
 def _runs(path: Path) -> list[Path]:
-    """The run there, or those in its folders. Raises BadInput where there is none."""
+    """Return the run in a folder, or the runs below. Raises BadInput if the folder holds no run."""
     runs = [path] if (path / FILE).exists() else sorted(file.parent for file in path.rglob(FILE))
     if not runs:
         raise BadInput(f"the baseline {path} holds no run", page="plugins")
@@ -108,9 +108,11 @@ def _runs(path: Path) -> list[Path]:
 
 
 def is_comparable(result: CellResult, tasks: Mapping[str, str], request: Request) -> bool:
-    """Whether its scores mean what those of this version do: it has the key that cells of its task have now
-    or, where experts are shipped ones and not trained by whatever machine and packages there are, it notes
-    the same version of its task. tasks: of `tasks_now`."""
+    """Return whether a result's scores mean what those of this version do.
+
+    Its key must be that of its task's cells now. With shipped experts the same version of the task suffices.
+    `tasks`: of `tasks_now`.
+    """
     env = result.cell.env
     shipped = request.conditions.experts == "shipped" and experts_version(env)
     same = bool(shipped) and task_version(env) == result.task_version
@@ -118,20 +120,20 @@ def is_comparable(result: CellResult, tasks: Mapping[str, str], request: Request
 
 
 def _methods_now(cells: Iterable[Cell], request: Request, variables: Mapping[str, str]) -> dict[Cell, str]:
-    """The keys of the methods that are known here, by cell."""
+    """Return the keys of the known methods, by cell."""
     known = {*KNOWN.entries["method"], *CONTROL_METHODS, REFERENCE}
     keys = cell_keys([cell for cell in cells if cell.method in known], request.conditions, variables)
     return {cell: method_of(key) for cell, key in keys.items()}
 
 
 def tasks_now(request: Request, variables: Mapping[str, str]) -> dict[str, str]:
-    """By environment, the part of keys that its cells share."""
+    """Return the part of keys that an environment's cells share, by environment."""
     keys = cell_keys([Cell(env, REFERENCE, 0) for env in request.envs], request.conditions, variables)
     return {cell.env: task_of(key) for cell, key in keys.items()}
 
 
 def _is_asked(cell: Cell, request: Request) -> bool:
-    """Whether the cell, of whatever method and seed, is of what the request compares."""
+    """Return whether the request compares cells like this one, of any method and seed."""
     return (
         cell.env in request.envs
         and (cell.dynamics == NOMINAL or cell.task in request.variants)
@@ -140,7 +142,7 @@ def _is_asked(cell: Cell, request: Request) -> bool:
 
 
 def _shown_otherwise(cells: Iterable[Cell], request: Request) -> dict[str, set[Shown]]:
-    """What methods were shown, by environments in which none was shown what the request asks for."""
+    """Return what methods were shown, where no method of the environment was shown what the request asks."""
     found: dict[str, set[Shown]] = {}
     for cell in cells:
         if cell.env in request.envs and cell.method not in UNSHOWN:
@@ -153,7 +155,7 @@ def _in_words(shown: Iterable[Shown]) -> str:
 
 
 def _other(result: CellResult, alike: bool) -> list[str]:
-    """What of how it was computed is not as here. alike: whether instructions were fixed alike."""
+    """Return how the machine of a result differs from this one. `alike`: instructions were fixed alike."""
     theirs, ours = result.origin, origin()
     differ = sorted(
         name
@@ -166,7 +168,7 @@ def _other(result: CellResult, alike: bool) -> list[str]:
 
 
 def _marked(result: CellResult, run: str, alike: bool) -> CellResult:
-    """With its source in each row, and without files, which stay where they are. run: its name."""
+    """Return a result with its source in each row, and without files, which stay where they are."""
     others = _other(result, alike)
     source = f"baseline {printable(run)}" + (f", of {' and '.join(others)}" if others else "")
     rows = [dataclasses.replace(row, source=source[:LONGEST_TEXT]) for row in result.rows]

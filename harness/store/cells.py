@@ -31,8 +31,8 @@ OTHER_VERSION = "computed by another version of the program, its packages or its
 class StoredCells:
     """The cells of an open run's directory.
 
-    keys: for each cell, the key that a result needs to count; empty where all of one version count.
-    lost: files that were damaged, and why.
+    `keys`: for each cell, the key that a result needs to count; empty where all of one version count.
+    `lost`: files that were damaged, and why.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class StoredCells:
         return status.st_dev, status.st_ino
 
     def _counting(self, name: str, data: bytes, why: str = "") -> CellResult:
-        """Return the result in a row. Raises ValueError where it is none, or does not count for this run."""
+        """Return the result in a row. Raises ValueError if it is invalid or does not count for this run."""
         result = _decoded(name, data, why)
         if not self.request.asks_for(result.cell):
             raise ValueError("this run was not asked for it")
@@ -189,7 +189,7 @@ class StoredCells:
         return data
 
     def _why_damaged(self, digests: Mapping[str, str]) -> dict[Path, str]:
-        """Return why files are not as they were written. digests: their SHA-256, by path in the directory."""
+        """Return why files are not as they were written. `digests`: SHA-256, by path in the directory."""
         reasons = {self.path / name: why_damaged(self.path / name, sha) for name, sha in digests.items()}
         return {path: why for path, why in reasons.items() if why}
 

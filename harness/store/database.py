@@ -241,7 +241,7 @@ def _parts(file: Path) -> tuple[Path, Path]:
 
 
 def _check(file: Path, alone: bool = False) -> None:
-    """Raise BadInput for a file that is no run's database, Damaged for a run's that begins otherwise.
+    """Raise BadInput for other files than a run's database, and Damaged for one with a damaged beginning.
     alone: as of `opened`."""
     try:
         with opened(file, LARGEST_FILE, alone) as stream:

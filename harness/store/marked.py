@@ -33,9 +33,9 @@ def open_marked(
 ) -> Iterator[None]:
     """Start a `what` in `path`, which is made, or continue the one there; hold it until the context ends.
 
-    marker: the file that marks the folder, at first with the content `mark`.
-    good: a function that says whether the file's content is right.
-    others: a regular expression for other files that a killed process may leave half-written.
+    `marker`: the file that marks the folder, at first with the content `mark`.
+    `good`: a function that says whether the file's content is right.
+    `others`: a regular expression for other files that a killed process may leave half-written.
     Raises BadInput, having changed nothing, where `path` is anything else, or cannot be written.
     """
     try:

@@ -37,9 +37,10 @@ MOST_NAMED = 5
 def open_for_run(path: Path, request: Request, variables: Mapping[str, str] | None = None) -> Iterator[Store]:
     """Start a run in `path`, which is made, or continue the one there; hold it until the context ends.
 
-    variables: those of the engine that computes the run. A damaged database is moved aside, and the run goes
-    on with what can be read of it. Raises BadInput, having changed nothing, for any other directory, for a
-    run under other conditions, and where `path` cannot be written or another process holds it.
+    `variables`: those of the engine that computes the run. A damaged database is moved aside, and the run
+    goes on with what can be read of it. Raises BadInput where that is another kind of directory or a run
+    under other conditions, and where `path` cannot be written or another process holds it. Nothing
+    has changed then.
     """
     with suppress(Damaged):
         merged(path, request)

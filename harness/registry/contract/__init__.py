@@ -11,12 +11,12 @@ __all__ = ["ContractError", "check_env", "check_method", "methods", "tasks"]
 
 
 def check_method(method: Method) -> None:
-    """Raise ContractError, with what was expected and what came, for a method that breaks the contract."""
+    """Raise ContractError, which names the broken rule, if a method breaks the contract."""
     _run(methods.checks(method))
 
 
 def check_env(spec: EnvSpec) -> None:
-    """Raise ContractError, with what was expected and what came, for a task that breaks the contract."""
+    """Raise ContractError, which names the broken rule, if a task breaks the contract."""
     _run(tasks.checks(spec))
 
 

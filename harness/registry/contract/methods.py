@@ -28,8 +28,8 @@ STEPS = 320
 def checks(method: Method, asks: bool | None = None) -> list[Check]:
     """Return the checks of a method, to be called.
 
-    One world has observations (3,) and actions (2,), the other one 4 by 4 states with 5 choices and a known
-    model. asks: whether the method may ask the expert; by default the built-in methods that are marked so.
+    One world has observations (3,) and actions (2,). The other has 4 by 4 states, 5 choices and a known
+    model. `asks`: whether the method may ask the expert; by default the built-in methods that are marked so.
     """
     if asks is None:
         asks = type(method) in map(load_method, ASKING)
@@ -52,7 +52,7 @@ def checks(method: Method, asks: bool | None = None) -> list[Check]:
 def check_answers(learned: Learned, obs: Array, act: Array) -> None:
     """Raise ContractError unless answers are the same whenever and with whatever else they are asked.
 
-    obs, act: (B, O) and (B, A).
+    `obs`, `act`: (B, O) and (B, A).
     """
     policy, answers = learned.policy, learned.policy(obs.copy()).copy()  # It may be the policy's own buffer.
     expect(np.array_equal(policy(obs), answers), "the policy must be deterministic")
