@@ -92,6 +92,8 @@ def _answers(fit: Callable[[Episodes], Learned], demos: Episodes) -> None:
     learned = fit(demos)
     tried = Episodes((np.concatenate([OBS, OBS[:1]]),), (ACT.copy(),), (False,))
     check_learned(learned, small.noise(), tried, ROWS)
+    for name, curve in learned.curves.items():
+        expect(len(curve) > 0, f"the curve {name!r} has no values")
     check_answers(learned, OBS, ACT)
 
 
