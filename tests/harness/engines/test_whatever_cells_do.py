@@ -47,7 +47,7 @@ Run = Callable[..., dict[str, CellResult]]
 def run(tmp_path: Path) -> Iterator[Run]:
     """Computes one cell of each of the methods, and one that is good, and returns them by method."""
     (tmp_path / "run").mkdir()
-    before = psutil.Process().children()  # such as a browser of other tests
+    before = {*psutil.Process().children()}  # such as a browser of other tests
 
     def call(*methods: str, workers: int = 2, timeout: float | None = None) -> dict[str, CellResult]:
         cells = [Cell("cartpole", method, 0) for method in (*methods, "good")]
@@ -56,7 +56,7 @@ def run(tmp_path: Path) -> Iterator[Run]:
         return {result.cell.method: result for result in found}
 
     yield call
-    assert psutil.Process().children() == before
+    assert {*psutil.Process().children()} <= before
 
 
 def reason(result: CellResult) -> str:
