@@ -1,9 +1,9 @@
 """The database of a run: one SQLite file, whose rows have checksums. It may be a stranger's.
 
-- `run`: the request, and what the run's tables were rebuilt from.
-- `cells`: the result of each cell, as JSON.
-- `baseline`: the results of other runs' cells that the run is shown beside.
-- `learned`: what each cell learned (`harness.store.artifacts`).
+`run` holds the request, and what the run's tables were rebuilt from.
+`cells` holds the result of each cell, as JSON.
+`baseline` holds the results of other runs' cells that the run is shown beside.
+`learned` holds what each cell learned (`harness.store.artifacts`).
 """
 
 from __future__ import annotations
