@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from envs import EnvSpec, from_gymnasium
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
     from envs.spec import Quantity, Shape
-    from harness.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
-    from harness.frames import Frames, add_plugins, load, run
+    from harness.api.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
+    from harness.api.frames import Frames, add_plugins, load, run
     from harness.registry.contract import ContractError, check_env, check_method
     from methods.base import Agent, Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
     from methods.network import Network
@@ -28,8 +28,10 @@ _FROM = {
     "envs": ("EnvSpec", "from_gymnasium"),
     "envs.learners": ("DDPG", "DQN", "PPO", "SAC", "TD3"),
     "envs.spec": ("Quantity", "Shape"),
-    "harness.exported": (*("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),),
-    "harness.frames": ("Frames", "add_plugins", "load", "run"),
+    "harness.api.exported": (
+        *("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),
+    ),
+    "harness.api.frames": ("Frames", "add_plugins", "load", "run"),
     "harness.registry.contract": ("ContractError", "check_env", "check_method"),
     "methods.base": (
         *("Agent", "Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),

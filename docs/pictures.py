@@ -21,14 +21,14 @@ from harness.cell.inputs import Inputs
 from harness.cell.recording import above_absorption, shaped_parts
 from harness.cell.run import prepare
 from harness.cell.shared import Shared
-from harness.judge.results import Cell, Conditions
-from harness.learn.seeds import evaluation_seeds
-from harness.learn.simulator import Simulator
 from harness.recordings.episode import Episode, record
 from harness.recordings.maps import maps
 from harness.recordings.scenes import scene
 from harness.recordings.viewer import HERE, export
+from harness.records import Cell, Conditions
 from harness.registry import BUILT_IN, SPECS
+from harness.rl.seeds import evaluation_seeds
+from harness.rl.simulator import Simulator
 from methods.base import Policy
 from methods.shaped import ShapedReward
 

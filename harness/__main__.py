@@ -33,11 +33,11 @@ def _start() -> int:
         warnings.resetwarnings()
         warnings.simplefilter("ignore")
 
-    from harness.run.signals import ignore_stops, importing
+    from harness.process.signals import ignore_stops, importing
 
     with importing():
-        from harness.cli import main
-        from harness.run import streams
+        from harness.cli.main import main
+        from harness.process import streams
 
         streams.install()
     code = main()

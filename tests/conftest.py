@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from harness.run.environment import FIXED
+from harness.process.environment import FIXED
 
 os.environ.update(FIXED)  # before numpy, which decides how many threads it has as it is imported
 

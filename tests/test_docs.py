@@ -190,7 +190,7 @@ def told(settings: Mapping[str, object]) -> str:
 
 
 def test_every_command_and_option_of_the_documents_exists() -> None:
-    from harness.arguments import parser
+    from harness.cli.arguments import parser
 
     text = "".join(
         (ROOT / page).read_text(encoding="utf-8")
@@ -201,4 +201,4 @@ def test_every_command_and_option_of_the_documents_exists() -> None:
         assert command in helps, command
     options = set(re.findall(r"--[a-z][a-z-]+", text)) - {"--bind"}  # rerun's
     for option in options:
-        assert f'"{option}"' in (ROOT / "harness/arguments.py").read_text(encoding="utf-8"), option
+        assert f'"{option}"' in (ROOT / "harness/cli/arguments.py").read_text(encoding="utf-8"), option

@@ -10,8 +10,8 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 TITLES = {
-    "harness.frames": "Runs",
-    "harness.exported": "What was learned, in other programs",
+    "harness.api.frames": "Runs",
+    "harness.api.exported": "What was learned, in other programs",
     "methods.base": "Methods",
     "methods.network": "Networks",
     "methods.rewards": "Rewards",

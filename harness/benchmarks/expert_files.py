@@ -18,10 +18,10 @@ from harness.benchmarks.expert_training import Candidate, Measured, is_good, mea
 from harness.cell.experts import source_for
 from harness.cell.shipped import ShippedExpert, from_file, to_file
 from harness.engines.cell_environment import as_in_cells
-from harness.judge.results import Conditions
-from harness.learn.seeds import held_out_seeds, rng_for
+from harness.records import Conditions
 from harness.registry import SPECS, BadInput
 from harness.registry.keys import EXPERTS, ROOT
+from harness.rl.seeds import held_out_seeds, rng_for
 from harness.schedule.progress import say, tell
 from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
 from harness.store.marked import open_marked

@@ -11,11 +11,11 @@ import numpy as np
 from envs import EnvSpec
 from harness.cell.shipped import ShippedExpert
 from harness.judge.evaluation import evaluate
-from harness.judge.results import thinned
-from harness.learn.rl import Agent, Solution, disturbed
-from harness.learn.seeds import rng_for, tuning_seeds
 from harness.registry import SPECS
+from harness.registry.bounds import thinned
 from harness.registry.machine import origin
+from harness.rl.seeds import rng_for, tuning_seeds
+from harness.rl.solving import Agent, Solution, disturbed
 from methods.base import Policy
 from methods.network import Network
 

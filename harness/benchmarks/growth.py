@@ -10,7 +10,7 @@ import psutil
 from harness.benchmarks.measure import FULL, MEGABYTE, SMOKE, Measure, apart, command, compute, watch
 from harness.engines.inline import Inline
 from harness.engines.processes import Processes
-from harness.judge.results import Cell
+from harness.records import Cell
 
 CELLS = 20
 """Cells of one process."""

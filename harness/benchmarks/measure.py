@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import psutil
 
 from harness.engines.jobs import Engine
-from harness.judge.results import Cell, CellResult, Conditions
+from harness.records import Cell, CellResult, Conditions
 from harness.schedule.grid import Grid
 from harness.schedule.plan import Silent
 

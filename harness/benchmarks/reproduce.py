@@ -18,8 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
-from harness.judge.results import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.judge.roles import SURVIVAL
+from harness.records import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.registry import BadInput, LearnerName
 from harness.report.columns import score
 from harness.report.figures import BLUE, ORANGE, as_file, plot_seeds, styled

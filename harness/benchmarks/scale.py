@@ -18,17 +18,7 @@ import psutil
 
 from harness.benchmarks.measure import MEGABYTE, SMOKE, Measure, apart
 from harness.engines.jobs import Job, Outcome
-from harness.judge.results import (
-    ALL_SHOWN,
-    CONTROLS,
-    REFERENCE,
-    Cell,
-    CellResult,
-    Request,
-    Shown,
-    policies_of,
-    row_of,
-)
+from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Cell, CellResult, Shown, policies_of, row_of
 from harness.registry import ENVS
 from harness.registry.machine import origin
 from harness.report.files import recorded_in, write_report
@@ -37,6 +27,7 @@ from harness.schedule.grid import Grid, Sink
 from harness.schedule.plan import Silent, Simulated
 from harness.store.codec import encode
 from harness.store.opening import open_for_run
+from harness.store.request import Request
 
 MANY, STORED, WORKERS = 100_000, 10_000, 1000
 TASKS, METHODS = 10, ("bc", "shaped")

@@ -15,11 +15,11 @@ from harness.benchmarks.measure import QUICK, REPEATS, SCORE, Measure, command, 
 from harness.cell.experts import source_for
 from harness.engines.processes import Processes
 from harness.judge.evaluation import evaluate
-from harness.judge.results import Cell
-from harness.learn.rl import Agent
-from harness.learn.seeds import evaluation_seeds
-from harness.learn.simulator import Simulator
+from harness.records import Cell
 from harness.registry import SPECS
+from harness.rl.seeds import evaluation_seeds
+from harness.rl.simulator import Simulator
+from harness.rl.solving import Agent
 from methods.base import Policy
 
 EPISODES = 100

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from harness.benchmarks.local_cluster import local_cluster
 from harness.benchmarks.measure import FULL, Measure, compute
 from harness.engines.ray import Ray
-from harness.judge.results import Cell
+from harness.records import Cell
 
 REPEATS = 2
 """Repeats of a comparison that takes many minutes."""

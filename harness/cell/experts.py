@@ -22,17 +22,17 @@ from harness.cell import given
 from harness.cell.shipped import ShippedExpert, shipped_experts
 from harness.demonstrations.arrays import from_arrays as episodes_from
 from harness.demonstrations.arrays import split, to_arrays
-from harness.judge.results import ALL_SHOWN, UNSHOWN, Conditions, Shown
-from harness.learn.learned import check_learned
-from harness.learn.rl import disturbed
-from harness.learn.seeds import demonstration_seeds, rng_for
-from harness.learn.simulator import Simulator, Trajectory
-from harness.learn.stored import from_arrays
-from harness.learn.stored import to_arrays as stored_arrays
-from harness.learn.world import TaskWorld, solver_for, without_rewards
+from harness.records import ALL_SHOWN, UNSHOWN, Conditions, Shown
 from harness.registry import SPECS, BadInput, Demonstrator, load_method
 from harness.registry.keys import experts_version
 from harness.registry.plugins import settings_for
+from harness.rl.learned import check_learned
+from harness.rl.seeds import demonstration_seeds, rng_for
+from harness.rl.simulator import Simulator, Trajectory
+from harness.rl.solving import disturbed
+from harness.rl.stored import from_arrays
+from harness.rl.stored import to_arrays as stored_arrays
+from harness.rl.world import TaskWorld, solver_for, without_rewards
 from harness.store.cache import Kept, kept
 from methods.base import Episodes, Policy
 

@@ -11,21 +11,13 @@ import numpy as np
 from harness.cell.inputs import Inputs, Seconds, added
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
-from harness.judge.results import (
-    LONGEST_TEXT,
-    MOST_CURVES,
-    MOST_POINTS,
-    REFERENCE,
-    Curve,
-    PolicyName,
-    policies_of,
-    thinned,
-)
-from harness.learn.learned import check_learned
-from harness.learn.seeds import rng_for
-from harness.learn.world import TaskWorld
+from harness.records import REFERENCE, PolicyName, policies_of
 from harness.registry import load_method
+from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
+from harness.rl.learned import check_learned
+from harness.rl.seeds import rng_for
+from harness.rl.world import TaskWorld
 from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast

@@ -10,8 +10,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from harness.demonstrations.arrays import to_arrays
+from harness.process.environment import cache_folder
 from harness.registry import BadInput
-from harness.run.environment import cache_folder
 from harness.store.cache import Kept, as_bytes, load
 from harness.store.files import write_atomic
 from methods.base import Array, Episodes

@@ -12,12 +12,12 @@ import numpy as np
 
 from envs import EnvSpec
 from harness.cell.experts import task_for
+from harness.cell.phases import Phase
 from harness.cell.shared import Shared
-from harness.judge.results import NOMINAL, Cell, Conditions, takes_one_solve
-from harness.learn.seeds import evaluation_seeds, rng_for
-from harness.learn.world import TaskWorld
+from harness.records import NOMINAL, Cell, Conditions, takes_one_solve
 from harness.registry import ASKING
-from harness.run.phases import Phase
+from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.rl.world import TaskWorld
 
 Seconds = Mapping[str, float]
 """Wall time by stage."""

@@ -16,13 +16,14 @@ from harness.cell.watched import Watched, chosen
 from harness.judge.advantage import policy_advantage
 from harness.judge.evaluation import Evaluation
 from harness.judge.numbers import as_text
-from harness.judge.results import LARGEST, recording_of
-from harness.learn.exact import expected_rewards
-from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings.episode import Advantage, Episode
 from harness.recordings.episode import record as recording
 from harness.recordings.maps import maps
 from harness.recordings.scenes import scene
+from harness.registry.bounds import LARGEST
+from harness.rl.exact import expected_rewards
+from harness.rl.simulator import Simulator, Trajectory
+from harness.store.names import recording_of
 from methods.base import Array, Policy, Reward
 from methods.tabular.model import greedy, value_iteration
 

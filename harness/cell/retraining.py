@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 
 from harness.cell.fitting import Candidate, Fitted, random_policy, skipped
 from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.phases import Phase
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.evaluation import totals
-from harness.judge.results import usable
-from harness.learn.rl import Solution
-from harness.learn.seeds import judging_seeds
-from harness.learn.simulator import Simulator
-from harness.learn.world import solver_for
-from harness.run.phases import Phase
+from harness.registry.bounds import usable
+from harness.rl.seeds import judging_seeds
+from harness.rl.simulator import Simulator
+from harness.rl.solving import Solution
+from harness.rl.world import solver_for
 from methods.base import Policy, Reward
 from methods.rewards import fast
 

@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 from harness.cell.fitting import fit, fit_control
 from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.phases import Phase
 from harness.cell.retraining import Retrained, reference, retrain
 from harness.cell.scoring import Scored, means, score
 from harness.cell.settings import settings_of
 from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
-from harness.judge.results import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
+from harness.records import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
 from harness.registry import plugins
-from harness.run.phases import Phase
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of
 from methods.base import Policy, Reward

@@ -9,13 +9,13 @@ from typing import Any
 
 from harness.cell.fitting import Candidate, random_policy
 from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.phases import Phase
 from harness.cell.retraining import Retrained
 from harness.cell.watched import Watched
 from harness.judge.evaluation import Evaluation, evaluate
 from harness.judge.numbers import as_text
-from harness.judge.results import CONTROLS, REFERENCE, PolicyName, Row, Solve, row_of
 from harness.judge.solved import is_solved
-from harness.run.phases import Phase
+from harness.records import CONTROLS, REFERENCE, PolicyName, Row, Solve, row_of
 from methods.base import Policy, Reward
 from methods.rewards import fast
 

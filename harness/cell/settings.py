@@ -6,17 +6,9 @@ import dataclasses
 from typing import Any
 
 from harness.cell.experts import task_for
-from harness.judge.results import (
-    CONTROL_METHODS,
-    CONTROLS,
-    LONGEST_TEXT,
-    REFERENCE,
-    Conditions,
-    Setting,
-    Settings,
-    usable,
-)
+from harness.records import CONTROL_METHODS, CONTROLS, REFERENCE, Conditions
 from harness.registry import load_method, plugins
+from harness.registry.bounds import LONGEST_TEXT, Setting, Settings, usable
 from harness.store.codec import printable
 
 NO_NUMBERS = "It tells people what keys are of already."

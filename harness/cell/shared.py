@@ -15,10 +15,10 @@ from harness.cell.shipped import shipped_policies
 from harness.demonstrations.arrays import from_arrays, to_arrays
 from harness.judge.advantage import Replays, replay
 from harness.judge.ranking import Ranked, ranked
-from harness.judge.results import LEARNED, Conditions, Shown, name_of
-from harness.learn.seeds import evaluation_seeds, rng_for
+from harness.records import LEARNED, Conditions, Shown, name_of
 from harness.registry import SPECS
 from harness.registry.keys import experts_version
+from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.store.artifacts import learned_in
 from harness.store.cache import Kept, as_bytes, from_bytes
 from methods.base import Episodes, Policy

@@ -15,9 +15,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from harness.learn.stored import compact
 from harness.registry import BadInput
 from harness.registry.keys import expert_files
+from harness.rl.stored import compact
 from harness.store.cache import Kept, as_bytes, from_bytes
 from methods.network import Network
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harness.judge.results import MOST_EPISODES
 from harness.registry import Record
+from harness.registry.bounds import MOST_EPISODES
 from methods.base import Array, Policy
 
 

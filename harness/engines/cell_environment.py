@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from harness.engines.scratch import scratch_folder
+from harness.process.environment import of_cells
 from harness.registry import BadInput
 from harness.registry.keys import program
-from harness.run.environment import of_cells
 from harness.store.cache import compiled_once
 
 

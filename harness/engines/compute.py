@@ -16,15 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
+from harness.cell.phases import Phase
 from harness.engines.jobs import Job, Outcome
-from harness.judge.results import REFERENCE, Cell, CellResult, files_of, policies_of, usable
+from harness.process.environment import hint, of_this_process
+from harness.records import REFERENCE, Cell, CellResult, policies_of
 from harness.registry import plugins
+from harness.registry.bounds import usable
 from harness.registry.keys import cell_keys
 from harness.registry.machine import machine
-from harness.run.environment import hint, of_this_process
-from harness.run.phases import Phase
 from harness.store.codec import decode, encode, printable
 from harness.store.files import LARGEST_OF_CELL, sha256_of
+from harness.store.names import files_of
 
 AFTERWARDS = " Or did the cell change sys.path and then import from there? Do that as the module is imported."
 """Why else a cell's key may have changed while the cell was computed."""

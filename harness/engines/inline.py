@@ -8,11 +8,11 @@ import sys
 import traceback
 from typing import Self
 
+from harness.cell.phases import Phase
 from harness.engines.compute import compute, describe, process_restored
 from harness.engines.jobs import WORK, Job, Outcome
+from harness.process.environment import of_this_process
 from harness.registry import plugins
-from harness.run.environment import of_this_process
-from harness.run.phases import Phase
 from harness.store.cache import compiled_once
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, Self
 
-from harness.judge.results import Cell, Conditions
+from harness.cell.phases import Phase
+from harness.records import Cell, Conditions
 from harness.registry.known import Plugin
-from harness.run.phases import Phase
 
 WORK = "harness.cell.run"
 """The module that does jobs: `prepare` makes what cells share, `run_cell` a cell's result and files."""
@@ -65,7 +65,7 @@ class Engine(Protocol):
 
     @property
     def variables(self) -> Mapping[str, str]:
-        """The variables of its jobs that numbers depend on (`harness.run.environment`)."""
+        """The variables of its jobs that numbers depend on (`harness.process.environment`)."""
 
     def submit(self, job: Job) -> None:
         """Begin a job. Raises Unfinished where nothing can be computed any more."""

@@ -4,7 +4,7 @@ import contextlib
 import importlib
 
 # torch would import its compiler, seconds of work and of no use here, with each cell's first optimizer.
-for _name in ("harness.engines.worker", "harness.learn.world", "harness.judge.advantage", "torch._dynamo"):
+for _name in ("harness.engines.worker", "harness.rl.world", "harness.judge.advantage", "torch._dynamo"):
     # Whatever this raises, a cell's own import raises again, and the cell says so.
     with contextlib.suppress(BaseException):
         importlib.import_module(_name)

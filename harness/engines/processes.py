@@ -22,6 +22,7 @@ from typing import Self
 import msgspec
 import psutil
 
+from harness.cell.phases import Phase
 from harness.engines.cell_environment import cell_variables, write_program
 from harness.engines.compute import describe
 from harness.engines.containment import PATIENCE, descendants, is_alive, kill_descendants
@@ -29,8 +30,7 @@ from harness.engines.jobs import WORK, Job, Outcome
 from harness.engines.scratch import scratch_folder
 from harness.engines.server import Server
 from harness.engines.worker import LOG, TEMPORARY, Message
-from harness.run.environment import numeric
-from harness.run.phases import Phase
+from harness.process.environment import numeric
 from harness.store.files import opened
 
 MOST_JOBS = 50

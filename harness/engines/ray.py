@@ -27,16 +27,16 @@ from typing import Any, Self
 import psutil
 
 from harness.cell import given
+from harness.cell.phases import Phase
 from harness.engines.cell_environment import write_program
 from harness.engines.compute import describe
 from harness.engines.containment import descendants
 from harness.engines.jobs import WORK, Job, Outcome
 from harness.engines.processes import Processes
 from harness.engines.scratch import scratch_folder
-from harness.judge.results import LEARNED
+from harness.process.environment import CHOSEN, numeric, of_user
+from harness.records import LEARNED
 from harness.registry import BadInput, Unfinished, plugins
-from harness.run.environment import CHOSEN, numeric, of_user
-from harness.run.phases import Phase
 from harness.store.files import write_atomic
 
 LOOK_EVERY = 1.0

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import msgspec
 
+from harness.cell.phases import Phase
 from harness.engines.compute import compute, describe, process_restored
 from harness.engines.containment import adopt_orphans, bound_memory
 from harness.engines.jobs import Job, Outcome
-from harness.run.phases import Phase
 from harness.store.files import appending
 
 LOG, TEMPORARY = "log", "tmp"

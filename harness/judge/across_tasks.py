@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.results import REFERENCE, Row
 from harness.judge.roles import UNINFORMED
 from harness.judge.statistics import interquartile_interval, interquartile_mean
+from harness.records import REFERENCE, Row
 from harness.registry import ASKING
 
 NO_BETTER = 0.05

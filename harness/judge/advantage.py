@@ -22,8 +22,8 @@ from envs import EnvSpec
 from envs.models import Tabular
 from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
-from harness.learn.exact import expected_rewards
-from harness.learn.simulator import Simulator, Trajectory
+from harness.rl.exact import expected_rewards
+from harness.rl.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
 from methods.network import standardiser
 from methods.tabular.model import action_values, greedy, policy_value, value_iteration

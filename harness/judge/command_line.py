@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from harness.judge.results import Request
 from harness.registry.known import GYMNASIUM_NAME
 from harness.registry.names import BUILT_IN
+from harness.store.request import Request
 
 
 def as_seeds(seeds: Sequence[int]) -> str:

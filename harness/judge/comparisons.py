@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.judge.results import Row
+from harness.records import Row
 
 RESAMPLES = 2000
 FEWEST_SEEDS, MOST_SEEDS = 3, 50

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from harness.judge.results import CONTROL_METHODS
+from harness.records import CONTROL_METHODS
 from methods.base import Array, Episodes, Learned, Policy, RandomActions, Reward
 from methods.network import mlp, standardiser
 from methods.rewards import Constant, NetworkReward, default_absorbing

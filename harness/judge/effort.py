@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
+from harness.records import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
 from harness.registry import BUILT_IN, SPECS, load_method, plugins
 from methods.settings import settings_for
 

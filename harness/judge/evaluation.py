@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from envs import EnvSpec
-from harness.learn.simulator import Simulator, Trajectory
+from harness.rl.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
 
 

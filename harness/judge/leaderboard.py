@@ -9,25 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from harness.judge.results import (
-    ALL_SHOWN,
-    CONTROLS,
-    NOMINAL,
-    REFERENCE,
-    UNSHOWN,
-    Cell,
-    CellResult,
-    Row,
-    Settings,
-    Shown,
-    usable,
-)
 from harness.judge.roles import LOWER, is_rival, role_of
 from harness.judge.statistics import (
     mean_interval,
     normal_interval,
 )
+from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Cell, CellResult, Row, Shown
 from harness.registry import Demonstrator
+from harness.registry.bounds import Settings, usable
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ import numpy as np
 from envs import EnvSpec
 from harness.judge.statistics import rank_correlation
 from harness.judge.stretches import Stretches
-from harness.learn.simulator import Simulator
+from harness.rl.simulator import Simulator
 from methods.base import Array, Policy, Reward
 from methods.stochastic import roughened
 

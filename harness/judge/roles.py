@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from harness.judge.results import LOWER_CONTROLS, REFERENCE
+from harness.records import LOWER_CONTROLS, REFERENCE
 from harness.registry import ASKING
 
 LOWER, SURVIVAL, ASKS = "lower control", "survival control", "asks the expert"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from harness.judge.results import usable
+from harness.registry.bounds import usable
 
 SHARE = 0.95
 """Share of pi_star's gain over the random policy that RL must reach."""

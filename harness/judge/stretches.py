@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.learn.simulator import Trajectory
+from harness.rl.simulator import Trajectory
 from methods.base import Array, Reward
 from methods.rewards import fast
 

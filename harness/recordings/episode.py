@@ -23,11 +23,11 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from envs import EnvSpec
 from envs.spec import Array
-from harness.judge.results import Cell
-from harness.learn.simulator import Trajectory
 from harness.recordings import common
 from harness.recordings.maps import Maps
 from harness.recordings.scenes import Scene
+from harness.records import Cell
+from harness.rl.simulator import Trajectory
 
 FEW = 3
 """Most entries of an action that have a plot each. Of more entries each actor has one plot."""

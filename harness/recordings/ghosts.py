@@ -21,21 +21,15 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from envs import EnvSpec
-from harness.judge.results import (
-    ALL_SHOWN,
-    CONTROLS,
-    NOMINAL,
-    REFERENCE,
-    CellResult,
-    compared_in,
-)
-from harness.learn.seeds import evaluation_seeds
-from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings import common
 from harness.recordings.episode import send_ending
 from harness.recordings.scenes import Scene, scene
+from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, CellResult
 from harness.registry import KNOWN, SPECS, BadInput
+from harness.rl.seeds import evaluation_seeds
+from harness.rl.simulator import Simulator, Trajectory
 from harness.store.files import write_atomic
+from harness.store.names import compared_in
 from harness.store.store import Store
 from methods.base import Policy
 

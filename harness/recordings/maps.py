@@ -16,8 +16,8 @@ import rerun.blueprint as rrb
 from envs import EnvSpec, gridworld, point_maze
 from envs.balancing import pendulum
 from envs.spec import Array
-from harness.learn.exact import expected_rewards
 from harness.recordings.common import GREY, WHITE, send_columns
+from harness.rl.exact import expected_rewards
 from methods.base import Policy, Reward
 
 SIDE = 48

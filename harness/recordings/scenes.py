@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from envs.point_maze import TARGET
 from envs.spec import Array, Shape
-from harness.learn.simulator import drawings
 from harness.recordings.common import WHITE, Colour, send_columns
 from harness.recordings.solid_scene import Solid
+from harness.rl.simulator import drawings
 
 _TARGETS = {"point_maze": (*TARGET, 0.0)}
 """Places of a task that are not in its model [m]."""

@@ -19,8 +19,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from harness.judge.results import COMPARE
 from harness.registry import BadInput
+from harness.store.names import COMPARE
 
 HERE = "127.0.0.1"
 OPEN, CLOSE = "//!<INLINE-MARKER-OPEN>", "//!<INLINE-MARKER-CLOSE>"

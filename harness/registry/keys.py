@@ -10,12 +10,12 @@ import platform
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from harness.judge.results import CONTROL_METHODS, Cell, Conditions, Shown
+from harness.process import environment
+from harness.records import CONTROL_METHODS, Cell, Conditions, Shown
 from harness.registry import packages, plugins
 from harness.registry.known import KNOWN
 from harness.registry.plugins import settings_for
 from harness.registry.sources import PROGRAM, OfProgram, Sources, reach
-from harness.run import environment
 
 NO_NUMBERS = "Its results are the keys themselves."
 
@@ -28,7 +28,7 @@ EXPERTS_MODULE = "harness.cell.shared"
 """The module that makes what cells share."""
 CLONE = "bc"
 """The method that replaces an absent expert (`harness.cell.experts.NoExpert`)."""
-SCORING = ("harness.judge.evaluation", "harness.learn.seeds")
+SCORING = ("harness.judge.evaluation", "harness.rl.seeds")
 """Modules that score policies, and choose the episodes."""
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """Packages that decide, besides the program, how cells are reported."""

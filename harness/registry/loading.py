@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any, NoReturn
 
+from harness.process import environment
 from harness.registry import gymnasium_tasks, ours
 from harness.registry.known import KNOWN, Offer, Plugin
 from harness.registry.names import METHODS, VARIANTS, BadInput, Entry, plain
 from harness.registry.sources import Sources, sources_of
-from harness.run import environment
 from methods import settings
 
 NO_NUMBERS = "It reports on plug-ins before a run; cells import them anew."

@@ -8,7 +8,7 @@ import platform
 import subprocess
 from pathlib import Path
 
-from harness.judge.results import PROGRAM_NAME
+from harness.records import PROGRAM_NAME
 from harness.registry.keys import EXPERTS, PUBLIC, ROOT
 from harness.registry.packages import PACKAGES, versions
 from harness.registry.sources import PROGRAM

@@ -36,7 +36,7 @@ ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
 PROTOCOLS = ("absorbing", "native", "state", "offset")
-"""Treatments of an episode's end (`harness.learn.rl`). The last two are parts of the first."""
+"""Treatments of an episode's end (`harness.rl.solving`). The last two are parts of the first."""
 
 
 class BadInput(Exception):

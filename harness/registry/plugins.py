@@ -18,13 +18,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from harness.process import environment
 from harness.registry import gymnasium_tasks, loading
 from harness.registry.gymnasium_tasks import id_of, task_or_name
 from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin
 from harness.registry.loading import READ
 from harness.registry.names import BUILT_IN, BadInput, Entry
 from harness.registry.sources import Sources
-from harness.run import environment
 from methods import settings
 
 if TYPE_CHECKING:

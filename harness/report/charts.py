@@ -12,7 +12,7 @@ from matplotlib.ticker import EngFormatter, LogLocator
 
 from harness.judge.comparisons import front
 from harness.judge.leaderboard import Entry
-from harness.judge.results import CONTROLS, NOMINAL, REFERENCE, Row, Shown
+from harness.records import CONTROLS, NOMINAL, REFERENCE, Row, Shown
 from harness.report import figures
 from harness.report.columns import (
     DEMONSTRATIONS,

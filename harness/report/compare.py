@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
-from harness.judge.results import REFERENCE, CellResult, Conditions, Row
 from harness.judge.statistics import mean_interval, probability_of_improvement
+from harness.records import REFERENCE, CellResult, Conditions, Row
 from harness.report.columns import METHOD
 from harness.report.tables import Column, Table, interval, number
 

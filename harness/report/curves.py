@@ -13,7 +13,8 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from harness.judge.numbers import as_text
-from harness.judge.results import REFERENCE, CellResult, Curve, thinned
+from harness.records import REFERENCE, CellResult
+from harness.registry.bounds import Curve, thinned
 from harness.report.figures import BLUE, GREEN, GREY, ORANGE, PINK, Chart, Plot, around
 from harness.report.model import Board
 

@@ -8,9 +8,11 @@ from collections.abc import Collection, Sequence
 
 from harness.judge import effort
 from harness.judge.command_line import as_seeds, command_of
-from harness.judge.results import PROGRAM_NAME, CellResult, Request, Row, compared_in
+from harness.records import PROGRAM_NAME, CellResult, Row
 from harness.report.columns import METHOD, NAMES, POLICY
 from harness.report.tables import Column, Table, Value, number
+from harness.store.names import compared_in
+from harness.store.request import Request
 
 NO_RESULT = "NOT A RESULT"
 DETAILS = (

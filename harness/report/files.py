@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from harness.judge.leaderboard import Entry
-from harness.judge.results import COLUMNS, PROGRAM_NAME, Cell
+from harness.records import COLUMNS, PROGRAM_NAME, Cell
 from harness.registry import choose
 from harness.report import charts, html
 from harness.report.columns import visible

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.results import NOMINAL, REFERENCE
 from harness.judge.roles import ASKS
+from harness.records import NOMINAL, REFERENCE
 from harness.report.columns import INCOMPARABLE, NAMES, NO_SCORE, score
 from harness.report.model import Board
 

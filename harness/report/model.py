@@ -9,11 +9,12 @@ from itertools import accumulate
 
 from harness.judge.across_tasks import indistinct, overall
 from harness.judge.leaderboard import Entry, by_shown, is_on, leaderboard, scored_rows, shown_in
-from harness.judge.results import NOMINAL, CellResult, Request, Row, Shown
 from harness.judge.roles import ASKS, UNINFORMED
+from harness.records import NOMINAL, CellResult, Row, Shown
 from harness.report import facts
 from harness.report.columns import METHOD, POLICY
 from harness.report.tables import Column, Table, Value, interval, number
+from harness.store.request import Request
 
 MOST_LINES = 3000
 """Lines of leaderboards on the page and in leaderboard.md, by whole boards."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from harness.judge.comparisons import MOST_SEEDS, Runs, improvement, profile, runs_of
-from harness.judge.results import Row
 from harness.judge.roles import is_rival
 from harness.judge.statistics import interquartile_mean
+from harness.records import Row
 from harness.report.charts import LOOKS
 from harness.report.columns import METHOD, NAMES, POLICY
 from harness.report.figures import Chart, Plot, look, rules, sign, spans

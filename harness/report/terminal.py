@@ -18,8 +18,8 @@ from rich.text import Text
 
 from harness.judge.across_tasks import GOOD, NO_BETTER
 from harness.judge.leaderboard import Entry
-from harness.judge.results import CellResult
 from harness.judge.roles import ASKS
+from harness.records import CellResult
 from harness.registry import BUILT_IN
 from harness.report.columns import INCOMPARABLE, score, visible
 from harness.report.facts import NO_RESULT

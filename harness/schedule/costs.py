@@ -20,10 +20,10 @@ from envs import EnvSpec
 from envs.dynamics import Dynamics
 from envs.learners import PPO
 from harness.engines.jobs import Job
-from harness.judge.results import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
+from harness.process.environment import cache_folder
+from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
 from harness.registry import plugins
 from harness.registry.known import Offer
-from harness.run.environment import cache_folder
 from harness.store.files import read, write_atomic
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal, Self, TextIO
 
 import msgspec
 
-from harness.run.phases import Phase
+from harness.cell.phases import Phase
 from harness.schedule.progress import NOTHING
 from harness.schedule.tally import Tally
 
 if TYPE_CHECKING:
     from harness.engines.jobs import Job
-    from harness.judge.results import Status
+    from harness.records import Status
 
 FORMAT: Literal[1] = 1
 LOOK_EVERY = 1.0

@@ -13,26 +13,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from harness.cell.phases import Phase
 from harness.engines.inline import Inline
 from harness.engines.jobs import Engine, Job, Outcome
-from harness.judge.results import (
-    LEARNED,
-    REFERENCE,
-    Cell,
-    CellResult,
-    Conditions,
-    before,
-    failed_rows,
-    files_of,
-    needs,
-)
+from harness.records import LEARNED, REFERENCE, Cell, CellResult, Conditions, before, failed_rows, needs
 from harness.registry.keys import cell_keys
 from harness.registry.plugins import modules, needed
-from harness.run.phases import Phase
 from harness.schedule.costs import Costs
 from harness.schedule.progress import Progress, progress_for
 from harness.schedule.tally import Tally
 from harness.store.codec import decode
+from harness.store.names import files_of
 
 Group = tuple[str, int]
 """An environment and a seed, whose cells share an expert and demonstrations."""

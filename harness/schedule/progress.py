@@ -16,13 +16,13 @@ from rich.padding import Padding
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from harness.run.phases import Phase, returned
+from harness.cell.phases import Phase, returned
 from harness.schedule.tally import Tally, clock
 from harness.store.codec import printable
 
 if TYPE_CHECKING:
     from harness.engines.jobs import Job
-    from harness.judge.results import Status
+    from harness.records import Status
 
 NO_NUMBERS = "It tells people how far a run is."
 

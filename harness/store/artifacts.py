@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from harness.judge.results import Cell, Conditions
-from harness.learn.stored import from_arrays, to_arrays
+from harness.records import Cell, Conditions
+from harness.rl.stored import from_arrays, to_arrays
 from harness.store.cache import Kept, as_bytes, from_bytes
 from harness.store.files import LARGEST_OF_CELL
 from methods.base import Policy, Reward

@@ -11,24 +11,24 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from harness.judge.results import (
+from harness.records import (
     CONTROL_METHODS,
-    LONGEST_TEXT,
     NOMINAL,
     PROGRAM_NAME,
     REFERENCE,
     UNSHOWN,
     Cell,
     CellResult,
-    Request,
     Shown,
 )
 from harness.registry import KNOWN, BadInput
+from harness.registry.bounds import LONGEST_TEXT
 from harness.registry.keys import cell_keys, experts_version, method_of, task_of, task_version
 from harness.registry.machine import origin
 from harness.store.codec import printable
 from harness.store.database import FILE
 from harness.store.opening import open_to_verify
+from harness.store.request import Request
 
 MACHINE = ("processor", "family, model, stepping", "instructions", "system")
 """Names of the machine's properties, among packages, in the origin of a result."""

@@ -1,6 +1,6 @@
 """The cache: arrays and facts that are computed once, in files whose names say all that can change them.
 
-`harness.run.environment.cache_folder` says where they lie.
+`harness.process.environment.cache_folder` says where they lie.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 import safetensors.numpy
 
+from harness.process.environment import cache_folder
 from harness.registry.keys import expert_key
 from harness.registry.machine import machine
-from harness.run.environment import cache_folder
 from harness.store.files import can_write, opened, write_atomic
 
 COMPILED_VARIABLE = "JAX_COMPILATION_CACHE_DIR"

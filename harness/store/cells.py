@@ -13,13 +13,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from harness.judge.results import LEARNED, PROGRAM_NAME, Cell, CellResult, Request, files_of
+from harness.records import LEARNED, PROGRAM_NAME, Cell, CellResult
 from harness.registry import BadInput
 from harness.registry.keys import task_version
 from harness.registry.machine import origin
 from harness.store.codec import decode, encode
 from harness.store.database import FILE, Database
 from harness.store.files import append, sha256_of, write_atomic
+from harness.store.names import files_of
+from harness.store.request import Request
 from harness.store.sums import in_words, why_damaged
 from harness.store.versions import of_other_versions
 

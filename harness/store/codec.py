@@ -10,7 +10,8 @@ from typing import Any, NoReturn, TypeVar
 
 import msgspec
 
-from harness.judge.results import CONTROL_CHARACTERS, Cell, CellResult, policies_of, usable
+from harness.records import Cell, CellResult, policies_of
+from harness.registry.bounds import CONTROL_CHARACTERS, usable
 
 T = TypeVar("T")
 LONGEST_REASON = 100

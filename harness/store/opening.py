@@ -8,16 +8,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from harness.judge.results import Request
+from harness.process.environment import numeric
 from harness.registry import BadInput
 from harness.registry.keys import cell_keys
-from harness.run.environment import numeric
 from harness.store.cells import LOG
 from harness.store.codec import encode
 from harness.store.database import FILE, Damaged, Database, move_aside, open_to_read, open_to_write, rescue
 from harness.store.files import appending, remove_unfinished
 from harness.store.marked import LOCK, has_our_lock, held, shared
-from harness.store.request import grown, request_in
+from harness.store.request import Request, grown, request_in
 from harness.store.store import REBUILT, REQUEST, Store
 from harness.store.sums import SUMS
 

@@ -3,15 +3,67 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from harness.judge.results import Conditions, Request
+from msgspec import Meta
+
+from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Cell, Conditions, Shown
 from harness.registry import KNOWN, BadInput
+from harness.registry.bounds import MOST_SEEDS, Name, Names, Seed
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.store.codec import encode, parsed
 
 NO_NUMBERS = "It merges what was asked for, of which keys are."
+
+
+@dataclass(frozen=True)
+class Request:
+    """The request of a run."""
+
+    methods: Names
+    envs: Names
+    seeds: Annotated[tuple[Seed, ...], Meta(min_length=1, max_length=MOST_SEEDS)]
+    """Seeds in ascending order."""
+    conditions: Conditions
+    shown: Annotated[tuple[Shown, ...], Meta(min_length=1, max_length=100)] = (ALL_SHOWN,)
+    """Demonstrations that each method sees, one after the other."""
+    variants: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
+    """Variants, 'ENV.VARIANT', in which what was learned is used."""
+
+    @property
+    def _methods(self) -> tuple[str, ...]:
+        controls = CONTROLS if self.conditions.retrain else ()
+        return (REFERENCE, *controls, *self.methods)
+
+    def _shown_to(self, method: str) -> tuple[Shown, ...]:
+        return (ALL_SHOWN,) if method in UNSHOWN else self.shown
+
+    def _variants(self, env: str) -> list[str]:
+        return [variant for of, _, variant in (v.partition(".") for v in self.variants) if of == env]
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Every cell, those of the reference and the controls included."""
+        return [
+            Cell(env, method, seed, shown, dynamics)
+            for env in self.envs
+            for dynamics in (NOMINAL, *self._variants(env))
+            for method in self._methods
+            for shown in self._shown_to(method)
+            for seed in self.seeds
+        ]
+
+    def asks_for(self, cell: Cell) -> bool:
+        """Return whether the cell is one of `cells`."""
+        return (
+            cell.method in self._methods
+            and cell.env in self.envs
+            and cell.seed in self.seeds
+            and cell.shown in self._shown_to(cell.method)
+            and (cell.dynamics == NOMINAL or cell.task in self.variants)
+        )
 
 
 def request_in(text: bytes | str) -> Request:

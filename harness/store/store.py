@@ -1,6 +1,6 @@
 """The directory of a run: one writer, a database of results, and files with checksums.
 
-`harness.judge.results` says what lies where.
+`harness.records` says what lies where.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from harness.judge.results import CellResult
+from harness.records import CellResult
 from harness.registry import BadInput
 from harness.registry.keys import report_key
 from harness.store.cells import LOG, StoredCells, recordings_of

@@ -6,7 +6,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from harness.judge.results import REFERENCE, Cell, CellResult
+from harness.records import REFERENCE, Cell, CellResult
 from harness.registry.keys import task_of
 
 NO_NUMBERS = "It leaves results out and changes none."

@@ -12,12 +12,12 @@ import sys
 import time
 
 import numpy as np
-
-from harness.cell.experts import source_for
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds
 from harness.learn.simulator import Simulator
 from harness.learn.world import TaskWorld
+
+from harness.cell.experts import source_for
 from harness.registry import SPECS
 from methods.base import Episodes
 from methods.bc import BehaviourCloning

@@ -12,12 +12,12 @@ import sys
 import time
 
 import numpy as np
-
-from harness.cell.experts import source_for
-from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.learn.world import solver_for
+
+from harness.cell.experts import source_for
+from harness.judge.evaluation import evaluate
 from harness.registry import SPECS
 
 SEEDS = range(100, 120)

@@ -13,14 +13,14 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from harness.judge.results import Conditions
+from harness.learn.rl import Agent
+from harness.learn.seeds import evaluation_seeds, rng_for
 
 from envs.learners import PPO
 from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
-from harness.judge.results import Conditions
-from harness.learn.rl import Agent
-from harness.learn.seeds import evaluation_seeds, rng_for
 from harness.registry import SPECS
 
 SPEC = SPECS["highway"]

@@ -8,13 +8,13 @@ import csv
 import sys
 
 import numpy as np
+from harness.judge.results import ALL_SHOWN, LOWER_CONTROLS, Conditions
+from harness.learn.seeds import evaluation_seeds, rng_for
+from harness.learn.world import solver_for
 
 from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
-from harness.judge.results import ALL_SHOWN, LOWER_CONTROLS, Conditions
-from harness.learn.seeds import evaluation_seeds, rng_for
-from harness.learn.world import solver_for
 from harness.registry import SPECS
 from methods.base import Episodes, Learned, Policy
 

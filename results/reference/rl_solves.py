@@ -14,8 +14,9 @@ import math
 import sys
 from pathlib import Path
 
-from harness.judge.leaderboard import scored_rows
 from harness.judge.results import usable
+
+from harness.judge.leaderboard import scored_rows
 from harness.store.opening import open_to_verify
 
 COLUMNS = ("env", "method", "seed", "solve", "chosen", "solved", "score", "score_star")

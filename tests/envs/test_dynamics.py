@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from envs.dynamics import Dynamics, namespace
-from harness.learn.ppo import JaxDraws
 from harness.registry import SPECS
+from harness.rl.ppo import JaxDraws
 
 NAMES = ("cartpole", "swingup", "cartpole_swingup", "acrobot")
 SEEDS, STEPS = 100, 1000

@@ -14,9 +14,9 @@ from gymnasium.wrappers import TransformReward
 from envs import EnvSpec, from_gymnasium
 from envs.copies import try_out
 from envs.mujoco_batch import MujocoBatch, may_touch, twin
-from harness.learn.simulator import Simulator
 from harness.registry.contract.lockstep import assert_together_as_alone
 from harness.registry.contract.tasks import checks
+from harness.rl.simulator import Simulator
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from envs.driving.environment import NOMINAL, first_states, look
 from envs.driving.highway import CONFIG, HORIZON, SPEC, TARGET_SPEED, idm_return
 from envs.driving.scene import CRUISE, ELBOW_ROOM, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
 from envs.spec import Array
-from harness.learn.ppo import JaxDraws
+from harness.rl.ppo import JaxDraws
 
 ROUNDING = 1e-9
 """How far a state may be from highway-env's, in metres, radians, m/s and s."""

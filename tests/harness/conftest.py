@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from harness import cli, commands
+from harness.cli import commands
+from harness.cli import main as cli
 from harness.demonstrations import apart
 from harness.engines import inline, processes
-from harness.run.environment import CACHE_VARIABLE
+from harness.process.environment import CACHE_VARIABLE
 from harness.schedule import grid
 from tests.harness.browser import browser, play  # noqa: F401, fixtures of all tests below
 

@@ -26,11 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
+from harness.cell.phases import Phase
 from harness.engines.jobs import Engine
-from harness.judge.results import Cell, CellResult, Conditions, Row, policies_of, row_of
+from harness.process.environment import SAME_INSTRUCTIONS
+from harness.records import Cell, CellResult, Conditions, Row, policies_of, row_of
 from harness.report.model import Report
-from harness.run.environment import SAME_INSTRUCTIONS
-from harness.run.phases import Phase
 from harness.store.store import Store
 
 

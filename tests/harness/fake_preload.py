@@ -4,7 +4,7 @@ read, half a second of work."""
 import gc
 
 import harness.engines.processes  # noqa: F401
-from harness.judge.results import Cell, Conditions
+from harness.records import Cell, Conditions
 from harness.registry.keys import cell_keys
 
 cell_keys([Cell("cartpole", "bc", 0)], Conditions("smoke", "absorbing", "sb3"), {})

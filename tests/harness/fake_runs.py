@@ -10,7 +10,7 @@ import pytest
 
 from harness.engines.jobs import Job
 from harness.engines.processes import Processes
-from harness.judge.results import CONTROLS, LEARNED, REFERENCE, Cell, CellResult, Conditions
+from harness.records import CONTROLS, LEARNED, REFERENCE, Cell, CellResult, Conditions
 from harness.registry.keys import cell_keys
 from harness.schedule.grid import Grid
 from tests.harness.small_runs import names, stored

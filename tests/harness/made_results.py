@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.records import Cell, CellResult, Conditions, Row
+from harness.store.request import Request
 
 ENVS = ("cartpole", "pendulum")
 REQUEST = Request(("bc", "shaped", "maxmargin"), ENVS, (0, 1, 2), Conditions("quick", "absorbing", "sbx"))

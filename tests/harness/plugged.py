@@ -25,7 +25,7 @@ SMOKE = ("--budget", "smoke", "--no-retrain", "--record", "none")
 def command(folder: Path, *words: str, code: int = 0, **variables: str) -> str:
     """What the command line prints, run in a folder."""
     env = {**os.environ, "IRL_BENCH_CACHE": str(folder / "cache"), **variables}
-    program = [sys.executable, "-c", "from harness.cli import main; import sys; sys.exit(main())"]
+    program = [sys.executable, "-c", "from harness.cli.main import main; import sys; sys.exit(main())"]
     done = subprocess.run(
         [*program, *words], cwd=folder, env=env, capture_output=True, text=True, check=False
     )

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from harness.cell.run import prepare, run_cell
-from harness.judge.results import Cell, CellResult, Conditions
-from harness.run.environment import CACHE_VARIABLE
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import Cell, CellResult, Conditions
 from harness.store.files import sha256_of
 
 BC = Cell("cartpole", "bc", 0)

@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from harness.cli import main
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row
+from harness.cli.main import main
+from harness.records import Cell, CellResult, Conditions, Row
 from harness.store.database import FILE
 from harness.store.files import sha256_of
 from harness.store.opening import open_for_run
+from harness.store.request import Request
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 REQUEST = Request(("bc",), ("cartpole",), (0,), CONDITIONS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from harness.run.environment import hint
+from harness.process.environment import hint
 from methods.base import Unsuitable
 
 READ = "docs/plugins.md"

@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from harness.learn.exact import ExactSolver
-from harness.learn.learned import check_learned
-from harness.learn.world import TaskWorld
 from harness.registry.contract import small
 from harness.registry.contract.check import Check, expect
 from harness.registry.known import load_method
 from harness.registry.names import ASKING
+from harness.rl.exact import ExactSolver
+from harness.rl.learned import check_learned
+from harness.rl.world import TaskWorld
 from methods.base import Array, Episodes, Learned, Method, Reward
 
 ROWS = 40

@@ -14,10 +14,10 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from judging import BUDGET, ENOUGH, Judge
-
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld, WorldAgent, without_rewards
+from judging import BUDGET, ENOUGH, Judge
+
 from harness.registry import load_method
 from methods.base import Payment, Reward
 from methods.settings import settings_for

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from harness.cell.experts import source_for
-from harness.judge.evaluation import evaluate
 from harness.judge.results import Conditions
 from harness.learn.seeds import demonstration_seeds, evaluation_seeds, rng_for
 from harness.learn.simulator import Simulator, Trajectory
+
+from harness.cell.experts import source_for
+from harness.judge.evaluation import evaluate
 from harness.registry import SPECS
 from methods.base import Policy
 

@@ -17,10 +17,10 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from judging import BUDGET, ENOUGH, Judge
-
 from harness.learn.seeds import rng_for
 from harness.learn.world import TaskWorld, without_rewards
+from judging import BUDGET, ENOUGH, Judge
+
 from harness.registry import load_method
 from methods.network import Regression
 from methods.settings import settings_for

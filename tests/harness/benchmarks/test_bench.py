@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from harness import cli
 from harness.benchmarks import growth, measure, scale, speed, spread
 from harness.benchmarks.measure import SCORE, Measure
+from harness.cli import main as cli
 from harness.engines.jobs import Engine
 from harness.engines.processes import Processes
-from harness.judge.results import Cell, CellResult, Conditions, Row
+from harness.records import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS
 
 

@@ -14,9 +14,9 @@ from harness.benchmarks import expert_files, expert_training
 from harness.benchmarks.expert_files import CANDIDATES, Future, train_all
 from harness.benchmarks.expert_training import Candidate, Measured, is_good, measure, meets_bar
 from harness.cell.shipped import ShippedExpert, from_file, shipped_experts, to_file
-from harness.cli import main
-from harness.learn.seeds import held_out_seeds, tuning_seeds
+from harness.cli.main import main
 from harness.registry import SPECS, BadInput
+from harness.rl.seeds import held_out_seeds, tuning_seeds
 from methods.network import Network
 
 

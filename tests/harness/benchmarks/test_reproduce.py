@@ -11,20 +11,10 @@ import pytest
 
 from harness.benchmarks.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES
 from harness.cell.run import prepare, run_cell
-from harness.cli import main
-from harness.judge.results import (
-    CONTROLS,
-    REFERENCE,
-    UNSHOWN,
-    Cell,
-    CellResult,
-    Conditions,
-    Row,
-    Shown,
-    row_of,
-)
+from harness.cli.main import main
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, Shown, row_of
 from harness.registry import SPECS
-from harness.run.environment import CACHE_VARIABLE
 from harness.store.opening import stored_request
 from methods.shaped import Shaped
 
@@ -62,7 +52,7 @@ class InstantGrid:
 @pytest.fixture
 def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     monkeypatch.setattr("harness.schedule.grid.Grid", InstantGrid)
-    monkeypatch.setattr("harness.commands.handle_signals", lambda: None)
+    monkeypatch.setattr("harness.cli.commands.handle_signals", lambda: None)
     InstantGrid.computed.clear()
     return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])
 

@@ -14,12 +14,13 @@ import pytest
 
 from harness.benchmarks import scale
 from harness.engines.jobs import Outcome
-from harness.judge.results import Request, Shown
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import Shown
 from harness.registry.keys import cell_keys
 from harness.report import charts, curves, figures, html, model
 from harness.report.files import report_files
 from harness.report.model import build
-from harness.run.environment import CACHE_VARIABLE
+from harness.store.request import Request
 
 
 @pytest.fixture(autouse=True)

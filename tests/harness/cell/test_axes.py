@@ -14,14 +14,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from harness import commands
-from harness.arguments import parser
 from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
-from harness.cli import main
+from harness.cli import commands
+from harness.cli.arguments import parser
+from harness.cli.main import main
 from harness.judge.command_line import command_of
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import (
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import (
     CONTROLS,
     LEARNED,
     NOMINAL,
@@ -30,18 +31,17 @@ from harness.judge.results import (
     Cell,
     CellResult,
     Conditions,
-    Request,
     Shown,
     before,
-    files_of,
     name_of,
     needs,
     row_of,
 )
-from harness.learn.seeds import rng_for
 from harness.registry import BadInput
-from harness.run.environment import CACHE_VARIABLE
+from harness.rl.seeds import rng_for
+from harness.store.names import files_of
 from harness.store.opening import merged, open_for_report, open_for_run, open_to_verify, stored_request
+from harness.store.request import Request
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
 

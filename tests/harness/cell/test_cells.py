@@ -11,21 +11,13 @@ import pytest
 
 from harness.cell import scoring
 from harness.cell.experts import source_for
+from harness.cell.phases import Phase
 from harness.cell.run import prepare, run_cell
 from harness.judge.evaluation import evaluate, totals
-from harness.judge.results import (
-    CONTROLS,
-    LEARNED,
-    Cell,
-    CellResult,
-    Row,
-    failed_rows,
-    policies_of,
-)
-from harness.learn.seeds import evaluation_seeds, rng_for
-from harness.learn.world import solver_for
+from harness.records import CONTROLS, LEARNED, Cell, CellResult, Row, failed_rows, policies_of
 from harness.registry import SPECS
-from harness.run.phases import Phase
+from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.rl.world import solver_for
 from harness.store.artifacts import learned_in
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 

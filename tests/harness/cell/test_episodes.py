@@ -17,12 +17,14 @@ from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
 from harness.cell.watched import Watched, chosen
 from harness.judge.evaluation import evaluate
-from harness.judge.results import Cell, CellResult, Conditions, Request, compared_in, files_of, recording_of
-from harness.learn.seeds import evaluation_seeds
-from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings.ghosts import write_compared
+from harness.records import Cell, CellResult, Conditions
 from harness.registry import SPECS, Record
+from harness.rl.seeds import evaluation_seeds
+from harness.rl.simulator import Simulator, Trajectory
+from harness.store.names import compared_in, files_of, recording_of
 from harness.store.opening import open_for_run
+from harness.store.request import Request
 from methods.base import Array, Episodes, Learned
 from methods.rewards import Constant
 

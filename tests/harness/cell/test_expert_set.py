@@ -13,14 +13,15 @@ import pytest
 from harness.benchmarks.expert_training import Candidate, is_good, measure
 from harness.cell.experts import source_for
 from harness.cell.shipped import shipped_experts
-from harness.cli import main
-from harness.judge.results import Cell, CellResult, Conditions, Request, Row
-from harness.learn.seeds import held_out_seeds
+from harness.cli.main import main
+from harness.process.environment import CACHE_VARIABLE, numeric
+from harness.records import Cell, CellResult, Conditions, Row
 from harness.registry import SPECS, BadInput, all_specs, keys
 from harness.registry.keys import EXPERTS, ROOT, cell_keys, experts_version, program
-from harness.run.environment import CACHE_VARIABLE, numeric
+from harness.rl.seeds import held_out_seeds
 from harness.store.cache import as_bytes, from_bytes
 from harness.store.opening import open_for_report, open_for_run
+from harness.store.request import Request
 
 TASKS = tuple(spec.name for spec in all_specs() if spec.shipped)
 FOLDER = ROOT / EXPERTS[0]

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness import commands
 from harness.cell import given
 from harness.cell.experts import Trained, source_for
 from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
-from harness.cli import main
+from harness.cli import commands
+from harness.cli.main import main
 from harness.demonstrations.reading import Demonstrations, read, write
 from harness.judge.leaderboard import scored_rows
-from harness.judge.results import Cell, Conditions, Shown
+from harness.records import Cell, Conditions, Shown
 from tests.harness import small_runs
 from tests.harness.demonstrations.made_demonstrations import SWINGUP, made, same
 

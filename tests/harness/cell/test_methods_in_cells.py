@@ -14,19 +14,12 @@ import pytest
 from envs import EnvSpec
 from harness.cell import fitting, retraining
 from harness.cell.experts import source_for
-from harness.judge.results import (
-    LONGEST_TEXT,
-    MOST_CURVES,
-    MOST_POINTS,
-    Cell,
-    Conditions,
-    Library,
-    Shown,
-)
-from harness.learn import world
-from harness.learn.seeds import demonstration_seeds, evaluation_seeds
-from harness.learn.world import solver_for
+from harness.records import Cell, Conditions, Library, Shown
 from harness.registry import PROTOCOLS, SPECS, load_method
+from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS
+from harness.rl import world
+from harness.rl.seeds import demonstration_seeds, evaluation_seeds
+from harness.rl.world import solver_for
 from harness.store.codec import decode, encode
 from methods.base import Array, Episodes, Learned, Policy, Reward, Unsuitable, World
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
@@ -151,7 +144,7 @@ def test_long_curves_are_thinned_and_of_many_the_first_are_kept(
     assert result.warnings == [
         f"{BC.name}: of 102 curves the first {MOST_CURVES - 3} are kept",
         f"{BC.name}: pi_star is not kept (docs/plugins.md): builtins.function is no dataclass of envs, "
-        "methods, harness.learn, harness.judge, harness.cell",
+        "methods, harness.rl, harness.judge, harness.cell",
     ]
 
 

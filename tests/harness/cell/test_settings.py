@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import pytest
 
 from harness.cell.settings import settings_of
-from harness.cli import main
+from harness.cli.main import main
 from harness.judge.leaderboard import scored_rows
-from harness.judge.results import CONTROLS, REFERENCE, Conditions
+from harness.records import CONTROLS, REFERENCE, Conditions
 from harness.registry import METHODS, SPECS, load_method
 from harness.store.codec import decode, encode
 from methods.settings import settings_for

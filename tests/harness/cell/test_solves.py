@@ -17,27 +17,19 @@ from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
 from harness.cell.experts import Expert, Trained, task_for
 from harness.cell.inputs import Inputs
+from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
-from harness.judge.results import (
-    NOMINAL,
-    REFERENCE,
-    Cell,
-    CellResult,
-    Conditions,
-    Request,
-    Solve,
-    row_of,
-)
-from harness.learn.rl import Solution
-from harness.learn.seeds import evaluation_seeds, judging_seeds, rng_for
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Solve, row_of
 from harness.registry import BUDGETS, SPECS, BadInput
-from harness.run.environment import CACHE_VARIABLE
-from harness.run.phases import Phase
+from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
+from harness.rl.solving import Solution
 from harness.store.cache import Kept
 from harness.store.codec import decode, encode
 from harness.store.opening import merged, open_for_run, stored_request
+from harness.store.request import Request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 

@@ -13,11 +13,11 @@ from gymnasium.wrappers import RescaleAction
 from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
 from envs.scaled import scaled
-from harness.arguments import parser
-from harness.cli import main
+from harness.cli.arguments import parser
+from harness.cli.exchange import bounds
+from harness.cli.main import main
 from harness.demonstrations.reading import read, write
 from harness.demonstrations.units import Units, same
-from harness.exchange import bounds
 from methods.base import Episodes
 from tests.harness.demonstrations.made_demonstrations import CHOICES, SWINGUP, imitation, made, refused
 from tests.harness.demonstrations.made_minari import minari_folder

@@ -18,11 +18,11 @@ import pyarrow as pa
 import pytest
 
 from harness.cell.experts import source_for
-from harness.cli import main
+from harness.cli.main import main
 from harness.demonstrations.description import described
 from harness.demonstrations.reading import read, write
 from harness.demonstrations.units import SCALED
-from harness.judge.results import Conditions, Shown
+from harness.records import Conditions, Shown
 from harness.registry import BadInput
 from tests.harness.demonstrations.made_demonstrations import CHOICES, SWINGUP, imitation, made, refused, same
 from tests.harness.demonstrations.made_minari import minari_folder

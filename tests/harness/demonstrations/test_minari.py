@@ -16,12 +16,12 @@ import pytest
 from gymnasium import spaces
 from pyarrow import parquet
 
-from harness import commands
-from harness.cli import main
+from harness.cli import commands
+from harness.cli.exchange import export_demonstrations
+from harness.cli.main import main
 from harness.demonstrations import recording
 from harness.demonstrations.reading import read
 from harness.demonstrations.units import SCALED
-from harness.exchange import export_demonstrations
 from harness.registry import SPECS
 from tests.harness.demonstrations.made_demonstrations import CHOICES, SWINGUP, refused
 from tests.harness.demonstrations.made_minari import FLAGS, FORMS, made, minari_folder

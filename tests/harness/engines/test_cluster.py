@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from harness.benchmarks.local_cluster import LocalCluster, local_cluster
-from harness.judge.results import Cell, CellResult
+from harness.records import Cell, CellResult
 from harness.store.codec import decode
 from harness.store.database import FILE
 from tests.harness.small_runs import execute

@@ -10,9 +10,9 @@ import pytest
 
 from harness.engines.inline import Inline
 from harness.engines.server import Server
-from harness.judge.results import Cell
+from harness.process.environment import CACHE_VARIABLE, FIXED, SAME_INSTRUCTIONS
+from harness.records import Cell
 from harness.registry import BadInput
-from harness.run.environment import CACHE_VARIABLE, FIXED, SAME_INSTRUCTIONS
 from harness.store.cache import COMPILED_VARIABLE, compiled_once
 from tests.harness.fake_runs import compute, prepared
 

@@ -16,7 +16,7 @@ import pytest
 from harness.engines.jobs import Job
 from harness.engines.processes import Processes, Worker
 from harness.engines.server import Server
-from harness.judge.results import Cell, CellResult, Conditions
+from harness.records import Cell, CellResult, Conditions
 from harness.registry import BadInput
 from tests.harness.fake_runs import compute
 from tests.harness.small_runs import stored
@@ -209,7 +209,7 @@ def test_a_long_path_for_temporary_files_is_no_obstacle(tmp_path: Path, length: 
 def test_where_no_temporary_file_can_be_one_line_says_so_and_nothing_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from harness.cli import main
+    from harness.cli.main import main
 
     monkeypatch.setattr(tempfile, "tempdir", "x" * 200)
     monkeypatch.setattr(os, "access", lambda path, mode: False)

@@ -24,10 +24,10 @@ from harness.judge.advantage import (
     replay,
     sampled_comparison,
 )
-from harness.learn.seeds import rng_for
-from harness.learn.simulator import Simulator
-from harness.learn.world import TaskWorld, without_rewards
 from harness.registry import SPECS
+from harness.rl.seeds import rng_for
+from harness.rl.simulator import Simulator
+from harness.rl.world import TaskWorld, without_rewards
 from methods.base import Array, Reward
 from methods.rewards import Constant
 from methods.shaped import Shaped

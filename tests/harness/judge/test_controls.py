@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from harness.judge.controls import control_reward
-from harness.judge.results import CONTROLS
+from harness.records import CONTROLS
 from harness.registry import SPECS
 from methods.base import Array, Episodes, Learned, Reward
 from methods.rewards import default_absorbing

@@ -7,7 +7,7 @@ import pytest
 
 from envs import EnvSpec
 from harness.judge.evaluation import evaluate, totals
-from harness.learn.simulator import Simulator
+from harness.rl.simulator import Simulator
 from methods.base import Array
 from methods.rewards import Constant
 

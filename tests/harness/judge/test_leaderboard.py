@@ -10,7 +10,7 @@ from scipy.stats import sem, t
 
 from harness.judge.across_tasks import indistinct, overall
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import Cell, CellResult
+from harness.records import Cell, CellResult
 from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
 
 

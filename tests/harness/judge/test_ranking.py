@@ -8,8 +8,8 @@ import pytest
 from envs import EnvSpec
 from harness.cell.shipped import shipped_policies
 from harness.judge.ranking import POLICIES, Ranked, ranked
-from harness.learn.seeds import rng_for
 from harness.registry import SPECS
+from harness.rl.seeds import rng_for
 from methods.base import Array
 from methods.rewards import Constant
 from tests.harness.rewards import Seek

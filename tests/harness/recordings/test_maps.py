@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.learn.exact import expected_rewards
-from harness.learn.simulator import Simulator
 from harness.recordings.maps import SIDE, maps
 from harness.registry import SPECS
+from harness.rl.exact import expected_rewards
+from harness.rl.simulator import Simulator
 from methods.base import Array
 
 MAPPED = ("cartpole", "cartpole_discrete", "pendulum", "swingup", "cartpole_swingup", "acrobot", "point_maze")

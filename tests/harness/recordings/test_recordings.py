@@ -12,14 +12,14 @@ from rerun.chunk import RrdReader
 
 from envs.point_maze import TARGET
 from envs.spec import Array
-from harness.judge.results import Cell
-from harness.learn.simulator import Simulator, Trajectory
 from harness.recordings import ghosts
 from harness.recordings.common import LONG
 from harness.recordings.episode import Advantage, Episode, record
 from harness.recordings.scenes import Flat, scene
 from harness.recordings.solid_scene import Solid
+from harness.records import Cell
 from harness.registry import SPECS
+from harness.rl.simulator import Simulator, Trajectory
 from harness.store.files import write_atomic
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from harness.cli import main
-from harness.judge.results import Cell
-from harness.learn.simulator import Simulator
+from harness.cli.main import main
 from harness.recordings import viewer
 from harness.recordings.episode import Episode, record
 from harness.recordings.scenes import scene
+from harness.records import Cell
 from harness.registry import SPECS, BadInput
+from harness.rl.simulator import Simulator
 from tests.harness.browser import CHROMIUM
 
 NAMES = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import Cell, Conditions
+from harness.records import Cell, Conditions
 from harness.registry import KNOWN, keys, loading, plugins
 from tests.harness.plugged import MINE
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.registry import ENVS, SPECS, BadInput, gymnasium_tasks, plugins
 
 Key = Callable[..., str]

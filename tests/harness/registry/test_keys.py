@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import Cell, Conditions
+from harness.records import Cell, Conditions
 from harness.registry import ENVS, KNOWN, METHODS, VARIANTS, keys, loading, plugins, sources
 from harness.registry.keys import ROOT
 from harness.registry.sources import PROGRAM
@@ -80,7 +80,7 @@ EDITS = {
 MODULES = {
     "env": "envs/balancing/cartpole.py",
     "method": "methods/bc.py",
-    "rl": "harness/learn/rl.py",
+    "rl": "harness/rl/solving.py",
     "judge": "harness/judge/evaluation.py",
     "plug-in": "plugged.py",
     "helper": "plugged_helper.py",
@@ -136,7 +136,7 @@ def test_a_cells_key_covers_all_source_that_computes_it() -> None:
     files = map(Path, done.stdout.split())
     imported = {f.relative_to(ROOT).as_posix() for f in files if f.is_relative_to(ROOT)}
     imported = {name for name in imported if name.split("/")[0] in PROGRAM}
-    assert "harness/learn/rl.py" in imported
+    assert "harness/rl/solving.py" in imported
     covered = keys.sources(*keys.RUNNING, "methods.maxmargin", "envs.driving.highway")
     assert imported - covered.keys() - without_numbers() == set()
     assert covered.keys().isdisjoint({"methods/maxent.py", "envs/balancing/cartpole.py"})
@@ -208,7 +208,7 @@ CONCERNED = {
     "methods/shaped.py": {("cartpole", "control_shuffled")},
     "methods/network.py": {*KEYED},
     "envs/driving/traffic.py": {("highway", "bc"), ("highway", "reference")},
-    "harness/learn/rl.py": {*KEYED},
+    "harness/rl/solving.py": {*KEYED},
     "harness/cell/run.py": {*KEYED},
     "harness/registry/names.py": {*KEYED},
     "harness/recordings/episode.py": set(),
@@ -228,7 +228,7 @@ def test_an_edit_concerns_the_cells_that_it_can_change(
 
 def test_a_key_is_of_names_and_contents(edit: Callable[..., None]) -> None:
     usual, program = cell_key("cartpole", "bc"), keys.program()
-    one, other = "harness/learn/rl.py", "harness/learn/world.py"
+    one, other = "harness/rl/solving.py", "harness/rl/world.py"
     edit({one: program[other], other: program[one]})
     assert cell_key("cartpole", "bc") != usual
 
@@ -237,10 +237,10 @@ def test_a_key_is_of_names_and_contents(edit: Callable[..., None]) -> None:
     ("file", "counts"),
     [
         ("envs/balancing/cartpole.py", True),
-        ("harness/learn/simulator.py", True),
+        ("harness/rl/simulator.py", True),
         ("harness/judge/evaluation.py", True),
-        ("harness/learn/seeds.py", True),
-        ("harness/learn/rl.py", False),
+        ("harness/rl/seeds.py", True),
+        ("harness/rl/solving.py", False),
         ("methods/bc.py", False),
         ("envs/driving/highway.py", False),
     ],

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import Cell, Conditions
+from harness.records import Cell, Conditions
 from harness.registry import KNOWN, gymnasium_tasks, keys, packages, sources
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")

@@ -14,17 +14,18 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from harness import cli, commands
-from harness.arguments import parser
+from harness.cli import commands
+from harness.cli import main as cli
+from harness.cli.arguments import parser
 from harness.engines import processes, ray
 from harness.engines.compute import compute, describe
 from harness.engines.inline import Inline
 from harness.engines.jobs import Job
-from harness.judge.results import Cell, Conditions
+from harness.process import environment
+from harness.process.environment import of_this_process
+from harness.records import Cell, Conditions
 from harness.registry import KNOWN, SPECS, BadInput, keys, loading, packages, plugins, sources
 from harness.registry.known import FILE_MODULE
-from harness.run import environment
-from harness.run.environment import of_this_process
 from harness.schedule import plan
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import irl_bench
-from harness.cli import main
+from harness.cli.main import main
 from harness.registry import KNOWN
 from tests.harness.plugged import MINE, SMOKE, command
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from harness.judge import effort
-from harness.judge.results import Cell, CellResult, Row
+from harness.records import Cell, CellResult, Row
 from harness.registry import KNOWN, load_method, plugins
 from methods import settings
 from methods.settings import settings_for

@@ -8,13 +8,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.engines.compute import compute, describe
 from harness.engines.jobs import Job
-from harness.judge.results import Cell, CellResult, Conditions
+from harness.process.environment import of_this_process
+from harness.records import Cell, CellResult, Conditions
 from harness.registry import KNOWN, METHODS, SPECS, BadInput, keys, load_method, loading, plugins
 from harness.registry.known import Offer, Plugin
-from harness.run.environment import of_this_process
 from tests.harness import fake_cells
 from tests.harness.plugged import MINE
 
@@ -46,7 +46,11 @@ def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, key: Key, monkeypatch
         assert key(plugin=plugin) != before, name
         (tmp_path / name).write_text(text)
     assert key(plugin=plugin) == before
-    for file, counts in (("methods/bc.py", True), ("methods/gail.py", False), ("harness/frames.py", False)):
+    for file, counts in (
+        ("methods/bc.py", True),
+        ("methods/gail.py", False),
+        ("harness/api/frames.py", False),
+    ):
         edited = program | {file: program[file] + b"\nMORE = 1\n"}
         monkeypatch.setattr(keys, "program", lambda edited=edited: edited)
         assert (key() != before) == counts, file
@@ -132,7 +136,7 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
     asked = job()
     mine.write_text(f"{MINE}\nEDITED = 1\n")
     with pytest.raises(RuntimeError, match="are not those that the run began with"):
-        compute("harness.run.cells", asked)
+        compute("harness.process.cells", asked)
 
 
 def test_of_what_is_imported_late_it_is_said_why_the_cell_does_not_count(

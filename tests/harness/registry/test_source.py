@@ -11,11 +11,7 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_features__
 
-from harness.judge.results import Cell, Conditions
-from harness.registry import keys, packages
-from harness.registry.keys import ROOT, RUNNING, cell_keys, expert_key, program, sources
-from harness.registry.sources import PROGRAM
-from harness.run.environment import (
+from harness.process.environment import (
     CHOSEN,
     FIXED,
     PASSED,
@@ -25,6 +21,10 @@ from harness.run.environment import (
     numeric,
     of_this_process,
 )
+from harness.records import Cell, Conditions
+from harness.registry import keys, packages
+from harness.registry.keys import ROOT, RUNNING, cell_keys, expert_key, program, sources
+from harness.registry.sources import PROGRAM
 from tests.harness.fake_runs import compute, prepared
 
 HERE = Path(__file__).parents[1]
@@ -102,7 +102,7 @@ def test_what_is_edited_counts_from_the_next_run_on_and_for_its_own_cells(copy: 
     (copy / "methods/mine.py").write_text("from methods.bc import BehaviourCloning\n")
     line = '"mine": Entry("methods.mine:BehaviourCloning", "mine"),'
     registry.write_text(registry.read_text().replace("METHODS = {", f"METHODS = {{ {line}", 1))
-    for file in ("methods/maxent.py", "envs/balancing/cartpole.py", "harness/cli.py"):
+    for file in ("methods/maxent.py", "envs/balancing/cartpole.py", "harness/cli/main.py"):
         (copy / file).write_text((copy / file).read_text() + "\nEDITED = 1\n")
     more = ["run", "--methods", "mine,bc", *RUN[3:]]
     told, _ = (process := start(copy, *more)).communicate(timeout=120)
@@ -124,8 +124,8 @@ def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: p
 
 TELLS = """
 import json, os
-from harness.judge.results import Cell, Conditions
-from harness.run.environment import of_this_process
+from harness.records import Cell, Conditions
+from harness.process.environment import of_this_process
 from harness.registry.keys import cell_keys
 
 def prepare(cells, conditions):

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.judge import results
-from harness.learn.learned import LARGEST, check_learned
-from harness.learn.world import TaskWorld
+from harness import records
 from harness.registry.contract import ContractError, check_method, small
 from harness.registry.contract.methods import checks
+from harness.rl.learned import LARGEST, check_learned
+from harness.rl.world import TaskWorld
 from methods.base import Array, Episodes, Learned, World
 from methods.network import Network
 from methods.rewards import Constant
@@ -127,7 +127,7 @@ def test_check_and_run_come_to_one_verdict(learned: Learned, is_taken: bool) -> 
         assert not is_taken
     else:
         assert is_taken
-    assert LARGEST == results.LARGEST
+    assert LARGEST == records.LARGEST
 
 
 def test_no_agent_of_a_known_model_acts_before_it_has_learned() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import NOMINAL, UNSHOWN, CellResult, Shown
+from harness.records import NOMINAL, UNSHOWN, CellResult, Shown
 from harness.report.files import write_report
 from harness.report.model import build
 from tests.harness.made_results import REQUEST, make_results, make_row

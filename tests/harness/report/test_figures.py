@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from harness.benchmarks import scale
-from harness.judge.results import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
+from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
 from harness.report import charts
 from harness.report.figures import Chart, look, styled
 from harness.report.model import Board, build

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from harness.judge.results import CONTROLS, UNSHOWN
+from harness.records import CONTROLS, UNSHOWN
 from harness.report.columns import visible
 
 FIRST_PAINT = 5000

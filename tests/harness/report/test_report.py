@@ -22,16 +22,7 @@ from scipy.stats import norm
 import irl_bench
 from harness.judge.across_tasks import indistinct, overall
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import (
-    COLUMNS,
-    CONTROLS,
-    UNSHOWN,
-    Cell,
-    CellResult,
-    Conditions,
-    PolicyName,
-    Shown,
-)
+from harness.records import COLUMNS, CONTROLS, UNSHOWN, Cell, CellResult, Conditions, PolicyName, Shown
 from harness.registry import BadInput
 from harness.report import curves, spreadsheet
 from harness.report.figures import styled

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from harness.judge.results import Cell, CellResult, Request
+from harness.records import Cell, CellResult
 from harness.report import terminal
 from harness.report.heat import heat_map
 from harness.report.model import build
+from harness.store.request import Request
 from tests.harness.made_results import REQUEST, make_results, make_row
 
 RUN = Path("results/latest")

@@ -13,9 +13,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from harness.cell.phases import Phase
 from harness.engines.jobs import Job
-from harness.judge.results import Cell, Conditions, Shown
-from harness.run.phases import Phase
+from harness.records import Cell, Conditions, Shown
 from harness.schedule import events
 from harness.schedule.events import AnyEvent, Begun, Computed, Doing, Ended, Events, Reported, Started
 from harness.schedule.tally import Tally

@@ -9,14 +9,15 @@ import pytest
 
 from harness.engines.inline import Inline
 from harness.engines.jobs import Job, Outcome
-from harness.judge.results import LEARNED, Cell, CellResult, Conditions, Row, policies_of, recording_of
-from harness.run.environment import CACHE_VARIABLE
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import LEARNED, Cell, CellResult, Conditions, Row, policies_of
 from harness.schedule import grid
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid, Schedule
 from harness.schedule.plan import Silent, Simulated
 from harness.store.codec import encode
 from harness.store.files import sha256_of
+from harness.store.names import recording_of
 from tests.harness.fake_runs import Found
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")

@@ -10,12 +10,13 @@ import pytest
 
 from harness.engines.inline import Inline
 from harness.engines.jobs import Job, Outcome
-from harness.judge.results import LEARNED, Cell, Conditions, Request, Shown
+from harness.process.environment import CACHE_VARIABLE, numeric
+from harness.records import LEARNED, Cell, Conditions, Shown
 from harness.registry import METHODS, SPECS
-from harness.run.environment import CACHE_VARIABLE, numeric
 from harness.schedule import costs, plan
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid, Schedule
+from harness.store.request import Request
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 VARIABLES = numeric(True)

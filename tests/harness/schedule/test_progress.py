@@ -11,9 +11,9 @@ import pyte
 import pytest
 from rich.console import Console
 
+from harness.cell.phases import Phase, short
 from harness.engines.jobs import Job
-from harness.judge.results import Cell, Conditions
-from harness.run.phases import Phase, short
+from harness.records import Cell, Conditions
 from harness.schedule import progress, tally
 
 CONDITIONS = Conditions("smoke", "absorbing", "sb3")

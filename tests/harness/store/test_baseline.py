@@ -7,13 +7,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from harness import commands
-from harness.cli import main
-from harness.judge.results import Cell, CellResult, Request, policies_of
+from harness.cli import commands
+from harness.cli.main import main
+from harness.process.environment import numeric
+from harness.records import Cell, CellResult, policies_of
 from harness.registry import KNOWN, BadInput, keys
-from harness.run.environment import numeric
 from harness.store import baseline
 from harness.store.opening import open_for_run
+from harness.store.request import Request
 from harness.store.store import Store
 from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
 from tests.harness.small_runs import damage, names, store, stored

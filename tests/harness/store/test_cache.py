@@ -14,12 +14,12 @@ from harness.cell import experts
 from harness.cell import shared as shared_module
 from harness.cell.experts import source_for
 from harness.cell.shared import Shared, prepare
-from harness.judge.results import Conditions, Shown
-from harness.learn.seeds import demonstration_seeds
-from harness.learn.simulator import Simulator
+from harness.process.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
+from harness.records import Conditions, Shown
 from harness.registry import SPECS, packages
 from harness.registry.keys import experts_version, program
-from harness.run.environment import CACHE_VARIABLE, EARLIER_CACHE, SAME_INSTRUCTIONS
+from harness.rl.seeds import demonstration_seeds
+from harness.rl.simulator import Simulator
 from harness.store import cache
 from harness.store.cache import Kept, cache_file, kept, load
 

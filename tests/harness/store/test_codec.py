@@ -18,19 +18,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.judge.results import (
-    LARGEST,
-    MOST_CURVES,
-    MOST_POINTS,
-    Cell,
-    CellResult,
-    Conditions,
-    Request,
-    Row,
-)
+from harness.records import Cell, CellResult, Conditions, Row
+from harness.registry.bounds import LARGEST, MOST_CURVES, MOST_POINTS
 from harness.report.files import write_report
 from harness.report.model import build
 from harness.store.codec import decode, encode, printable
+from harness.store.request import Request
 
 ODD: list[Any] = [
     *(

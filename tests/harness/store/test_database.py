@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.cli import main
-from harness.judge.results import Cell, CellResult, Request
+from harness.cli.main import main
+from harness.records import Cell, CellResult
 from harness.registry import BadInput
 from harness.store import database
 from harness.store.database import FILE, POINTS_ELSEWHERE
 from harness.store.opening import open_for_report, open_for_run, open_to_verify
+from harness.store.request import Request
 from tests.harness.small_runs import CONDITIONS, NAME, REQUEST, execute, names, result, run, snapshot, stored
 
 __all__ = ["run"]

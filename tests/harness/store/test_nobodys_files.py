@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from harness.benchmarks.reproduce import open_study
-from harness.cli import main
+from harness.cli.main import main
 from harness.registry import BadInput
 from harness.store.files import write_atomic
 from harness.store.opening import open_for_report, open_for_run
@@ -74,7 +74,7 @@ def test_a_study_that_was_killed_at_once_can_be_started_again(tmp_path: Path) ->
 
 
 def test_reproduce_writes_to_no_committed_results_unless_told() -> None:
-    from harness.arguments import parser
+    from harness.cli.arguments import parser
 
     assert parser().parse_args(["reproduce"]).out == Path("results/reproduce")
 

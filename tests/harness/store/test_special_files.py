@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.cli import main
+from harness.cli.main import main
 from harness.store.database import FILE
 from harness.store.files import appending, read, write_atomic
 from harness.store.sums import SUMS

@@ -11,14 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.cli import main
-from harness.judge.results import LARGEST, LEARNED, Cell, CellResult, Conditions, Request, Row
+from harness.cli.main import main
+from harness.records import LEARNED, Cell, CellResult, Conditions, Row
 from harness.registry import BadInput, packages
+from harness.registry.bounds import LARGEST
 from harness.store import marked
 from harness.store.codec import decode, encode
 from harness.store.database import FILE
 from harness.store.files import sha256_of
 from harness.store.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
+from harness.store.request import Request
 from harness.store.sums import SUMS
 from tests.harness.small_runs import (
     CONDITIONS,

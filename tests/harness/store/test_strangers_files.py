@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import irl_bench
-from harness import exported
-from harness.cli import main
-from harness.judge.results import LEARNED, Cell
+from harness.api import exported
+from harness.cli.main import main
+from harness.process.environment import numeric
 from harness.recordings import viewer as view
+from harness.records import LEARNED, Cell
 from harness.registry import BadInput
-from harness.run.environment import numeric
 from harness.store import baseline
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of

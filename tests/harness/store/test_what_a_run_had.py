@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from harness.benchmarks.reproduce import open_study
-from harness.cli import main
-from harness.judge.results import Cell, Request
+from harness.cli.main import main
+from harness.records import Cell
 from harness.registry import BadInput
 from harness.store.database import FILE
 from harness.store.files import append, write_atomic
 from harness.store.opening import open_for_report, open_for_run, open_to_verify
+from harness.store.request import Request
 from harness.store.sums import SUMS
 from tests.harness.small_runs import (
     CONDITIONS,

@@ -1,0 +1,278 @@
+"""Reinforcement learning for the expert, inner loops and pi_R, by the task's learner
+(`harness.rl.models`).
+
+One rule chooses the checkpoint: the best mean undiscounted return under the reward that the agent learns
+from, over fresh episodes up to the horizon. Ties go to the checkpoint that scores best with noise on its
+actions, then to the latest. Only a strictly better checkpoint replaces the untrained agent, so that a reward
+which does not distinguish policies teaches nothing. Under a constant reward that is 0 by the offset, the
+solve ends after the warm-up, because the untrained agent would be chosen anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+from envs import EnvSpec
+from envs.learners import DQN, PPO, SAC, Learner
+from harness.registry import PROTOCOLS, Library
+from harness.rl import models
+from harness.rl.on_policy import OnPolicy
+from harness.rl.seeds import training_seeds
+from harness.rl.simulator import Simulator
+from harness.rl.training_env import Replay, TrainingEnv
+from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPolicy, Transitions
+from methods.network import Network
+from methods.stochastic import EpsilonGreedy, SquashedGaussian
+
+WARM_UP = 1000
+"""Random steps before learning; half of a solve that is shorter than twice that."""
+STEPS_PER_CHECK_EPISODE = 75
+"""A short solve checks a checkpoint on one episode for each of this many steps."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The result of a solve.
+
+    `curve`: (environment steps of this solve, mean return under the learner's reward) at each checkpoint.
+    `true_curve`: the same with the true return, which decides nothing.
+    `env_steps`: steps that were learned from. `check_steps`: steps of the episodes that check checkpoints.
+    `checkpoints`: the policies of the curve. `best`: the number of the chosen one, which is `policy`.
+    """
+
+    policy: Policy
+    curve: list[tuple[float, float]]
+    true_curve: list[tuple[float, float]]
+    env_steps: int = 0
+    check_steps: int = 0
+    checkpoints: tuple[Policy, ...] = ()
+    best: int = 0
+
+
+class Agent:
+    """A learner in one environment. It goes on with the same networks and experience under each new reward.
+
+    `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
+    `told`: called at each checkpoint with the steps of the present solve so far.
+    `env_steps`, `check_steps`: its totals, as in `Solution`.
+    Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        protocol: str,
+        rng: np.random.Generator,
+        library: Library,
+        settings: Learner | None = None,
+        *,
+        init: Policy | StochasticPolicy | None = None,
+        demonstrations: Episodes | None = None,
+        entropy: float = 0.0,
+        told: Callable[[int], None] = lambda done: None,
+    ) -> None:
+        if protocol not in PROTOCOLS:
+            raise ValueError(f"no protocol named {protocol!r}")
+        self.spec, self.settings = spec, settings or spec.rl
+        self.env_steps = self.check_steps = 0
+        self._rng, self._library = rng, library
+        # A bout of PPO is shorter than an episode, and would otherwise be one part of it in all copies.
+        staggered = isinstance(self.settings, PPO)
+        self._env = TrainingEnv(spec, protocol, rng, self.settings.copies, staggered)
+        self._checks = Simulator(spec)
+        self._demonstrations, self._entropy, self._told = demonstrations, entropy, told
+        self._init = None if init is None else models.actor_layers(init, spec, self.settings)
+        self._model: models.Model | None = None
+        self._progress = 0.0
+        self._checkpoints: list[tuple[int, Network]] = []
+        self._check_seeds: list[int] = []
+
+    def learn(self, steps: int, reward: Reward | Payment | None) -> None:
+        """Learn for `steps` environment steps under the reward; None is the environment's own.
+
+        Raises ValueError unless `steps` is a multiple of the settings' unit, and at least two units for a
+        learner with a replay buffer. Raises it for None with demonstrations, and FloatingPointError on
+        rewards that are not finite.
+        """
+        if steps != self.whole(steps):
+            unit, least = self.settings.unit, self.whole(1)
+            raise ValueError(f"a solve takes a multiple of {unit} steps, at least {least}, not {steps}")
+        if reward is None and self._demonstrations is not None:
+            raise ValueError("what the environment paid for demonstrations is not known")
+        seed = int(self._rng.integers(1 << 31))
+        self._env.reward = reward
+        warm_up = 0
+        if self._model is None:
+            warm_up = self._begin(steps, seed)
+        else:
+            self._model.set_random_seed(seed)
+        models.follow_reward(self._built, self.settings.noise)
+        episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
+        self._check_seeds = training_seeds(self._rng, episodes)
+        self._checkpoints = [(warm_up, self.policy)]
+        if self._env.pays_nothing:
+            steps = warm_up
+        else:
+            self._go_on(warm_up, steps)
+        self.env_steps += steps
+
+    def _begin(self, steps: int, seed: int) -> int:
+        """Build the model and let it take random steps. Return how many those are."""
+        s, warm_up = self.settings, 0
+        if not isinstance(s, PPO):
+            warm_up = min(WARM_UP, steps // 2) // s.unit * s.unit
+        model = models.build(
+            *(s, self._library, self._env, self._demonstrations, warm_up, seed),
+            learning_rate=lambda: self._learning_rate,
+        )
+        if self._init is not None:
+            models.begin(model, self._init)
+        if warm_up and not isinstance(model, OnPolicy):
+            model.learn(warm_up)
+        self._model = model
+        return warm_up
+
+    def _go_on(self, start: int, steps: int) -> None:
+        """Learn from step `start` of a solve to its end, and keep checkpoints."""
+        model = self._built
+        if not isinstance(model, OnPolicy):
+            model.learn(steps - start, callback=_Keeper(self, start, steps), reset_num_timesteps=False)
+            self.keep(steps)
+            return
+
+        def done(taken: int) -> None:
+            if taken % self.settings.checkpoint_every == 0 or taken == steps:
+                self.keep(taken)
+
+        model.learn(steps, self.advance, done, self._entropy)
+
+    def whole(self, steps: int) -> int:
+        """Return the least number of steps, at least `steps`, that `learn` takes."""
+        unit = self.settings.unit
+        least = 1 if isinstance(self.settings, PPO) else 2
+        return unit * max(least, -(-steps // unit))
+
+    def best(self, reward: Reward | None) -> Solution:
+        """Return the last solve's best checkpoint under the reward. Raises ValueError where nothing was
+        learned yet."""
+        if not self._checkpoints:
+            raise ValueError("an agent that has not learned yet has no best policy")
+        self._env.reward = reward
+        steps_before = self.check_steps
+        checkpoints = tuple(policy for _, policy in self._checkpoints)
+        scores = self.check(checkpoints)
+        most = max(score for score, _ in scores)
+        equals = [i for i, (score, _) in enumerate(scores) if score == most]
+        best = equals[0] if 0 in equals or len(equals) == 1 else self._steadiest(equals)
+        done = [float(steps) for steps, _ in self._checkpoints]
+        curve = [(x, score) for x, (score, _) in zip(done, scores, strict=True)]
+        true_curve = [(x, truth) for x, (_, truth) in zip(done, scores, strict=True)]
+        took = self.check_steps - steps_before
+        return Solution(checkpoints[best], curve, true_curve, 0, took, checkpoints, best)
+
+    def _steadiest(self, equals: list[int]) -> int:
+        noisy = [disturbed(self._checkpoints[i][1], self.spec, self.settings.noise) for i in equals]
+        return max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
+
+    def solve(self, reward: Reward | None, steps: int) -> Solution:
+        """Do as `learn` and `best`."""
+        before = self.env_steps
+        self.learn(steps, reward)
+        return replace(self.best(reward), env_steps=self.env_steps - before)
+
+    def replay(self) -> Transitions:
+        """Return the steps that it remembers; PPO remembers its last bout. Raises ValueError where nothing
+        was learned yet, and for the PPO of Stable-Baselines3, which keeps none."""
+        if isinstance(self._built, OnPolicy):
+            latest = self._built.latest
+            return latest.absorbed() if self._env.absorbs else latest
+        return self._replay.steps()
+
+    @property
+    def _replay(self) -> Replay:
+        return models.replay(self._built)
+
+    @property
+    def _built(self) -> models.Model:
+        if self._model is None:
+            raise ValueError("an agent that has not learned yet has seen nothing and has no policy")
+        return self._model
+
+    @property
+    def _learning_rate(self) -> float:
+        s = self.settings
+        return s.learning_rate + (s.final_learning_rate - s.learning_rate) * self._progress
+
+    def keep(self, done_steps: int) -> None:
+        """Make a checkpoint of the policy after this many steps of the solve."""
+        self._checkpoints.append((done_steps, self.policy))
+        self._told(done_steps)
+
+    def advance(self, progress: float) -> float:
+        """Set the learning rate after this share of the solve, and return it."""
+        self._progress = progress
+        models.follow_learning_rate(self._built, self._learning_rate)
+        return self._learning_rate
+
+    @property
+    def policy(self) -> Network:
+        """The present policy; the mean action in soft actor-critic. Raises ValueError where nothing was
+        learned yet."""
+        if isinstance(self.settings, SAC):
+            return SquashedGaussian(models.actor(self._built, self.spec)).mean
+        return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)
+
+    @property
+    def behaviour(self) -> StochasticPolicy:
+        """The policy that it explores with now. Raises ValueError where nothing was learned yet, and for
+        DDPG, TD3 and the PPO of Stable-Baselines3."""
+        if isinstance(self._built, OnPolicy):
+            return self._built.behaviour
+        if isinstance(self.settings, DQN):
+            return EpsilonGreedy(self.policy, self.settings.noise)
+        if not isinstance(self.settings, SAC):
+            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy")
+        return SquashedGaussian(models.actor(self._built, self.spec))
+
+    def check(self, policies: Sequence[Policy]) -> list[tuple[float, float]]:
+        """Return each policy's mean undiscounted return under the reward that it learns from, and the true
+        one."""
+        returns = []
+        for episodes in self._checks.run_each(policies, self._check_seeds):
+            total = sum(float(self._env.raw_rewards(e.transitions(), e.rewards).sum()) for e in episodes)
+            truth = sum(float(e.rewards.sum()) for e in episodes)
+            self.check_steps += sum(len(e.act) for e in episodes)
+            returns.append((total / len(episodes), truth / len(episodes)))
+        return returns
+
+
+def disturbed(policy: Policy, spec: EnvSpec, noise: float, rng: np.random.Generator | None = None) -> Policy:
+    """Return the policy with white noise of this standard deviation on its actions. By default the noise is
+    the same for every policy."""
+    rng = rng or np.random.default_rng(0)
+
+    def act(obs: Array) -> Array:
+        chosen = spec.executed(policy(obs))
+        return np.clip(chosen + noise * rng.standard_normal(chosen.shape), -1, 1)
+
+    return act
+
+
+class _Keeper(BaseCallback):
+    """A callback that keeps checkpoints and advances the learning rate."""
+
+    def __init__(self, agent: Agent, start: int, steps: int) -> None:
+        super().__init__()
+        self.agent, self.done_steps, self.steps = agent, start, steps
+
+    def _on_step(self) -> bool:
+        settings = self.agent.settings
+        self.done_steps += settings.copies
+        self.agent.advance(self.done_steps / self.steps)
+        if self.done_steps % settings.checkpoint_every == 0 and self.done_steps < self.steps:
+            self.agent.keep(self.done_steps)
+        return True

@@ -1,0 +1,283 @@
+"""The command line: what it promises, what it refuses, and that nothing finished is ever lost."""
+
+import dataclasses
+import functools
+import itertools
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from harness import registry
+from harness.cli import main as cli
+from harness.store.files import write_atomic
+from harness.store.opening import open_for_run, stored_request
+from methods.settings import settings_for
+from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
+from tests.harness.small_runs import REQUEST
+
+HEAVY = {"torch", "numpy", "gymnasium", "pandas", "rich", "pebble", "matplotlib"}
+Main = Callable[..., tuple[int, str, str]]
+
+
+@pytest.mark.parametrize("command", [["list"], ["--help"], ["run", "--help"]])
+def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command: list[str]) -> None:
+    code = (
+        f"import sys; from harness.cli.main import main; main({command}); print({HEAVY} & sys.modules.keys())"
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=FAKE_ENV, capture_output=True, text=True, check=True
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.stdout.splitlines()[-1] == "set()"
+    # Processor time, since the machine may be busy with other things.
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
+    names = [*registry.METHODS, *registry.VARIANTS]
+    assert all(name in done.stdout for name in names) or command == ["--help"]
+
+
+def test_the_registry_tells_the_truth() -> None:
+    import envs
+
+    assert {n: (registry.SPECS[n].summary, (*registry.SPECS[n].variants,)) for n in registry.ENVS} == {
+        n: (e.summary, e.variants) for n, e in registry.ENVS.items()
+    }
+    assert envs.BUDGETS == registry.BUDGETS
+    for name in (*registry.METHODS, *registry.VARIANTS):
+        method = registry.load_method(name)
+        assert dataclasses.is_dataclass(method)
+        for env, budget in itertools.product(registry.ENVS, registry.BUDGETS):
+            method(**settings_for(name, env, budget))
+    with pytest.raises(registry.BadInput, match="did you mean 'maxmargin'"):
+        registry.load_method("maxmagin")
+
+
+@pytest.mark.parametrize(
+    ("limit", "command", "said"),
+    [
+        ("-v 600000", "run --methods bc --envs gridworld --out", "`run` needs 4,500,000 KB of memory"),
+        ("-v 2000000", "report", "`report` needs 4,500,000 KB of memory"),
+        ("-v 300000", "compare . ", "`compare` needs 1,500,000 KB of memory"),
+        ("-d 300000", "run --methods bc --envs gridworld --out", "`run` needs 500,000 KB of memory"),
+    ],
+)
+def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
+    limit: str, command: str, said: str, tmp_path: Path
+) -> None:
+    with open_for_run(tmp_path, REQUEST):
+        pass
+    line = f'ulimit {limit}; exec {sys.executable} -m harness {command} "$0"'
+    done = subprocess.run(
+        ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert said in done.stdout + done.stderr
+    assert (done.stdout + done.stderr).count("\n") == 1
+    assert done.returncode == 2
+    assert sorted(os.listdir(tmp_path)) == [".lock", "run.sqlite"]
+
+
+def test_a_list_of_checksums_is_read_in_little_memory(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST) as run:
+        write_atomic(tmp_path / "scores.csv", "")
+        run.seal([], [tmp_path / "scores.csv"])
+    (tmp_path / "scores.csv").unlink()
+    line = f'ulimit -v 200000; exec {sys.executable} -m harness verify "$0"'
+    done = subprocess.run(
+        ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+    assert f"{tmp_path / 'scores.csv'}: missing" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "out of memory"),
+        (ImportError("a.so: failed to map segment from shared object"), "out of memory: a.so: failed to map"),
+    ],
+)
+def test_out_of_memory_is_one_line(
+    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(directory: Path) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_verify", fail)
+    assert cli.main(["verify", "."]) == 2
+    _, err = capsys.readouterr()
+    assert err.startswith(f"irl-bench: error: {said}")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        (["run", "--methods", "bc", "--out", "new"], 2),
+        (["report", "there"], 2),
+        (["check", "bc"], 2),
+        (["list"], 0),
+    ],
+)
+def test_in_a_folder_that_is_gone_commands_are_done_or_one_line(
+    command: list[str],
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(command) == code
+    _, err = capsys.readouterr()
+    assert err.count("\n") == (code == 2)
+    assert ("irl-bench: error: the current folder is gone" in err) == (code == 2)
+
+
+def test_variants_run_when_named_and_not_in_all() -> None:
+    choose = functools.partial(registry.choose, "method", known=registry.METHODS, variants=registry.VARIANTS)
+    assert choose("all") == tuple(registry.METHODS)
+    assert choose("maxent_linear, bc") == ("bc", "maxent_linear")
+    assert choose("maxmargin_projection,all") == (*registry.METHODS, "maxmargin_projection")
+    assert not registry.METHODS.keys() & registry.VARIANTS.keys()
+    assert registry.load_method("maxmargin_projection") is registry.load_method("maxmargin")
+    settings = settings_for("maxmargin_projection", "cartpole", "quick")
+    assert registry.load_method("maxmargin_projection")(**settings).projection
+    with pytest.raises(registry.BadInput, match="did you mean 'maxent_linear'"):
+        choose("maxent_liner")
+
+
+@pytest.mark.parametrize(
+    ("typed", "again"),
+    [
+        ("/venv/bin/irl-bench", "/venv/bin/irl-bench run"),
+        ("/home/me/irl-bench/harness/__main__.py", f"{sys.executable} -m harness run"),
+    ],
+)
+def test_who_stops_a_run_is_told_how_to_go_on(
+    typed: str, again: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(argv: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_dispatch", stopped)
+    monkeypatch.setattr(cli, "ignore_stops", lambda: None)
+    monkeypatch.setattr(sys, "argv", [typed, "run"])
+    assert cli.main() == 130
+    report = f"{again.removesuffix(' run')} report results/latest"
+    assert capsys.readouterr().err.endswith(
+        f"To go on, run the same again:\n  {again}\nFor a report of what is finished:\n  {report}\n"
+    )
+
+
+def test_list_tells_variants_from_methods(main: Main) -> None:
+    code, out, _ = main("list")
+    assert code == 0
+    methods, variants = out.partition("envs:")[0].split("variants of methods, not part of 'all':\n")
+    for names, text in ((registry.METHODS, methods.partition("\n")[2]), (registry.VARIANTS, variants)):
+        assert [line.split()[0] for line in text.splitlines()] == list(names)
+
+
+def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
+    _, out, _ = main("list")
+    told = out.partition("dynamics of envs, for --transfer:\n")[2].splitlines()
+    assert "swingup long, heavy, gravity, light, flipped" in [" ".join(line.split()) for line in told]
+    assert len(told) == sum(bool(entry.variants) for entry in registry.ENVS.values())
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ("run --methods iq_learn", "'iq_learn'; IQ-Learn is left out, and docs/adversarial.md says why\n"),
+        ("run --methods IQ-Learn,GIAL", "docs/adversarial.md says why; did you mean 'gail'?\n"),
+        ("run --methods AIRL,GAIL,DAgger", "; did you mean 'airl', 'gail', 'dagger'?\n"),
+        ("run --methods ppo", "'ppo'; ppo learns from rewards: tasks name their learner (docs/design.md)\n"),
+        ("run --methods D-REX", "no method named 'D-REX'; did you mean 'shaped_ranked'?\n"),
+        ("run --envs CartPole-v1", "no env named 'CartPole-v1'; did you mean 'cartpole_discrete'?\n"),
+        ("run --envs MountainCar-v0", "a task of Gymnasium is gym:MountainCar-v0\n"),
+        ("run --envs swingup.flipped", "it is --envs swingup --transfer flipped\n"),
+        ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
+        ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
+        ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),
+        ("run --methods bc,,shaped", "no method named: give 'all' or some of shaped"),
+        ("run --envs cart", "no env named 'cart'; did you mean 'cartpole'?"),
+        ("run --envs cartpol,highway", "no env named 'cartpol'; did you mean 'cartpole'?"),
+        ("run --envs zzz", "no env named 'zzz'; there are cartpole, pendulum, highway"),
+        ("run --methods ,", "no method named: give 'all' or some of"),
+        ("run --envs=", "no env named: give"),
+        ("run --seeds 0", "argument --seeds: must lie between 1 and 1000, not 0"),
+        ("run --cell-timeout 0", "argument --cell-timeout: must lie between 1 and 1000000, not 0"),
+        ("run --seeds -1", "argument --seeds: must lie between 1 and 1000, not -1"),
+        ("run --seeds 3-1", "argument --seeds: '3-1' ends before it begins"),
+        ("run --seeds 0,,1", "argument --seeds: '' is not a whole number"),
+        ("run --seeds 5-", "argument --seeds: '' is not a whole number"),
+        ("run --seeds 1-1000", "argument --seeds: must lie between 0 and 999, not 1000"),
+        ("run --seeds 1-2-3", "argument --seeds: '2-3' is not a whole number"),
+        ("run --seeds two", "'two' is not a whole number"),
+        ("run --seeds 1.5", "'1.5' is not a whole number"),
+        ("run --seeds " + "9" * 5000, "argument --seeds"),
+        ("run --workers 0", "argument --workers"),
+        ("run --solves 0", "argument --solves: must lie between 1 and 1000, not 0"),
+        ("run --solves 2 --no-retrain", "--solves is how often RL solves R*; leave out --no-retrain\n"),
+        ("run --learner sac", "invalid choice: 'sac'"),
+        (
+            "run --envs swingup,gridworld --learner ddpg",
+            "of gridworld are choices, and DDPG has none",
+        ),
+        ("run --budget huge", "invalid choice: 'huge'"),
+        ("run --protocol naive", "invalid choice: 'naive'"),
+        ("run --rl torch", "invalid choice: 'torch'"),
+        ("run --bud smoke", "unrecognized arguments"),
+        ("run --envs swingup --action-bounds=-1e-320,1e-320", "is not a lower number and a higher one"),
+        ("check all", "give methods and envs one by one, with spaces between, not 'all'"),
+        ("check swingup,bc", "not 'swingup,bc'"),
+        ("run --envs swingup --action-bounds=-2,2", "--action-bounds are of demonstrations of a file"),
+        ("experts train swingup --budget quick", "leave out --budget: experts of swingup are trained as"),
+        ("experts train swingup --seeds 3", "leave out --seeds"),
+        ("experts train gym:Pendulum-v1 --dir mine", "leave out --dir: gym_Pendulum-v1 is trained one"),
+        ("experts train gym:Pendulum-v1 --workers 2", "leave out --workers"),
+        ("run --plan --json-progress", "a plan is text; leave out --json-progress"),
+        ("run --out", "expected one argument"),
+        ("run --out mine", "mine is not empty and holds no run"),
+        ("run --out mine/file", "cannot use mine/file"),
+        ("run --out bad\0name", "null"),
+        ("report", "required: DIR"),
+        ("report nowhere", "nowhere holds no run"),
+        ("report mine", "mine is not empty and holds no run"),
+        ("walk", "invalid choice: 'walk'"),
+        ("", "required: command"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_writes_nothing(
+    main: Main, tmp_path: Path, argv: str, message: str
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/file").write_text("precious")
+    code, out, err = main(*argv.split(" ") if argv else ())
+    assert (code, out) == (2, "")
+    assert err.startswith("irl-bench: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "mine"]
+
+
+def test_seeds_are_a_count_or_numbers_and_ranges(main: Main) -> None:
+    def stored() -> list[int]:
+        request = stored_request(Path("results/latest"))
+        return [*request.seeds] if request else []
+
+    for asked, seeds, there in (("7-7", {7}, [7]), ("0,2-3", {0, 2, 3}, [0, 2, 3, 7])):
+        run = Path("results/latest")
+        before = set(computed(run)) if run.exists() else set()
+        assert main(*SMOKE, "--methods", "bc", "--seeds", asked)[0] == 0
+        done = set(computed(run)) - before
+        assert {int(name.rpartition("seed")[2]) for name in done} == seeds
+        assert stored() == there
+    code, out, _ = main(*SMOKE, "--methods", "bc", "--seeds", "0-7")
+    assert (code, stored()) == (0, [*range(8)])
+    assert f"{4 * (PER_SEED + 1)} kept from before" in out

@@ -1,0 +1,161 @@
+"""Finite environments are solved, not learned, and left to chance where a reward says nothing."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs.gridworld import SPEC, WORLD, objectworld
+from envs.models import Tabular
+from harness.cell.experts import source_for
+from harness.process.environment import CACHE_VARIABLE
+from harness.records import Conditions
+from harness.registry import SPECS
+from harness.rl.exact import ExactSolver, expected_rewards
+from methods.base import Array, Policy, Reward
+from methods.rewards import Constant
+from methods.tabular.model import policy_value, value_iteration
+
+GAMMA = 0.95
+
+
+class Paid:
+    """r (S,) where the action is taken, or where it leads."""
+
+    absorbing = 0.0
+
+    def __init__(self, r: Array, on_arrival: bool = False) -> None:
+        self.r, self.on_arrival = r, on_arrival
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return self.r[WORLD.states(next_obs if self.on_arrival else obs)]
+
+
+class Listed:
+    """100 s + 10 a + s', in states observed as 0 and 1."""
+
+    absorbing = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return 100 * obs[:, 0] + 10 * act.argmax(axis=1) + next_obs[:, 0]
+
+
+def solve(reward: Reward | None, seed: int = 0, tabular: Tabular = WORLD) -> Policy:
+    return ExactSolver(tabular, GAMMA, np.random.default_rng(seed)).solve(reward, 1).policy
+
+
+def value(policy: Policy) -> float:
+    """The true value of starting anywhere."""
+    act = policy(WORLD.obs)
+    assert set(act.ravel()) == {0.0, 1.0}
+    assert (act.sum(axis=1) == 1).all()
+    return float(WORLD.start @ policy_value(WORLD.P, WORLD.reward, act, GAMMA))
+
+
+def best_value() -> float:
+    return float(WORLD.start @ value_iteration(WORLD.P, WORLD.reward, GAMMA)[0])
+
+
+@pytest.mark.parametrize("paid", [0.0, -3.0, 1e6])
+def test_a_constant_reward_teaches_nothing(paid: float) -> None:
+    choices = np.stack([solve(Constant(paid, absorbing=paid), seed)(WORLD.obs) for seed in range(20)])
+    np.testing.assert_array_equal(choices[3], solve(Constant(paid, absorbing=paid), 3)(WORLD.obs))
+    assert len({policy.tobytes() for policy in choices}) == 20
+    # Of 2880 choices each has a standard error of 0.0075.
+    np.testing.assert_allclose(choices.mean(axis=(0, 1)), 0.2, atol=0.03)
+
+
+def test_a_second_solve_of_the_same_solver_is_as_ignorant() -> None:
+    solver = ExactSolver(WORLD, GAMMA, np.random.default_rng(0))
+    one, other = (solver.solve(Constant(1.0, absorbing=1.0), 1).policy(WORLD.obs) for _ in range(2))
+    assert (one != other).any(axis=1).mean() == pytest.approx(0.8, abs=0.15)
+
+
+def test_the_true_reward_gives_the_optimal_value_whichever_of_equals_it_takes() -> None:
+    true = [solve(None, seed) for seed in range(3)]
+    for policy in (*true, solve(Paid(WORLD.reward))):
+        assert value(policy) == pytest.approx(best_value(), abs=1e-6)
+    acts = [policy(WORLD.obs) for policy in true]
+    assert (acts[0] != acts[1]).any()
+    np.testing.assert_array_equal(acts[0], solve(Paid(WORLD.reward), 0)(WORLD.obs))
+
+
+def test_it_maximises_the_reward_it_is_given() -> None:
+    worst = value(solve(Paid(-WORLD.reward)))
+    assert worst < value(solve(Constant(0.0, absorbing=0.0))) < best_value()
+    # What is paid on arrival is what is paid a step later on departure.
+    assert value(solve(Paid(WORLD.reward, on_arrival=True))) == pytest.approx(best_value(), abs=1e-6)
+
+
+def two_states() -> Tabular:
+    P = np.array([[[0.25, 0.75], [1.0, 0.0]], [[0.0, 1.0], [0.5, 0.5]]])
+    return Tabular(P, np.array([1.0, 0.0]), np.array([[0.0], [1.0]]), np.zeros(2), np.eye(2))
+
+
+def test_a_reward_of_where_it_leads_is_averaged_by_hand() -> None:
+    np.testing.assert_allclose(expected_rewards(two_states(), Listed()), [[0.75, 10.0], [101.0, 110.5]])
+    # Action 1 pays more at once, but 0 leads to where every step pays 101.
+    np.testing.assert_array_equal(solve(Listed(), tabular=two_states())(two_states().obs), [[1, 0], [1, 0]])
+
+
+def test_impossible_transitions_are_not_asked_for() -> None:
+    asked: list[tuple[float, int, float]] = []
+
+    class Watched(Listed):
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            asked.extend(zip(obs[:, 0], act.argmax(axis=1), next_obs[:, 0], strict=True))
+            return super().__call__(obs, act, next_obs)
+
+    expected_rewards(two_states(), Watched())
+    assert sorted(asked) == [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 1, 0), (1, 1, 1)]
+
+
+@pytest.mark.parametrize("paid", [math.nan, math.inf, -math.inf])
+def test_rewards_that_are_not_finite_are_refused(paid: float) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        solve(Constant(paid, absorbing=0.0))
+    one = WORLD.reward.copy()
+    one[77] = paid
+    with pytest.raises(ValueError, match="finite"):
+        solve(Paid(one))
+
+
+def test_a_solution_takes_no_steps_and_holds_no_reward() -> None:
+    solution: Any = ExactSolver(WORLD, GAMMA, np.random.default_rng(0)).solve(None, 1000)
+    assert (solution.curve, solution.env_steps, solution.check_steps) == ([], 0, 0)
+    assert set(vars(solution.policy)) == {"obs", "values"}
+
+
+def test_the_expert_is_optimal_and_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    one, other = (
+        source_for("gridworld", 0, Conditions(budget, "absorbing", "sb3")).expert
+        for budget in ("smoke", "full")
+    )
+    assert not (tmp_path / "cache").exists()
+    assert SPECS["gridworld"].gamma == GAMMA
+    assert value(one.policy) == pytest.approx(best_value(), abs=1e-6)
+    np.testing.assert_array_equal(one.policy(WORLD.obs), other.policy(WORLD.obs))
+    assert (one.name, one.curve, one.env_steps, one.check_steps) == ("exact", (), 0, 0)
+
+
+def test_the_task_is_worth_solving() -> None:
+    assert WORLD.P.shape == (144, SPEC.act_size, 144)
+    uniform = np.full((144, 5), 0.2)
+    assert (
+        WORLD.start @ policy_value(WORLD.P, WORLD.reward, uniform, GAMMA)
+        < 0
+        < 0.3 / (1 - GAMMA)
+        < best_value()
+    )
+
+
+def test_an_objectworld_of_another_size_is_solved() -> None:
+    world = objectworld(6, 5, 3, 0.0, np.random.default_rng(1))
+    act = solve(None, tabular=world)(world.obs)
+    v = value_iteration(world.P, world.reward, GAMMA)[0]
+    np.testing.assert_allclose(policy_value(world.P, world.reward, act, GAMMA), v, atol=1e-6)

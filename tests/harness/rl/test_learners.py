@@ -1,0 +1,272 @@
+"""Every learner finds an optimum that is known, and begins with the policy that it is given."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+
+from envs import EnvSpec
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
+from harness.registry import LIBRARIES, SPECS, Library
+from harness.rl.solving import Agent
+from methods.base import Array, Episodes
+from methods.network import Network
+from methods.rewards import Constant
+from methods.stochastic import SquashedGaussian
+from tests.harness.rewards import Seek
+
+pytestmark = pytest.mark.usefixtures("fused_adam")
+NOTHING = Constant(0.0, 0.0)
+OBS = np.linspace(-0.6, 0.6, 13)[:, None]
+
+both_libraries = pytest.mark.parametrize("library", LIBRARIES)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+ON_POLICY = PPO(copies=10, steps=10, batch=50, learning_rate=3e-3, checkpoint_every=1000)
+
+
+@both_libraries
+@pytest.mark.parametrize(
+    ("settings", "steps"),
+    [(DDPG(), 1500), (TD3(), 1500), (SAC(), 1500), (ON_POLICY, 8000)],
+    ids=["DDPG", "TD3", "SAC", "PPO"],
+)
+def test_it_learns_the_task_and_another_after_it(
+    steady: EnvSpec, settings: Learner, steps: int, library: Library
+) -> None:
+    agent = Agent(dataclasses.replace(steady, rl=settings), "absorbing", rng(), library)
+    for side in (1.0, -1.0):
+        solution = agent.solve(Seek(side), steps)
+        assert np.abs(solution.policy(OBS) - side * OBS).mean() < 0.15
+        returns = [value for _, value in solution.curve]
+        assert max(returns) > 8.5 > 7 > returns[0]
+        assert solution.env_steps == steps
+
+
+@both_libraries
+def test_by_choices_it_learns_the_task_and_goes_on_under_another_reward(library: Library) -> None:
+    agent = Agent(SPECS["cartpole_discrete"], "absorbing", rng(), library)
+    solution = agent.solve(None, 40_960)
+    assert max(value for _, value in solution.curve) > 300
+    agent.learn(4096, NOTHING)
+
+
+@both_libraries
+def test_noise_drifts_in_ddpg_and_is_white_in_td3(steady: EnvSpec, library: Library) -> None:
+    drawn = {}
+    for settings in (DDPG(noise=0.4), TD3(noise=0.4)):
+        agent = Agent(dataclasses.replace(steady, rl=settings), "absorbing", rng(), library)
+        agent.learn(40, Seek(1.0))
+        noise: Any = agent._built.action_noise
+        drawn[type(settings)] = np.array([noise()[0, 0] for _ in range(3000)])
+    ddpg, td3 = drawn[DDPG], drawn[TD3]
+    assert np.corrcoef(ddpg[1:], ddpg[:-1])[0, 1] > 0.95
+    assert abs(np.corrcoef(td3[1:], td3[:-1])[0, 1]) < 0.1
+    assert td3.std() == pytest.approx(0.4, rel=0.1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Miss:
+    """Pays minus the squared distance to the observation."""
+
+    absorbing = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return -np.square(act - obs)[:, 0]
+
+
+def explored(agent: Agent, draws: int = 2000) -> tuple[Array, float]:
+    """Actions (13, draws) at `OBS`, and minus their mean log-density."""
+    obs = np.repeat(OBS, draws, axis=0)
+    act = agent.behaviour.sample(obs, rng())
+    return act.reshape(len(OBS), draws), -float(agent.behaviour.log_prob(obs, act).mean())
+
+
+@both_libraries
+def test_soft_actor_critic_finds_the_soft_optimum(steady: EnvSpec, library: Library) -> None:
+    # Nothing that is done matters later, so pi is exp(reward / entropy), up to a factor: a Gaussian.
+    worth = 0.01
+    settings = SAC(entropy=worth, n_steps=1, learning_rate=3e-3, final_learning_rate=3e-4)
+    agent = Agent(dataclasses.replace(steady, gamma=0.1, rl=settings), "absorbing", rng(), library)
+    agent.learn(2000, Miss())
+    act, _ = explored(agent)
+    np.testing.assert_allclose(act.mean(axis=1, keepdims=True), OBS, atol=0.1)
+    deviation = np.sqrt(agent._env._size * worth / 2)
+    assert act.std(axis=1).mean() == pytest.approx(deviation, rel=0.1)
+
+
+def test_the_worth_of_entropy_is_learned_where_it_is_not_told(steady: EnvSpec) -> None:
+    settings = SAC(n_steps=1, learning_rate=3e-3, final_learning_rate=3e-4)
+    agent = Agent(dataclasses.replace(steady, gamma=0.1, rl=settings), "absorbing", rng(), "sbx")
+    agent.learn(4000, Miss())
+    assert explored(agent)[1] == pytest.approx(-1, abs=0.1)  # nats, one action
+
+
+class Noise(gym.Env):
+    """Observes standard normal numbers (3,) whatever the actions (2,) are."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        return self.np_random.normal(size=3).astype(np.float32), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        return self.np_random.normal(size=3).astype(np.float32), 0.0, False, False, {}
+
+
+def noise(settings: Learner) -> EnvSpec:
+    name = "irl_bench_tests/Noise-v0"
+    if name not in gym.registry:
+        gym.register(name, Noise, max_episode_steps=10, disable_env_checker=True)
+    return EnvSpec("Noise", name, 3, 2, (0.5, 2.0, 7.0), 10, rl=settings)
+
+
+def network(*sizes: int, tanh: bool = True) -> Network:
+    """A random one that standardises its inputs."""
+    generator = rng(5)
+    pairs = list(pairwise(sizes))
+    return Network(
+        generator.normal(size=sizes[0]),
+        generator.uniform(0.5, 2, sizes[0]),
+        tuple(generator.normal(size=pair) / np.sqrt(pair[0]) for pair in pairs),
+        tuple(0.3 * generator.normal(size=size) for _, size in pairs),
+        tanh,
+    )
+
+
+SHOWN = rng(6).normal(size=(200, 3))
+LEARNERS = pytest.mark.parametrize(
+    "settings", [DDPG(net=(16, 8)), TD3(net=(16, 8)), SAC(net=(16, 8))], ids=["DDPG", "TD3", "SAC"]
+)
+
+
+def seen_by(agent: Agent) -> np.ndarray:
+    return agent._env.seen(SHOWN, np.zeros(len(SHOWN), bool))
+
+
+@both_libraries
+@LEARNERS
+def test_an_agent_begins_with_the_policy_that_it_is_given(settings: Learner, library: Library) -> None:
+    init = network(3, 16, 8, 2)
+    agent = Agent(noise(settings), "absorbing", rng(), library, init=init)
+    agent.learn(20, NOTHING)
+    np.testing.assert_allclose(agent.policy(SHOWN), init(SHOWN), atol=1e-5)
+    model: Any = agent._model
+    # The library's own view of it, and the target's where there is one.
+    np.testing.assert_allclose(model.predict(seen_by(agent), deterministic=True)[0], init(SHOWN), atol=1e-5)
+    if isinstance(settings, SAC):
+        np.testing.assert_array_equal(agent.behaviour._parameters(SHOWN)[1], 0)
+    elif library == "sbx":
+        state = model.policy.actor_state
+        target = state.apply_fn(state.target_params, seen_by(agent))
+        np.testing.assert_allclose(target, init(SHOWN), atol=1e-5)
+    else:
+        target = model.actor_target(torch.as_tensor(seen_by(agent)))
+        np.testing.assert_allclose(target.detach(), init(SHOWN), atol=1e-5)
+    best: Any = agent.best(NOTHING).policy
+    np.testing.assert_array_equal(best(SHOWN), agent.policy(SHOWN))
+
+
+@both_libraries
+def test_soft_actor_critic_begins_with_a_stochastic_policy(library: Library) -> None:
+    init = SquashedGaussian(network(3, 16, 8, 4, tanh=False))
+    agent = Agent(noise(SAC(net=(16, 8))), "absorbing", rng(), library, init=init)
+    agent.learn(20, NOTHING)
+    np.testing.assert_allclose(agent.behaviour.network(SHOWN), init.network(SHOWN), atol=1e-5)
+    np.testing.assert_allclose(agent.policy(SHOWN), init.mean(SHOWN), atol=1e-5)
+
+
+@both_libraries
+@pytest.mark.parametrize("steps", [20, 60])
+def test_its_behaviour_is_what_the_library_explores_with(library: Library, steps: int) -> None:
+    agent = Agent(noise(SAC(net=(16, 8), learning_rate=0.01)), "absorbing", rng(), library)
+    agent.learn(steps, lambda taken: taken.act[:, 0])
+    act = rng(1).uniform(-0.9, 0.9, (len(SHOWN), 2))
+    model: Any = agent._model
+    if library == "sbx":
+        state = model.policy.actor_state
+        expected = state.apply_fn(state.params, seen_by(agent)).log_prob(act)
+    else:
+        mean, log_std, _ = model.actor.get_action_dist_params(torch.as_tensor(seen_by(agent)))
+        own = model.actor.action_dist.proba_distribution(mean, log_std)
+        expected = own.log_prob(torch.as_tensor(act)).detach()
+    np.testing.assert_allclose(agent.behaviour.log_prob(SHOWN, act), expected, atol=1e-4)
+    np.testing.assert_array_equal(agent.behaviour.mean(SHOWN), agent.policy(SHOWN))
+
+
+@pytest.mark.parametrize(
+    "settings", [DDPG(), TD3(), PPO(copies=2, steps=5, batch=5)], ids=["DDPG", "TD3", "PPO"]
+)
+def test_others_have_no_behaviour(steady: EnvSpec, settings: Learner) -> None:
+    agent = Agent(steady, "absorbing", rng(), "sb3", settings)
+    agent.learn(20, NOTHING)
+    with pytest.raises(ValueError, match=f"{type(settings).__name__} has no stochastic policy"):
+        agent.behaviour  # noqa: B018
+
+
+def test_q_learning_explores_with_a_share_of_random_choices() -> None:
+    agent = Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", DQN())
+    agent.learn(200, NOTHING)
+    obs = np.zeros((2, 4))
+    greedy = np.eye(2)[agent.policy(obs).argmax(axis=1)]
+    chances = [np.exp(agent.behaviour.log_prob(obs, act)) for act in (greedy, 1 - greedy)]
+    share = agent.settings.noise
+    np.testing.assert_allclose(chances, [[1 - share / 2] * 2, [share / 2] * 2])
+
+
+def test_an_agent_that_has_not_learned_has_no_policy(steady: EnvSpec) -> None:
+    agent = Agent(steady, "absorbing", rng(), "sb3", SAC())
+    for name in ("policy", "behaviour"):
+        with pytest.raises(ValueError, match="has not learned yet"):
+            getattr(agent, name)
+
+
+@pytest.mark.parametrize(
+    ("settings", "init", "why"),
+    [
+        (DDPG(), network(3, 16, 2), r"layers of \(3, 16, 2\), the actor of \(3, 64, 64, 2\)"),
+        (TD3(net=(16,)), network(4, 16, 2), r"layers of \(4, 16, 2\), the actor of \(3, 16, 2\)"),
+        (SAC(net=(16,)), network(3, 16, 4), r"layers of \(3, 16, 4\), the actor of \(3, 16, 2\)"),
+        (
+            SAC(net=(16,)),
+            SquashedGaussian(network(3, 16, 2, tanh=False)),
+            r"layers of \(3, 16, 2\), the actor of \(3, 16, 4\)",
+        ),
+        (DDPG(net=(16,)), network(3, 16, 2, tanh=False), "must end in a tanh"),
+        (SAC(net=(16,)), SquashedGaussian(network(3, 16, 4)), "must not"),
+        (TD3(), SquashedGaussian(network(3, 64, 64, 4, tanh=False)), "TD3 cannot begin with a Squashed"),
+        (SAC(), lambda obs: obs[:, :2], "SAC cannot begin with a function"),
+        (PPO(), network(3, 64, 64, 2), "PPO cannot begin with a Network"),
+    ],
+)
+def test_a_policy_that_the_actor_cannot_be_is_refused(settings: Learner, init: Any, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Agent(noise(settings), "absorbing", rng(), "sb3", init=init)
+
+
+def test_values_of_choices_do_not_begin_with_a_policy() -> None:
+    with pytest.raises(ValueError, match="DQN cannot begin with a Network"):
+        Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", DQN(), init=network(4, 64, 64, 2))
+
+
+def test_ppo_keeps_no_steps_and_learns_from_no_others(steady: EnvSpec) -> None:
+    agent = Agent(steady, "absorbing", rng(), "sb3", ON_POLICY)
+    agent.learn(200, NOTHING)
+    with pytest.raises(ValueError, match="keeps no steps"):
+        agent.replay()
+    shown = Episodes((np.zeros((3, 1)),), (np.zeros((2, 1)),), (False,))
+    with pytest.raises(ValueError, match="not from demonstrations"):
+        Agent(steady, "absorbing", rng(), "sb3", ON_POLICY, demonstrations=shown).learn(200, NOTHING)

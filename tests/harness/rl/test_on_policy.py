@@ -1,0 +1,176 @@
+"""What PPO of our own learns from: the task's own steps, paid as ends and the absorbing state ask."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from envs import EnvSpec
+from envs.driving.environment import drive, look
+from envs.learners import PPO
+from harness.registry import SPECS
+from harness.rl import ppo
+from harness.rl.on_policy import REWARD_SIZE, OnPolicy, dynamics_of
+from harness.rl.ppo import Kind
+from harness.rl.solving import Agent
+from harness.rl.training_env import TrainingEnv
+from methods.base import ABSORBING_STEPS, Array, Transitions
+from methods.rewards import Constant
+from methods.stochastic import Gaussian, Softmax
+
+SMALL = PPO(copies=4, steps=600, batch=600, epochs=1, net=(8,))
+
+
+def steps_of(spec: EnvSpec, settings: PPO = SMALL) -> tuple[Transitions, Array]:
+    """The steps (T, N) of one bout, one after the other, and what the environment paid for them."""
+    seen: list[tuple[Transitions, Array]] = []
+
+    class Watched(TrainingEnv):
+        def paid(self, steps: Transitions, true: Array) -> Array:
+            seen.append((steps, true))
+            return super().paid(steps, true)
+
+    env = Watched(spec, "absorbing", np.random.default_rng(0), settings.copies)
+    OnPolicy(env, settings, 0).learn(settings.unit, lambda progress: 1e-3, lambda taken: None, 0.0)
+    return seen[0]
+
+
+def test_steps_of_the_compiled_loop_are_the_tasks() -> None:
+    spec = SPECS["cartpole"]
+    physics: Any = dynamics_of(spec)
+    steps, true = steps_of(spec)
+    obs, act, after = steps.obs.T, steps.act.T, steps.next_obs.T
+    np.testing.assert_allclose(physics.advance(obs, act), after, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(physics.pay(obs, act, after), true, atol=1e-6)
+    assert np.array_equal(physics.fails(after), steps.next_absorbing)
+    assert np.abs(act).max() <= 1
+    assert (np.abs(act) == 1).any()
+    ended = steps.next_absorbing.reshape(SMALL.steps, SMALL.copies)
+    following, last = (o.reshape(SMALL.steps, SMALL.copies, -1) for o in (steps.obs, steps.next_obs))
+    begun = (following[1:] != last[:-1]).any(axis=2)
+    assert begun[ended[:-1]].all()
+    assert (np.abs(following[1:][begun]) <= 0.05 + 1e-6).all()
+
+
+def test_steps_of_compiled_traffic_are_those_of_the_batch() -> None:
+    spec, copies, count = SPECS["highway"], 64, 80
+    physics: Any = dynamics_of(spec)
+    settings = PPO(copies=copies, steps=count, batch=copies * count, net=(8,))
+    kind = Kind(settings, spec.obs_size, spec.act_size, spec.discrete, spec.gamma)
+    first, collect = ppo.collector(kind, physics, spec.horizon)
+    params, scale = ppo.functions(kind).begin(jax.random.key(0)).params, np.ones(spec.obs_size, np.float32)
+    with jax.enable_x64(True):
+        scene = first(jax.random.key(1))
+        begun = np.asarray(scene[0])
+        _, seen = collect(params, scene, scale, jax.random.key(2))
+    states = begun.T.reshape(copies, 12, -1).copy()
+    act = np.clip(np.asarray(seen.act), -1, 1)
+    ended = np.asarray(seen.terminated | seen.cut)
+    going = np.arange(copies)  # those whose first episode lasts
+    for time in range(spec.horizon):
+        np.testing.assert_allclose(np.asarray(seen.obs)[time, going], look(states[going]), atol=1e-5)
+        after, paid, terminated = drive(states, going, act[time, going])
+        np.testing.assert_allclose(np.asarray(seen.next_obs)[time, going], after, atol=1e-5)
+        np.testing.assert_allclose(np.asarray(seen.true)[time, going], paid, atol=1e-6)
+        assert np.array_equal(np.asarray(seen.terminated)[time, going], terminated)
+        going = going[~ended[time, going]]
+        if not len(going):
+            break
+    assert np.asarray(seen.terminated).any()
+    assert np.asarray(seen.cut).any()
+    assert not len(going)
+
+
+def test_an_episode_is_cut_at_the_horizon_and_first_ones_at_even_intervals() -> None:
+    spec = SPECS["swingup"]
+    steps, _ = steps_of(spec)
+    obs, after = (o.reshape(SMALL.steps, SMALL.copies, -1) for o in (steps.obs, steps.next_obs))
+    for copy in range(SMALL.copies):
+        (cuts,) = np.nonzero((obs[1:, copy] != after[:-1, copy]).any(axis=1))
+        first = spec.horizon - copy * spec.horizon // SMALL.copies
+        assert (cuts + 1).tolist() == list(range(first, SMALL.steps, spec.horizon))
+    assert not steps.next_absorbing.any()
+
+
+def test_other_tasks_are_stepped_alike(fragile: EnvSpec) -> None:
+    assert dynamics_of(fragile) is None
+    steps, true = steps_of(fragile, PPO(copies=4, steps=50, batch=50, epochs=1, net=(8,)))
+    missed = np.abs(steps.obs - steps.act)[:, 0]
+    np.testing.assert_allclose(true, 1 - missed, atol=1e-6)
+    assert np.array_equal(missed > 0.5, steps.next_absorbing)
+
+
+@pytest.mark.parametrize(("protocol", "forever"), [("absorbing", 1.0), ("state", 1.0), ("native", 0.0)])
+def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
+    fragile: EnvSpec, protocol: str, forever: float
+) -> None:
+    env = TrainingEnv(fragile, protocol, np.random.default_rng(0), 1)
+    env.reward = lambda steps: np.where(steps.absorbing, -2.0, 1.0)
+    ends = np.array([False, True])
+    steps = Transitions.own(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(2, bool), ends)
+    beyond = forever * fragile.gamma * -2.0 / (1 - fragile.gamma)
+    np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
+
+
+def test_the_bits_of_a_solve_depend_on_its_seed_alone() -> None:
+    def curve(seed: int) -> list[tuple[float, float]]:
+        settings = PPO(copies=8, steps=50, batch=100, net=(8,), checkpoint_every=400, check_episodes=2)
+        agent = Agent(SPECS["swingup"], "absorbing", np.random.default_rng(seed), "sbx", settings)
+        return agent.solve(None, 1200).curve
+
+    first, other, again = curve(100), curve(101), curve(100)
+    assert first == again != other
+
+
+def paid_with(entropy: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Array, Array, OnPolicy]:
+    """What steps of the swing-up paid for the entropy of actions (N,), the logarithm of their density, and
+    the agent after a bout."""
+    learned_on: list[tuple[Array, Array]] = []
+    ours = ppo.functions
+
+    def watched(kind: ppo.Kind) -> ppo.Functions:
+        def learn(state: Any, steps: ppo.Steps, rewards: Array, *rest: Any) -> Any:
+            learned_on.append((rewards, np.asarray(steps.log_prob)))
+            return ours(kind).learn(state, steps, rewards, *rest)
+
+        return ours(kind)._replace(learn=learn)
+
+    monkeypatch.setattr(ppo, "functions", watched)
+    env = TrainingEnv(SPECS["swingup"], "absorbing", np.random.default_rng(0), SMALL.copies)
+    env.reward = Constant(0.0, 0.0)
+    agent = OnPolicy(env, SMALL, 0)
+    agent.learn(SMALL.unit, lambda progress: 1e-3, lambda taken: None, entropy)
+    ((rewards, log_prob),) = learned_on
+    return rewards.ravel(), log_prob.ravel(), agent
+
+
+def test_entropy_pays_what_it_is_above_that_of_uniform_actions(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing, _, _ = paid_with(0.0, monkeypatch)
+    assert (nothing == 0).all()
+    rewards, log_prob, agent = paid_with(0.5, monkeypatch)
+    own = -0.5 * (log_prob + np.log(2))
+    np.testing.assert_allclose(rewards, own * REWARD_SIZE / np.abs(own).mean(), rtol=1e-4)
+    # It would explore more and more for that.
+    behaviour = agent.behaviour
+    assert isinstance(behaviour, Gaussian)
+    assert behaviour.log_std <= 0
+
+
+def test_it_tells_its_latest_steps_and_what_it_draws_from() -> None:
+    agent = Agent(SPECS["cartpole"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
+    agent.learn(2 * SMALL.unit, None)
+    seen = agent.replay()
+    ends = int((seen.next_absorbing & ~seen.absorbing).sum())
+    assert len(seen) == SMALL.unit + ABSORBING_STEPS * ends
+    assert seen.absorbing.sum() == ABSORBING_STEPS * ends > 0
+    assert isinstance(agent.behaviour, Gaussian)
+    native = Agent(SPECS["cartpole"], "native", np.random.default_rng(0), "sbx", SMALL)
+    native.learn(SMALL.unit, None)
+    assert len(native.replay()) == SMALL.unit
+    choosing = Agent(SPECS["cartpole_discrete"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
+    choosing.learn(SMALL.unit, None)
+    assert isinstance(choosing.behaviour, Softmax)
+    assert set(choosing.replay().act.ravel()) == {0.0, 1.0}

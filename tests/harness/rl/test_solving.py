@@ -1,0 +1,257 @@
+"""The solver learns what a reward asks for, and nothing where it asks for nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import jax
+import numpy as np
+import pytest
+import sbx
+import stable_baselines3
+from gymnasium import spaces
+
+from envs import EnvSpec
+from envs.copies import Copies
+from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
+from harness.registry import LIBRARIES, Library, all_specs
+from harness.rl import ppo
+from harness.rl.seeds import TRAINING, evaluation_seeds
+from harness.rl.solving import Agent
+from methods.base import Array
+from tests.harness.rewards import Seek
+from tests.harness.rl.solving import STEPS, same, solve
+
+pytestmark = pytest.mark.usefixtures("fused_adam")
+OBS = np.linspace(-0.8, 0.8, 33)[:, None]
+
+
+both_libraries = pytest.mark.parametrize("library", LIBRARIES)
+LEARNERS = [DDPG(), TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
+learners = pytest.mark.parametrize("settings", LEARNERS, ids=lambda settings: type(settings).__name__)
+
+
+def test_a_solve_says_what_it_took(steady: EnvSpec) -> None:
+    solution = solve(steady, Seek())
+    xs = [x for x, _ in solution.curve]
+    assert xs == [STEPS / 2, 2 * DDPG().checkpoint_every, STEPS]
+    # Twenty episodes of ten steps at each checkpoint.
+    assert (solution.env_steps, solution.check_steps) == (STEPS, len(xs) * 20 * 10)
+
+
+def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
+    short = solve(steady, Seek(), steps=300)
+    assert (short.env_steps, short.check_steps) == (300, len(short.curve) * 4 * 10)
+    shortest = solve(steady, Seek(), steps=20)
+    assert (shortest.env_steps, shortest.check_steps) == (20, len(shortest.curve) * 1 * 10)
+
+
+@pytest.mark.parametrize("steps", [-10, 0, 10, 25])
+def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, steps: int) -> None:
+    with pytest.raises(ValueError, match=f"multiple of 10 steps, at least 20, not {steps}"):
+        solve(steady, Seek(), steps=steps)
+
+
+@pytest.mark.parametrize(
+    "spec", [spec for spec in all_specs() if not spec.tabular], ids=lambda spec: spec.name
+)
+def test_every_solve_that_runs_ask_for_suits_the_learner(spec: EnvSpec) -> None:
+    for one in (spec,) if spec.discrete else (spec, spec.by_ddpg()):
+        assert min(one.rl_steps.values()) >= 2 * one.rl.unit
+        assert all(steps % one.rl.unit == 0 for steps in (*one.rl_steps.values(), one.rl.checkpoint_every))
+
+
+def test_no_reward_means_the_environments_own(steady: EnvSpec) -> None:
+    own, learned = solve(steady, None), solve(steady, Seek())
+    np.testing.assert_allclose(own.policy(OBS), learned.policy(OBS), atol=0.05)
+    np.testing.assert_allclose(own.curve, learned.curve, atol=0.2)
+
+
+class Side(gym.Env):
+    """The observation (1,) is drawn from [-1, 1] at every step; choosing its sign, 1 for positive, pays 1."""
+
+    observation_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    action_space = spaces.Discrete(2)
+
+    def _move(self) -> np.ndarray:
+        self.where = self.np_random.uniform(-1, 1, 1).astype(np.float32)
+        return self.where
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        return self._move(), {}
+
+    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict]:
+        paid = float(action == (self.where[0] > 0))
+        return self._move(), paid, False, False, {}
+
+
+def test_it_learns_to_choose(steady: EnvSpec) -> None:
+    gym.register("irl_bench_tests/Side-v0", Side, max_episode_steps=10, disable_env_checker=True)
+    spec = EnvSpec(
+        "Side", "irl_bench_tests/Side-v0", 1, 2, (1.0,), 10, gamma=steady.gamma, discrete=True, rl=DQN()
+    )
+    positive = OBS[:, 0] > 0
+
+    @dataclass(frozen=True)
+    class Other:
+        """Pays for the choice of the other sign: `act` is one-hot."""
+
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            assert set(act.ravel()) <= {0.0, 1.0}
+            assert (act.sum(axis=1) == 1).all()
+            return act[np.arange(len(act)), (obs[:, 0] < 0).astype(int)]
+
+    sure = np.abs(OBS[:, 0]) > 0.2
+    own, other = (solve(spec, reward).policy(OBS).argmax(axis=1) == positive for reward in (None, Other()))
+    assert own[sure].all()
+    assert not other[sure].any()
+
+
+@both_libraries
+@learners
+def test_the_generator_decides_everything(steady: EnvSpec, library: Library, settings: Learner) -> None:
+    steady = dataclasses.replace(steady, rl=settings)
+    # The library draws from the global generators, whose state must not matter.
+    np.random.seed(1)  # noqa: NPY002
+    one = solve(steady, Seek(), steps=400, library=library)
+    np.random.seed(2)  # noqa: NPY002
+    again = solve(steady, Seek(), steps=400, library=library)
+    other = solve(steady, Seek(), steps=400, seed=1, library=library)
+    assert one.curve == again.curve
+    assert one.env_steps == again.env_steps
+    assert same(one.policy, again.policy)
+    assert not same(one.policy, other.policy)
+    assert one.curve != other.curve
+
+
+def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[int] = []
+    reset = Copies.reset
+
+    def spy(self: Copies, place: int, seed: int) -> Array:
+        seeds.append(seed)
+        return reset(self, place, seed)
+
+    monkeypatch.setattr(Copies, "reset", spy)
+    assert solve(fragile, Seek()).check_steps > 20
+    assert len(seeds) > 120
+    assert min(seeds) >= TRAINING > evaluation_seeds(999, 1000).stop
+
+
+@both_libraries
+@learners
+def test_the_learning_rate_falls_within_each_solve(
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library, settings: Learner
+) -> None:
+    falling = dataclasses.replace(settings, learning_rate=1e-3, final_learning_rate=1e-4)
+    spec = dataclasses.replace(steady, rl=falling)
+    rates: list[float] = []
+    on_policy = isinstance(settings, PPO)
+    if on_policy and library == "sbx":
+        ours = ppo.functions
+
+        def watched(kind: ppo.Kind) -> ppo.Functions:
+            def learn(*arguments: Any) -> Any:
+                rates.append(float(arguments[4]))
+                return ours(kind).learn(*arguments)
+
+            return ours(kind)._replace(learn=learn)
+
+        monkeypatch.setattr(ppo, "functions", watched)
+    else:
+        solver: Any = getattr(sbx if library == "sbx" else stable_baselines3, type(settings).__name__)
+        train = solver.train
+
+        def spy(self: Any, *arguments: Any, **named: Any) -> None:
+            train(self, *arguments, **named)
+            if library == "sbx":
+                states = self.policy.actor_state.opt_state, self.policy.qf_state.opt_state
+                both = {float(state.hyperparams["learning_rate"]) for state in states}
+            else:
+                nets = [self.policy] if on_policy else [self.actor, self.critic]
+                both = {net.optimizer.param_groups[0]["lr"] for net in nets}
+            rates.append(*both)
+
+        monkeypatch.setattr(solver, "train", spy)
+    agent = Agent(spec, "absorbing", np.random.default_rng(0), library)
+    agent.solve(Seek(), 400)
+    first = list(rates)
+    rates.clear()
+    agent.solve(Seek(), 400)
+    for solve_rates in (first, rates):
+        assert solve_rates == sorted(solve_rates, reverse=True)
+        # Our PPO learns at the rate of the middle of each bout.
+        half = settings.unit / 800 if on_policy and library == "sbx" else 0.0
+        assert solve_rates[-1] == pytest.approx(1e-4 + half * 9e-4)
+    assert rates[0] > 9e-4
+
+
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec, protocol: str) -> None:
+    one = solve(fragile, Seek(absorbing=-0.5), protocol, 500)
+    other = solve(fragile, Seek(scale=8.0, absorbing=-4.0), protocol, 500)
+    assert same(one.policy, other.policy)
+    assert [(x, 8 * y) for x, y in one.curve] == other.curve
+
+
+def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
+    @dataclass(frozen=True)
+    class Shifted(Seek):
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            return super().__call__(obs, act, next_obs) + 64.0
+
+    one = solve(fragile, Seek(absorbing=-0.5), steps=500)
+    other = solve(fragile, Shifted(absorbing=63.5), steps=500)
+    np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
+
+
+@learners
+def test_what_one_agent_compiled_serves_the_next(
+    steady: EnvSpec, caplog: pytest.LogCaptureFixture, settings: Learner
+) -> None:
+    spec = dataclasses.replace(steady, rl=settings)
+    update = "learn" if isinstance(settings, PPO) else "_train"
+
+    def compiled() -> int:
+        caplog.clear()
+        with jax.log_compiles():
+            solve(spec, Seek(), steps=200, library="sbx")
+        return caplog.text.count(f"Compiling jit({update})")
+
+    jax.clear_caches()
+    assert [compiled() > 0, compiled()] == [True, 0]
+
+
+WRONG = [
+    lambda obs, act, next_obs: np.full(len(obs), np.nan),
+    lambda obs, act, next_obs: np.where(obs[:, 0] > 0.5, np.inf, 0.0),
+    lambda obs, act, next_obs: np.zeros((len(obs), 1)),
+]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "wrong", "absorbing"),
+    [
+        *((protocol, wrong, 0.0) for protocol in ("absorbing", "native") for wrong in WRONG),
+        ("absorbing", lambda obs, act, next_obs: np.ones(len(obs)), np.nan),
+    ],
+)
+def test_a_reward_that_is_no_number_is_refused(
+    steady: EnvSpec, protocol: str, wrong: Callable[..., Array], absorbing: float
+) -> None:
+    class Wrong:
+        def __init__(self) -> None:
+            self.absorbing = absorbing
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+            return wrong(obs, act, next_obs)
+
+    with pytest.raises(FloatingPointError, match="finite"):
+        solve(steady, Wrong(), protocol, 40)

@@ -1,0 +1,239 @@
+"""What was learned can be kept and gives the same outputs afterwards; what is no such thing is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs import EnvSpec, Quantity
+from envs.learners import SAC
+from harness.judge.controls import Distance
+from harness.records import Cell, Conditions
+from harness.registry import SPECS
+from harness.rl.exact import ExactSolver
+from harness.rl.stored import compact, from_arrays, to_arrays
+from harness.rl.world import Features
+from harness.store import artifacts
+from harness.store.artifacts import NOT_KEPT, artifact, learned_in
+from harness.store.cache import Kept, as_bytes
+from methods.fourier import FourierFeatures
+from methods.network import Network
+from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward
+from methods.shaped import ShapedReward
+from methods.stochastic import SquashedGaussian
+
+CELL, CONDITIONS = Cell("cartpole", "shaped", 0), Conditions("smoke", "absorbing", "sbx")
+RNG = np.random.default_rng(0)
+
+
+def network(inputs: int, outputs: int, half: bool = True) -> Network:
+    sizes = [(inputs, 7), (7, outputs)]
+    weights = [RNG.standard_normal(size) for size in sizes]
+    if half:  # as those that were fitted in 32 bits
+        weights = [w.astype(np.float32).astype(np.float64) for w in weights]
+    return Network(np.zeros(inputs), np.ones(inputs), tuple(weights), (np.zeros(7), np.zeros(outputs)), True)
+
+
+def linear(waves: int = 0) -> LinearReward:
+    phi: Any = Features(SPECS["cartpole"])
+    if waves:
+        phi = FourierFeatures.drawn(phi, RNG.standard_normal((9, 4)), 1, waves, 1.0, RNG)
+    size = phi(np.zeros((1, 4)), np.zeros((1, 1))).shape[1]
+    return LinearReward(phi, RNG.standard_normal(size + 1))
+
+
+REWARDS = {
+    "shaped": ShapedReward(network(4, 1), network(4, 1), absorbing=-0.1),
+    "linear": linear(),
+    "waves": linear(waves=8),
+    "network": NetworkReward(network(6, 1, half=False), 2.0, -1.5),
+    "of states": NetworkReward(network(5, 1), 1.0, 0.25, actions=False),
+    "mean": MeanReward((NetworkReward(network(6, 1), 2.0, -1.5), StateReward(network(4, 1), 0.3))),
+    "state": StateReward(network(4, 1), 0.3),
+    "constant": Constant(1.0, absorbing=-0.0),
+    "distance": Distance(network(4, 1), absorbing=1e-300),
+}
+
+
+def batch() -> tuple[Any, Any, Any]:
+    rng = np.random.default_rng(1)
+    return rng.standard_normal((50, 4)), rng.uniform(-1, 1, (50, 1)), rng.standard_normal((50, 4))
+
+
+def kept(**learned: Any) -> dict[str, Any]:
+    data, troubles = artifact(CELL, CONDITIONS, learned)
+    assert troubles == []
+    return learned_in(data, CELL)
+
+
+@pytest.mark.parametrize("name", REWARDS)
+def test_a_reward_that_was_kept_pays_the_same_bit_for_bit(name: str) -> None:
+    reward = REWARDS[name]
+    found = kept(reward=reward)["reward"]
+    assert type(found) is type(reward)
+    assert np.array_equal(found(*batch()), reward(*batch()))
+    assert np.array([found.absorbing]).tobytes() == np.array([reward.absorbing]).tobytes()
+
+
+def test_a_policy_that_was_kept_acts_the_same_bit_for_bit() -> None:
+    tabular = SPECS["gridworld"].tabular
+    assert tabular is not None
+    exact = ExactSolver(tabular, 0.9, np.random.default_rng(0)).solve(None, 0).policy
+    found = kept(pi_star=network(4, 1), pi_R=exact)
+    assert np.array_equal(found["pi_R"](tabular.obs), exact(tabular.obs))
+    for policy in (network(4, 2), network(3, 2, half=False)):
+        obs = np.random.default_rng(2).standard_normal((20, len(policy.mean)))
+        its = kept(pi_star=policy)["pi_star"]
+        assert np.array_equal(its(obs), policy(obs))
+
+
+def test_a_linear_reward_is_kept_with_the_name_of_its_features() -> None:
+    data, _ = artifact(CELL, CONDITIONS, {"reward": linear()})
+    assert len(data) < 2000
+    found = kept(reward=linear())["reward"]
+    assert found.phi._spec is SPECS["cartpole"]
+
+
+def test_what_was_fitted_in_32_bits_is_kept_in_32() -> None:
+    small, large = (to_arrays(network(4, 1, half=half), "x")[0] for half in (True, False))
+    assert {a.dtype for a in small.values()} == {np.dtype(np.float32)}
+    assert large["x.weights.0"].dtype == np.float64
+
+
+def test_the_same_things_are_the_same_bytes() -> None:
+    one = [artifact(CELL, CONDITIONS, {"reward": REWARDS["shaped"]})[0] for _ in range(20)]
+    assert len(set(one)) == 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Strange:
+    """Of no package that is loaded."""
+
+    absorbing: float = 0.0
+
+
+@pytest.mark.parametrize(
+    ("thing", "reason"),
+    [
+        (lambda obs: obs, "builtins.function is no dataclass"),
+        (Strange(), "Strange is no dataclass of envs, methods, harness"),
+        (Constant(1.0, np.array(["x"])), "an array of <U1 cannot be stored"),  # type: ignore[arg-type]
+        (Constant([1.0], 0.0), "builtins.list is no dataclass"),  # type: ignore[arg-type]
+        (Constant(np.ma.array([1.0]), 0.0), "MaskedArray is no dataclass"),
+        (Constant(np.array([1], ">i8"), 0.0), "an array of >i8 cannot be stored"),  # type: ignore[arg-type]
+        (Constant(Quantity("x"), 0.0), "Quantity is no dataclass"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(thing: Any, reason: str) -> None:
+    data, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1), "reward": thing})
+    assert reason in trouble
+    assert CELL.name in trouble
+    assert set(learned_in(data)) == {"pi_star"}
+    assert artifact(CELL, CONDITIONS, {"reward": thing})[0] == b""
+
+
+def test_arrays_come_back_with_their_shape_and_layout() -> None:
+    number = np.array(1.5)
+    found = kept(reward=Constant(number, 0.0))["reward"]  # type: ignore[arg-type]
+    assert found.value.shape == ()
+    gaussian = SquashedGaussian(dataclasses.replace(network(4, 6, half=False), tanh=False))
+    its = kept(pi_star=gaussian.mean)["pi_star"]
+    for obs in np.random.default_rng(0).standard_normal((300, 1, 4)):
+        assert np.array_equal(its(obs), gaussian.mean(obs))
+        assert gaussian.mean.weights[-1].flags.c_contiguous
+
+
+def test_a_reward_that_holds_itself_is_told() -> None:
+    reward = Distance(network(4, 1))
+    object.__setattr__(reward, "policy", reward)
+    _, (trouble,) = artifact(CELL, CONDITIONS, {"reward": reward})
+    assert "reward is not kept" in trouble
+
+
+def test_features_are_kept_whatever_learns_in_their_task() -> None:
+    arrays, described = to_arrays(Features(SPECS["cartpole"].by_ddpg()), "x")
+    assert from_arrays(arrays, described) == Features(SPECS["cartpole"])
+    other = dataclasses.replace(SPECS["cartpole"], rl=SAC())
+    assert to_arrays(Features(other), "x") == (arrays, described)
+
+
+def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpec) -> None:
+    other = dataclasses.replace(SPECS["cartpole"], summary="another")
+    for spec in (steady, other):
+        with pytest.raises(TypeError, match="no registered environment"):
+            to_arrays(LinearReward(Features(spec), np.ones(2)), "x")
+
+
+@pytest.mark.parametrize(
+    "described",
+    [
+        {"class": "os:system", "fields": {"command": "true"}},
+        {"class": "subprocess:Popen", "fields": {}},
+        {"class": "harness.cell.run:run_cell", "fields": {}},
+        {"class": "harness.engines.containment:Popen", "fields": {}},
+        {"class": "methods.rewards:np", "fields": {}},
+        {"class": "methods.rewards:Absent", "fields": {}},
+        {"class": "methods.absent:Constant", "fields": {}},
+        {"class": "methods.rewards:Constant", "fields": {"value": 1.0, "absorbing": 0.0, "more": 1}},
+        {"class": "methods.rewards:Constant", "fields": {"value": 1.0}},
+        {"class": 7, "fields": {}},
+        {"env": "nowhere"},
+        {"array": "absent"},
+        {"tuple": "text"},
+        "hello",
+        5,
+        None,
+        {},
+        [1, 2],
+    ],
+)
+def test_what_was_not_written_by_it_is_refused_and_runs_nothing(described: Any) -> None:
+    if isinstance(described, dict | list):
+        with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
+            from_arrays({}, described)
+    with pytest.raises(ValueError, match=r"."):
+        learned_in(as_bytes(Kept({}, {"format": artifacts.FORMAT, "learned": {"reward": described}})))
+
+
+def test_a_damaged_artifact_is_told_in_a_line() -> None:
+    whole, _ = artifact(CELL, CONDITIONS, {"pi_star": network(4, 1)})
+    middle = len(whole) // 2
+    flipped = whole[:-3] + bytes([whole[-3] ^ 1]) + whole[-2:]
+    odd = as_bytes(Kept({}, {"format": 99, "learned": {}}))
+    for data in (whole[:middle], b"", b"\xff" * 100, flipped, odd, json.dumps({}).encode()):
+        with pytest.raises(ValueError, match=r"as it was written|checksum|format"):
+            learned_in(data)
+    with pytest.raises(ValueError, match="of another cell"):
+        learned_in(whole, Cell("cartpole", "bc", 0))
+
+
+def test_a_network_kept_in_32_bits_is_the_same_and_can_be_kept_again() -> None:
+    before = network(4, 1)
+    small = {name: compact(array) for name, array in before.arrays().items()}
+    assert {array.dtype for array in small.values()} == {np.dtype(np.float32)}
+    after = Network.from_arrays(small)
+    assert np.array_equal(after(batch()[0]), before(batch()[0]))
+    found = kept(pi_star=after)["pi_star"]
+    assert np.array_equal(found(batch()[0]), before(batch()[0]))
+
+
+def test_what_is_too_large_to_be_kept_is_named_and_fails_no_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    learned = {"pi_star": network(4, 1), "reward": None}
+    data, _ = artifact(CELL, CONDITIONS, learned)
+    monkeypatch.setattr(artifacts, "LARGEST", len(data))
+    assert artifact(CELL, CONDITIONS, learned) == (data, [])
+    monkeypatch.setattr(artifacts, "LARGEST", len(data) - 1)
+    nothing, (trouble,) = artifact(CELL, CONDITIONS, learned)
+    assert nothing == b""
+    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: the file would be larger than")
+
+
+def test_where_nothing_can_be_kept_there_is_no_file_and_variants_fit_again() -> None:
+    """A method without a reward, whose policy is a function: the one of the README."""
+    nothing, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": lambda obs: obs, "reward": None})
+    assert nothing == b""
+    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: builtins.function is no dataclass")
