@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 
 from harness.judge import effort
-from harness.judge.command_line import as_seeds, command_of
 from harness.records import PROGRAM_NAME, CellResult, Row
 from harness.report.columns import METHOD, NAMES, POLICY
 from harness.report.tables import Column, Table, Value, number
+from harness.store.command_line import as_seeds, command_of
 from harness.store.names import compared_in
 from harness.store.request import Request
 

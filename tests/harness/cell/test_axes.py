@@ -19,7 +19,6 @@ from harness.cell.run import prepare, run_cell
 from harness.cli import commands
 from harness.cli.arguments import parser
 from harness.cli.main import main
-from harness.judge.command_line import command_of
 from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.process.environment import CACHE_VARIABLE
 from harness.records import (
@@ -39,6 +38,7 @@ from harness.records import (
 )
 from harness.registry import BadInput
 from harness.rl.seeds import rng_for
+from harness.store.command_line import command_of
 from harness.store.names import files_of
 from harness.store.opening import merged, open_for_report, open_for_run, open_to_verify, stored_request
 from harness.store.request import Request
