@@ -12,10 +12,10 @@ from pathlib import Path
 
 from harness.process import environment
 from harness.records import CONTROL_METHODS, Cell, Conditions, Shown
-from harness.registry import packages, plugins
+from harness.registry import ours, packages, plugins
 from harness.registry.known import KNOWN
 from harness.registry.plugins import settings_for
-from harness.registry.sources import PROGRAM, OfProgram, Sources, reach
+from harness.registry.sources import OfProgram, Sources, reach
 
 NO_NUMBERS = "Its results are the keys themselves."
 
@@ -32,13 +32,13 @@ SCORING = ("harness.judge.evaluation", "harness.rl.seeds")
 """Modules that score policies, and choose the episodes."""
 REPORT_PACKAGES = ("matplotlib", "pandas", "jinja2")
 """Packages that decide, besides the program, how cells are reported."""
-PUBLIC = "irl_bench.py"
-"""The module that gives plug-ins all of the program under one name."""
+PUBLIC = f"{ours.PUBLIC}.py"
+"""The file that gives plug-ins all of the program under one name."""
 EXPERTS = ("results/reference/experts", "harness/shipped")
 """Folders of the shipped experts: in the repository, and where the package is installed."""
 KINDS = ("py", "html.j2", "css", "js", "json", "csv", "npz", "safetensors")
 """Endings of the program's files, data files included."""
-ROOT = Path(__file__).parents[2]
+ROOT = ours.ROOT
 
 
 @functools.cache
@@ -47,7 +47,7 @@ def program() -> dict[str, bytes]:
 
     Keys are of this reading, and the processes of cells execute it whatever the files hold by then.
     """
-    files = [file for package in PROGRAM for file in sorted((ROOT / package).rglob("*")) if _is_ours(file)]
+    files = [file for folder in ours.PROGRAM for file in sorted((ROOT / folder).rglob("*")) if _is_ours(file)]
     files += [file for folder in EXPERTS for file in sorted((ROOT / folder).glob("*.safetensors"))]
     files.append(ROOT / PUBLIC)
     return {file.relative_to(ROOT).as_posix(): file.read_bytes() for file in files if file.is_file()}
@@ -82,32 +82,23 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     variables: `environment.numeric` variables of the processes that compute the cells.
     """
     more: list[object] = [_installed(), dict(variables)]
-    tasks, methods = dict[str, str](), dict[tuple[str, str, Shown, str], str]()
-    keys = {}
-    for cell in cells:
-        if cell.env not in tasks:
-            tasks[cell.env] = _task_digest(cell.env, conditions, more)
-        part = (cell.env, cell.method, cell.shown, cell.dynamics)
-        if part not in methods:
-            methods[part] = _method_digest(cell, conditions.budget)
-        keys[cell] = f"{tasks[cell.env]}:{methods[part]}"
-    return keys
 
+    @functools.cache
+    def task(env: str) -> str:
+        asked: list[object] = [_asked(conditions), experts_version(env)]
+        running = [*RUNNING]
+        if conditions.experts == "none":
+            asked += [_target("method", CLONE), settings_for(CLONE, env, conditions.budget)]
+            running.append(KNOWN.entries["method"][CLONE].module)
+        return _digest_of("env", env, running, [asked, more])
 
-def _task_digest(env: str, conditions: Conditions, more: list[object]) -> str:
-    asked: list[object] = [_asked(conditions), experts_version(env), _target("env", env)]
-    running = [*RUNNING]
-    if conditions.experts == "none":
-        asked += [_target("method", CLONE), settings_for(CLONE, env, conditions.budget)]
-        running.append(_target("method", CLONE).partition(":")[0])
-    return _digest_of("env", env, running, asked, more)
+    @functools.cache
+    def method(env: str, name: str, shown: Shown, dynamics: str) -> str:
+        name = CONTROL_METHODS.get(name, name)
+        asked = [name, settings_for(name, env, conditions.budget), _asked(shown), dynamics]
+        return _digest_of("method", name, [], asked)
 
-
-def _method_digest(cell: Cell, budget: str) -> str:
-    method = CONTROL_METHODS.get(cell.method, cell.method)
-    settings = settings_for(method, cell.env, budget)
-    asked = [method, _target("method", method), settings, _asked(cell.shown), cell.dynamics]
-    return _digest_of("method", method, [], asked, [])
+    return {c: f"{task(c.env)}:{method(c.env, c.method, c.shown, c.dynamics)}" for c in cells}
 
 
 def task_version(env: str) -> str:
@@ -115,22 +106,19 @@ def task_version(env: str) -> str:
 
     Where it is the same, scores can be compared, whatever machine and packages they were computed with.
     """
-    return _digest_of("env", env, SCORING, [experts_version(env), _target("env", env)], [])
+    return _digest_of("env", env, SCORING, experts_version(env))
 
 
 def expert_key(env: str, asked: object) -> str:
     """Return the key of a task's expert and what is made with it. asked: a value that JSON can hold."""
-    return _digest_of("env", env, [EXPERTS_MODULE], asked, [_installed(), environment.of_this_process()])
+    return _digest_of("env", env, [EXPERTS_MODULE], [asked, _installed(), environment.of_this_process()])
 
 
 def report_key(cells: object) -> str:
     """Return the key of a report: of the program, and of cells that JSON can hold."""
-    shown_by = {
-        name: hashlib.sha256(data).hexdigest()
-        for name, data in program().items()
-        if name.startswith("harness/")
-    }
-    return _digest({}, [cells, shown_by, _installed(), packages.versions(REPORT_PACKAGES)])
+    files = {name: hashlib.sha256(data).hexdigest() for name, data in program().items()}
+    shown_by = {name: digest for name, digest in files.items() if name.startswith("harness/")}
+    return _digest([cells, shown_by, _installed(), packages.versions(REPORT_PACKAGES)])
 
 
 def task_of(key: str) -> str:
@@ -164,20 +152,16 @@ def _target(kind: str, name: str) -> str:
 
 
 def _installed() -> list[object]:
-    return [platform.python_version(), packages.required(), packages.elsewhere()]
+    return [platform.python_version(), packages.required()]
 
 
-def _digest_of(kind: str, name: str, modules: Iterable[str], asked: object, more: list[object]) -> str:
+def _digest_of(kind: str, name: str, modules: Iterable[str], values: object) -> str:
     """Return a digest of a method or task, program modules, and values that JSON can hold."""
-    others, needed = Sources(), dict[str, str]()
-    if name in KNOWN.of_plugins(kind):
-        others = plugins.sources(kind, name)
-        needed = plugins.packages_of_task(name) if kind == "env" else {}
-    own = _target(kind, name).partition(":")[0]
-    files = sources(*modules, *filter(None, [own]), *others.program)
-    return _digest(files, [asked, more, others.digests, needed])
+    target = _target(kind, name)
+    others = plugins.sources(kind, name) if name in KNOWN.of_plugins(kind) else Sources()
+    files = sources(*modules, *others.program, *filter(None, [target.partition(":")[0]]))
+    return _digest([values, target, others.digests, files])
 
 
-def _digest(files: Mapping[str, str], values: object) -> str:
-    everything = json.dumps([values, files], sort_keys=True)
-    return hashlib.sha256(everything.encode()).hexdigest()[:16]
+def _digest(values: object) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
 from harness.registry.names import BUILT_IN, ENVS, GROUPS, METHODS, VARIANTS, BadInput, Entry, choose
-from harness.registry.sources import PROGRAM, Sources, sources_of
+from harness.registry.ours import PROGRAM
+from harness.registry.sources import Sources, sources_of
 
 if TYPE_CHECKING:
     from envs import EnvSpec
@@ -25,6 +24,8 @@ FILE_MODULE = "irl_bench_plugin_"
 """Beginning of the names of modules that are made of files."""
 GYMNASIUM_NAME = "gym_"
 """Beginning of the names of tasks that are known by their id in Gymnasium."""
+GYMNASIUM_MODULE = "harness.registry.gymnasium_tasks"
+"""The module of those tasks' entries, whose attribute is the id."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,59}")
 
 
@@ -51,14 +52,14 @@ class Offer:
     `like`: the built-in methods whose class a method has, or derives from.
     `takes`: the hyper-parameters that it takes from their settings.
     `variants`, `discrete`, `rl_steps`, `ddpg_steps`, `solves`: fields of a task's `EnvSpec`.
-    `packages`: the versions of the packages that a task needs.
-    `sources`: those of its module, and of the modules in which Gymnasium finds a task.
+    `sources`: those of its module, and of the modules and packages in which Gymnasium finds a task.
     """
 
     kind: str
     name: str
     target: str
     summary: str
+    sources: Sources
     like: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
@@ -66,8 +67,6 @@ class Offer:
     rl_steps: dict[str, int] = field(default_factory=dict)
     ddpg_steps: dict[str, int] = field(default_factory=dict)
     solves: dict[str, int] = field(default_factory=dict)
-    packages: dict[str, str] = field(default_factory=dict)
-    sources: Sources = field(default_factory=Sources)
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,11 @@ class Loaded:
         return False
 
 
+def id_of(entry: Entry) -> str:
+    """Return the id in Gymnasium of a task that is known by it, '' for all others."""
+    return entry.target.partition(":")[2] if entry.module == GYMNASIUM_MODULE else ""
+
+
 class Specs(dict[str, "EnvSpec"]):
     """Tasks by name, each imported when it is asked for."""
 
@@ -97,7 +101,11 @@ class Specs(dict[str, "EnvSpec"]):
         self._registry = registry
 
     def __missing__(self, name: str) -> EnvSpec:
-        self[name] = cast("EnvSpec", self._registry.imported(self._registry.entries["env"][name]))
+        entry = self._registry.entries["env"][name]
+        if env_id := id_of(entry):
+            self[name] = importlib.import_module(GYMNASIUM_MODULE).derived(env_id, name)
+        else:
+            self[name] = cast("EnvSpec", self._registry.imported(entry))
         return self[name]
 
 
@@ -158,20 +166,13 @@ class Registry:
 
     def add(self, plugin: Plugin) -> None:
         """Add a plug-in, and forget what it named before. A file that was edited is executed anew."""
-        begins = f"{plugin.module}:"
         for table in self.entries.values():
-            for name in [name for name, entry in table.items() if entry.target.startswith(begins)]:
-                del table[name]
+            for name in [name for name, entry in table.items() if entry.module == plugin.module]:
+                self.offers.pop(table.pop(name).target, None)
                 self.specs.pop(name, None)
-        for target in [target for target in self.offers if target.startswith(begins)]:
-            del self.offers[target]
         there = sys.modules.get(plugin.module)
-        if (
-            there
-            and plugin.is_file
-            and not any(one.module is there and one.is_current for one in self.loaded)
-        ):
-            del sys.modules[plugin.module]
+        if plugin.is_file and not any(one.module is there and one.is_current for one in self.loaded):
+            sys.modules.pop(plugin.module, None)
         self.plugins[plugin.module] = plugin
 
     def module(self, name: str, is_plugin: bool = True) -> ModuleType:
@@ -187,9 +188,8 @@ class Registry:
 
     def imported(self, entry: Entry) -> object:
         """Return the object of an entry, 'module:attribute' or its item 'module:attribute/key'."""
-        name, _, place = entry.target.partition(":")
-        attribute, _, key = place.partition("/")
-        thing = getattr(self.module(name), attribute)
+        attribute, _, key = entry.target.partition(":")[2].partition("/")
+        thing = getattr(self.module(entry.module), attribute)
         return thing[key] if key else thing
 
     def thing(self, kind: str, name: str) -> Any:
@@ -198,24 +198,15 @@ class Registry:
 
 
 def _executed(name: str, file: str) -> ModuleType:
-    """Return a new module made of a file."""
-    loader = _FileLoader(name, file)
-    spec = importlib.util.spec_from_file_location(name, file, loader=loader)
-    assert spec is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    """Return a new module made of a file. Python's own import could take stale bytecode for its content."""
+    module = sys.modules[name] = ModuleType(name)
+    module.__file__ = file
     try:
-        loader.exec_module(module)
+        exec(compile(Path(file).read_bytes(), file, "exec"), module.__dict__)
     except BaseException:
         sys.modules.pop(name, None)
         raise
     return module
-
-
-class _FileLoader(SourceFileLoader):
-    """A loader without bytecode: the content of the file counts."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        return self.source_to_code(self.get_data(self.path), self.path)
 
 
 KNOWN = Registry()

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
-import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from typing import Any, NoReturn
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
 
 from harness.process import environment
 from harness.registry import gymnasium_tasks, ours
@@ -29,9 +31,15 @@ READ = "plugins"
 """The page about plug-ins."""
 LONGEST = 300
 """Seconds that all plug-ins of one request may take to load."""
-HYPER = "a dataclass, whose fields are its hyper-parameters"
 Wanted = tuple[str, str, Entry]
 """Kind, name and entry of an installed package's method or task."""
+
+
+class Answer(msgspec.Struct):
+    """The answer of the process that imported plug-ins: what they offer, or why they cannot be used."""
+
+    offers: list[Offer] = []
+    error: str = ""
 
 
 def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
@@ -39,21 +47,23 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
 
     Raises BadInput for a plug-in that is broken, and for one that ends its process or hangs.
     """
-    import msgspec
-
     from harness.engines.containment import kill_descendants
 
-    request = json.dumps([sys.path, [dataclasses.astuple(one) for one in named], wanted])
     begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.registry import loading"
-    command = [sys.executable, "-P", "-c", f"{begin}; loading.answer(sys.argv[1])", request]
-    variables, code = environment.of_cells(False), None
-    with tempfile.TemporaryFile() as output:
+    command = [sys.executable, "-P", "-c", f"{begin}; loading.answer(*sys.argv[1:])"]
+    with tempfile.TemporaryDirectory() as folder:
+        file, code = Path(folder) / "answer", None
         try:
+            request = msgspec.json.encode((sys.path, named, wanted)).decode()
             process = subprocess.Popen(
-                command, env=variables, stdin=subprocess.DEVNULL, stdout=output, start_new_session=True
+                [*command, request, str(file)],
+                env=environment.of_cells(False),
+                stdin=subprocess.DEVNULL,
+                stdout=2,
+                start_new_session=True,
             )
-        except OSError as error:
-            raise BadInput(f"no process can be started: {error.strerror}") from error
+        except (OSError, ValueError) as error:
+            raise BadInput(f"plug-ins cannot be loaded: {in_words(error)}", READ) from error
         try:
             with suppress(subprocess.TimeoutExpired):
                 code = process.wait(LONGEST)
@@ -61,116 +71,58 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
             kill_descendants(process.pid)
             process.kill()
             process.wait()
-        output.seek(0)
-        lines = output.read().decode(errors="replace").splitlines()
-    kind, _, text = lines[-1].partition(" ") if lines else ("", "", "")
-    if kind == "offers":
-        return msgspec.json.decode(text, type=list[Offer])
-    if kind == "error":
-        raise BadInput(json.loads(text))
-    what = json.loads(text) if kind == "at" else "a plug-in"
-    raise BadInput(f"{what} {_ended(code)}", READ)
+        answer = msgspec.json.decode(file.read_bytes(), type=Answer) if file.exists() else None
+    if answer is None:
+        names = ", ".join([*(one.name for one in named), *(name for _, name, _ in wanted)])
+        ended = f"ended its process while it was loaded ({code})"
+        raise BadInput(f"{names} {f'was not loaded within {LONGEST:g} s' if code is None else ended}", READ)
+    if answer.error:
+        raise BadInput(answer.error)
+    return answer.offers
 
 
-def _ended(code: int | None) -> str:
-    """Return how a process ended. code: None where it did not end in time."""
-    if code is None:
-        return f"was not loaded within {LONGEST:g} s"
-    how = f"killed by {signal.Signals(-code).name}" if -code in {*signal.Signals} else f"exit code {code}"
-    how += " (out of memory?)" if how.endswith("SIGKILL") else ""
-    return f"ended its process while it was loaded: {how}"
+def answer(request: str, file: str) -> NoReturn:
+    """Write the `Answer` to a request into a new file, and end this process.
 
-
-def answer(request: str) -> NoReturn:
-    """Write to standard output what plug-ins offer, or why they cannot be used, and end this process.
-
-    request: JSON of the path of modules, plug-ins, and entries of installed packages. The last line counts:
-    'offers' or 'error' with JSON, or 'at' with the plug-in that is being loaded.
+    request: JSON of the path of modules, plug-ins, and entries of installed packages.
     """
-    path, named, wanted = json.loads(request)
-    output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    with suppress(OSError):
-        os.dup2(2, 1)  # for what plug-ins print
+    path, named, wanted = msgspec.json.decode(request, type=tuple[list[str], list[Plugin], list[Wanted]])
     sys.path[:] = path
     ours.first()
-    from harness.engines.containment import bound_memory
+    from harness.engines.containment import adopt_orphans, bound_memory, kill_descendants
 
-    _go_on_in_a_child()
-    import msgspec
-
-    if hasattr(signal, "alarm"):
-        signal.alarm(LONGEST + 5)  # in case that nobody waits any more
-    at = "a plug-in"
-
-    def say(kind: str, text: str) -> None:
-        output.write(f"{kind} {text}\n")
-        output.flush()
-
-    def loading(what: str) -> None:
-        nonlocal at
-        at = what
-        say("at", json.dumps(what))
-
+    adopt_orphans()
+    signal.alarm(LONGEST + 5)  # in case that nobody waits any more
+    result = Answer()
     try:
         bound_memory()
-        entries = [(kind, name, Entry(*entry)) for kind, name, entry in wanted]
-        offers = look([Plugin(*one) for one in named], entries, loading)
-        say("offers", msgspec.json.encode(offers).decode())
+        result.offers = look(named, wanted)
     except BadInput as error:
-        say("error", json.dumps(str(error)))
+        result.error = str(error)
     except BaseException as error:
-        say("error", json.dumps(f"{at} cannot be loaded: {in_words(error)}"))
-    finally:
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(Exception):
-                stream.flush()
-        os._exit(0)  # whatever else was started here
-
-
-def _go_on_in_a_child() -> None:
-    """Go on in a child, where the system can fork. This process ends as the child does, and before that it
-    ends all that was started there, in other sessions, too."""
-    from harness.engines.containment import adopt_orphans, kill_descendants
-
-    if not hasattr(os, "fork"):
-        return
-    adopt_orphans()
-    if not (child := os.fork()):
-        return
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        result.error = f"a plug-in cannot be loaded: {in_words(error)}"
+    Path(f"{file}.new").write_bytes(msgspec.json.encode(result))
+    Path(f"{file}.new").rename(file)
+    with suppress(Exception):
+        sys.stdout.flush()
     kill_descendants()
-    if code < 0:
-        with suppress(OSError):  # SIGKILL has no handler.
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(abs(code))
+    os._exit(0)  # whatever else was started here
 
 
-def look(
-    named: Sequence[Plugin],
-    wanted: Sequence[Wanted],
-    tell: Callable[[str], None] = lambda what: None,
-) -> list[Offer]:
-    """Import plug-ins, and return what they offer. tell: called with what is imported next.
-
-    Raises BadInput for what is broken.
-    """
+def look(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
+    """Import plug-ins, and return what they offer. Raises BadInput for what is broken."""
     offers = []
     for one in named:
-        tell(f"the plug-in {one.name}")
         KNOWN.add(one)
         offers += offered(one)
     for kind, name, entry in wanted:
-        tell(f"the {kind} {name} {entry.summary}")
         with troubles(f"the {kind} {name} cannot be loaded"):
             KNOWN.register(kind, name, entry)
-            thing = KNOWN.thing(kind, name)
-            check(kind, name, thing)
-            offers.append(offer(kind, name, entry, thing))
+            check(kind, name, KNOWN.thing(kind, name))
+            offers.append(offer(kind, name, entry))
     for one_offer in offers:
         if one_offer.kind == "env":
-            with troubles(f"the env {one_offer.name} cannot be loaded"):
-                gymnasium_tasks.try_out(one_offer.name)
+            try_out(one_offer.name)
     return offers
 
 
@@ -178,8 +130,7 @@ def offered(plugin: Plugin) -> list[Offer]:
     """Import a plug-in, register what it names, and return that. Raises BadInput where it is broken."""
     offers = []
     with troubles(f"the plug-in {plugin.name} cannot be loaded"):
-        module = KNOWN.module(plugin.module)
-        sources = sources_of(plugin.module)
+        module, sources = KNOWN.module(plugin.module), sources_of(plugin.module)
         if not any(hasattr(module, table) for table in TABLES.values()):
             raise BadInput(f"the plug-in {plugin.name} says neither METHODS nor ENVS", READ)
         for kind, table in TABLES.items():
@@ -190,55 +141,47 @@ def offered(plugin: Plugin) -> list[Offer]:
                 entry = Entry(f"{module.__name__}:{table}/{name}", f"of {plain(plugin.name)}")
                 KNOWN.register(kind, name, entry)
                 check(kind, name, thing)
-                offers.append(offer(kind, name, entry, thing, sources))
+                offers.append(offer(kind, name, entry, sources))
     return offers
 
 
-def offer(kind: str, name: str, entry: Entry, thing: Any, sources: Sources | None = None) -> Offer:
-    """Return the facts about a method or task. sources: of its module, where they are known."""
-    module = entry.target.partition(":")[0]
-    if kind == "env":
-        steps, ddpg, solves = (
-            {budget: int(count) for budget, count in table.items()}
-            for table in (thing.rl_steps, thing.ddpg_steps, thing.solves)
-        )
-        return Offer(
-            *(kind, name, entry.target, entry.summary),
-            variants=tuple(thing.variants),
-            discrete=bool(thing.discrete),
-            rl_steps=steps,
-            ddpg_steps=ddpg,
-            solves=solves,
-            packages=gymnasium_tasks.packages_of(thing.env_id),
-            sources=sources_of(module, *gymnasium_tasks.modules_of(thing.env_id)),
-        )
-    like, takes = _like(thing)
-    own = sources or sources_of(module)
-    return Offer(kind, name, entry.target, entry.summary, like, takes, sources=own)
+def offer(kind: str, name: str, entry: Entry, sources: Sources | None = None) -> Offer:
+    """Return the facts about a method or task, which is imported. sources: of its module, where known."""
+    thing, facts = KNOWN.thing(kind, name), (kind, name, entry.target, entry.summary)
+    if kind == "method":
+        return Offer(*facts, sources or sources_of(entry.module), *_like(thing))
+    steps, ddpg, solves = (
+        {budget: int(count) for budget, count in table.items()}
+        for table in (thing.rl_steps, thing.ddpg_steps, thing.solves)
+    )
+    return Offer(
+        *facts,
+        gymnasium_tasks.sources_of_task(thing.env_id, entry.module),
+        variants=tuple(thing.variants),
+        discrete=bool(thing.discrete),
+        rl_steps=steps,
+        ddpg_steps=ddpg,
+        solves=solves,
+    )
 
 
-def _like(method: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _like(method: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the built-in methods that a method derives from, and the fields that it shares with them.
 
-    Fields that the classes between declare anew, or give another default, are its own.
+    Fields that the classes between declare anew are its own.
     """
-    for i, base in enumerate(method.__mro__):
+    own = set[str]()
+    for base in method.__mro__:
         place = f"{base.__module__}:{base.__qualname__}"
         like = tuple(name for name, entry in (METHODS | VARIANTS).items() if entry.target == place)
         if like := like or settings.BASES.get(place, ()):
-            own = {name for one in method.__mro__[:i] for name in vars(one).get("__annotations__", {})}
-            before = _parameters(base)
-            takes = tuple(
-                name
-                for name, parameter in _parameters(method).items()
-                if name in before and name not in own and parameter.default == before[name].default
-            )
-            return like, takes
+            return like, tuple(one.name for one in dataclasses.fields(base) if one.name not in own)
+        own |= {*vars(base).get("__annotations__", {})}
     return (), ()
 
 
 def check(kind: str, name: object, thing: object) -> None:
-    """Raise BadInput unless the object can be a method, or a task of that name."""
+    """Raise BadInput, or what the class raises, unless the object can be a method, or a task of that name."""
     from envs import EnvSpec
 
     if kind == "env":
@@ -247,26 +190,18 @@ def check(kind: str, name: object, thing: object) -> None:
         return
     if not (isinstance(thing, type) and callable(getattr(thing, "fit", None))):
         raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60}", READ)
-    if needed := _without_default(thing):
-        raise BadInput(f"the method {name} has no default for {', '.join(needed)}", READ)
+    thing()  # Each hyper-parameter has a default.
     if not dataclasses.is_dataclass(thing):
-        raise BadInput(f"the method {name}: {thing.__name__} must be {HYPER}", READ)
+        message = "must be a dataclass, whose fields are its hyper-parameters"
+        raise BadInput(f"the method {name}: {thing.__name__} {message}", READ)
 
 
-def _without_default(method: Any) -> list[str]:
-    """Return the names of arguments that the class cannot do without."""
-    return [
-        one.name
-        for one in _parameters(method).values()
-        if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD) and one.default is one.empty
-    ]
+def try_out(env: str) -> None:
+    """Step a plug-in's task. Raises BadInput for whatever it raises, and for what no task may give."""
+    from envs.copies import try_out
 
-
-def _parameters(method: Any) -> Mapping[str, inspect.Parameter]:
-    try:
-        return inspect.signature(method).parameters
-    except ValueError:  # Some classes have no signature.
-        return {}
+    with troubles(f"the env {env} cannot be loaded"):
+        try_out(KNOWN.specs[env])
 
 
 @contextmanager
@@ -283,17 +218,13 @@ def troubles(what: str) -> Iterator[None]:
 
 def in_words(error: BaseException) -> str:
     """Return an error's type and message in a line."""
-    try:
-        message = str(error)
-    except BaseException:
-        message = "(no words)"
-    return " ".join(f"{type(error).__name__}: {message}".split())[:300]
+    return " ".join(traceback.format_exception_only(error)[-1].split())[:300]
 
 
 def _hint(error: BaseException) -> str:
     """Return a likely cause of a plug-in's error, '' where none is known."""
     name = str(getattr(error, "name", None) or "").partition(".")[0]
-    if isinstance(error, ImportError) and name in ours.PACKAGES:
+    if isinstance(error, ImportError) and name in ours.PROGRAM:
         return f"; {name!r} is this program's package: give yours another name"
     if isinstance(error, ModuleNotFoundError):
         return "; a plug-in of several files is named as a module that Python can import"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from harness.records import PROGRAM_NAME
 from harness.registry.keys import EXPERTS, PUBLIC, ROOT
+from harness.registry.ours import PROGRAM
 from harness.registry.packages import PACKAGES, versions
-from harness.registry.sources import PROGRAM
 
 NO_NUMBERS = "It describes where numbers were computed."
 INSTRUCTIONS = ("sse4", "avx", "fma", "amx")

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 NO_NUMBERS = {
-    "METHODS": "Keys are of a cell's own entry.",
-    "VARIANTS": "Keys are of a cell's own entry.",
-    "ENVS": "Keys are of a cell's own entry.",
-    "BUILT_IN": "Keys are of a cell's own entry.",
-    "NO_NAMES": "It answers users who look for these.",
+    **dict.fromkeys(("METHODS", "VARIANTS", "ENVS", "BUILT_IN"), "Keys are of a cell's own entry."),
     "GROUPS": "It lists what users may type.",
     "choose": "It reads what users type.",
-    "_instead": "It answers users.",
-    "_mentioning": "It answers users.",
 }
 
 Library = Literal["sbx", "sb3"]
@@ -65,6 +58,10 @@ class Entry(NamedTuple):
     target: str
     summary: str
     variants: tuple[str, ...] = ()
+
+    @property
+    def module(self) -> str:
+        return self.target.partition(":")[0]
 
 
 METHODS = {
@@ -182,15 +179,6 @@ ENVS = {
     ),
 }
 
-
-NO_NAMES = {
-    "iq_learn": "IQ-Learn is left out, and docs/adversarial.md says why",
-    **dict.fromkeys(
-        ("ppo", "sac", "td3", "ddpg", "dqn"),
-        "{} learns from rewards: tasks name their learner (docs/design.md)",
-    ),
-}
-"""Advice on names that users may look for, in lower case and with _."""
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
@@ -226,39 +214,10 @@ def choose(
     if not all(names):
         raise BadInput(f"no {kind} named: give 'all' or some of {', '.join(choices)}")
     if unknown := [name for name in names if name not in groups and name not in choices]:
-        help_ = "; ".join(_instead(unknown, [*choices, *groups])) or f"there are {', '.join(choices)}"
-        raise BadInput(f"no {kind} named {', '.join(map(repr, unknown))}; {help_}")
+        alike = [name.lower().replace("-", "_") for name in unknown]
+        near = [difflib.get_close_matches(name, [*choices, *groups], 1) for name in alike]
+        meant = ", ".join(repr(names[0]) for names in near if names)
+        advice = f"did you mean {meant}?" if all(near) else f"there are {', '.join(choices)}"
+        raise BadInput(f"no {kind} named {', '.join(map(repr, unknown))}; {advice}")
     chosen = {one for name in names for one in groups.get(name, (name,))}
     return tuple(name for name in choices if name in chosen)
-
-
-def _instead(unknown: Sequence[str], choices: Sequence[str]) -> list[str]:
-    """Return advice on these names. It is empty where one of them resembles no choice."""
-    advice, meant = list[str](), list[str]()
-    for name in unknown:
-        as_ours = name.lower().replace("-", "_").replace("iqlearn", "iq_learn")
-        env, _, variant = name.partition(".")
-        if as_ours in choices:
-            meant.append(repr(as_ours))
-        elif as_ours in NO_NAMES:
-            advice.append(NO_NAMES[as_ours].format(name))
-        elif env in ENVS and variant in ENVS[env].variants:
-            advice.append(f"it is --envs {env} --transfer {variant}")
-        elif near := (
-            [one for one in choices if one.startswith(as_ours)]
-            or _mentioning(name, choices)
-            or difflib.get_close_matches(as_ours, choices, 1)
-        ):
-            meant.append(repr(near[0]))
-        elif re.fullmatch(r".+-v\d+", name):
-            advice.append(f"a task of Gymnasium is gym:{name}")
-        else:
-            return []
-    return advice + ([f"did you mean {', '.join(meant)}?"] if meant else [])
-
-
-def _mentioning(name: str, choices: Collection[str]) -> list[str]:
-    """Return the choices whose summary has the name in it, such as 'CartPole-v1' or 'D-REX'."""
-    whole = re.compile(rf"(?<![\w-]){re.escape(name)}(?![\w-])", re.IGNORECASE)
-    entries = METHODS | VARIANTS | ENVS
-    return [one for one in choices if one in entries and whole.search(entries[one].summary)]

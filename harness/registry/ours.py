@@ -9,7 +9,9 @@ from pathlib import Path
 from harness.registry.names import BadInput
 
 NO_NUMBERS = "It says where Python finds the program, whose source is in the keys."
-PACKAGES = ("envs", "methods", "harness")
+PROGRAM = ("envs", "methods", "harness")
+PUBLIC = "irl_bench"
+"""The module that gives names of the program's modules."""
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -18,7 +20,7 @@ class _First:
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        is_ours = path is None and name in (*PACKAGES, "irl_bench")
+        is_ours = path is None and name in (*PROGRAM, PUBLIC)
         return PathFinder.find_spec(name, [str(ROOT)]) if is_ours else None
 
 
@@ -26,11 +28,9 @@ def first() -> None:
     """Make Python find this program's packages first. Raises BadInput for another one that is imported."""
     if _First not in sys.meta_path:
         sys.meta_path.insert(0, _First)
-    for name in PACKAGES:
+    for name in PROGRAM:
         there = sys.modules.get(name)
-        if there is None:
-            continue
         places = [*getattr(there, "__path__", []), getattr(there, "__file__", None)]
-        if ROOT / name not in [Path(place).resolve() for place in places if place]:
-            file = places[-1] or places[0]
-            raise BadInput(f"{file} hides this program's package {name!r}: rename it", page="plugins")
+        files = [Path(place).resolve() for place in places if place]
+        if there and ROOT / name not in files:
+            raise BadInput(f"{files[-1]} hides this program's package {name!r}: rename it", page="plugins")

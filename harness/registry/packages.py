@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
-import importlib.util
-import re
 from collections.abc import Iterable
-from contextlib import suppress
-from pathlib import Path
+from typing import NamedTuple
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -22,12 +19,6 @@ PACKAGES = (
     *("gymnasium", "mujoco", "highway-env", "cvxpy", "clarabel"),
 )
 """Packages whose versions a result names. Keys are of more of them."""
-MODULES = {
-    **{"sbx-rl": "sbx", "tfp-nightly": "tensorflow_probability", "dm-tree": "tree", "pyyaml": "yaml"},
-    **{"absl-py": "absl", "protobuf": "google.protobuf", "opt-einsum": "opt_einsum"},
-    **{"orbax-checkpoint": "orbax.checkpoint"},
-}
-"""Packages whose module has another name."""
 LEFT_OUT = {
     **dict.fromkeys(("irl-bench",), "keys are of its source"),
     **dict.fromkeys(("matplotlib", "jinja2", "markupsafe", "rich", "rerun-sdk"), "they show results"),
@@ -37,9 +28,31 @@ LEFT_OUT = {
     **dict.fromkeys(("pyarrow",), "it reads files of demonstrations, whose content is in the keys"),
 }
 """Packages that change no number, and why. Packages that only they require are left out, too."""
-VERSION = re.compile(r"^Version: *(.*?) *$", re.MULTILINE)
-REQUIREMENT = re.compile(r"^Requires-Dist: *(.*?) *$", re.MULTILINE)
-EXTRA = re.compile(r"^Provides-Extra: *(.*?) *$", re.MULTILINE)
+
+
+class Facts(NamedTuple):
+    """A distribution's metadata; empty where it is not installed."""
+
+    version: str = ""
+    requirements: tuple[str, ...] = ()
+    extras: tuple[str, ...] = ()
+
+
+@functools.cache
+def facts(name: str) -> Facts:
+    """Return a distribution's metadata, as it was when this process first asked."""
+    try:
+        distribution = importlib.metadata.distribution(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Facts()
+    stated = distribution.metadata
+    (version,) = stated.get_all("Version") or ("",)
+    return Facts(version, tuple(distribution.requires or ()), tuple(stated.get_all("Provides-Extra") or ()))
+
+
+def version_of(name: str) -> str:
+    """Return the version of a distribution, '' where it is not installed or has none."""
+    return facts(name).version
 
 
 def required(*roots: str, extras: bool = False) -> dict[str, str]:
@@ -49,12 +62,6 @@ def required(*roots: str, extras: bool = False) -> dict[str, str]:
     version ''.
     """
     return {name: version_of(name) for name in _required(roots or (PROGRAM,), extras)}
-
-
-def version_of(name: str) -> str:
-    """Return the version of a distribution, '' where it is not installed or has none."""
-    stated = VERSION.search(_metadata(name))
-    return stated[1] if stated else ""
 
 
 def versions(names: Iterable[str]) -> list[str]:
@@ -80,48 +87,14 @@ def distributions() -> dict[str, list[str]]:
 
 
 @functools.cache
-def elsewhere() -> dict[str, str]:
-    """Return the required packages whose module is imported from another place than their own, and its file.
-
-    Such as through PYTHONPATH. Their version says nothing of that module.
-    """
-    files = {}
-    for package, version in required().items():
-        name, spec = MODULES.get(package, package.replace("-", "_")), None
-        with suppress(ImportError, ValueError):
-            spec = importlib.util.find_spec(name)
-        if version and spec and spec.origin:  # Else the module has another name, or is a namespace.
-            installed = Path(str(importlib.metadata.distribution(package).locate_file("")))
-            if not Path(spec.origin).resolve().is_relative_to(installed.resolve()):
-                files[package] = spec.origin
-    return files
-
-
-def _metadata(name: str) -> str:
-    """Return a distribution's metadata up to its description, '' where it is not installed.
-
-    To parse all of it takes 1 ms, and each cell asks for sixty.
-    """
-    try:
-        text = importlib.metadata.distribution(name).read_text("METADATA") or ""
-    except importlib.metadata.PackageNotFoundError:
-        return ""
-    return text.partition("\n\n")[0]
-
-
-@functools.cache
 def _required(roots: tuple[str, ...], extras: bool) -> tuple[str, ...]:
     names, waiting = set[str](), [*roots]
     while waiting:
         if (name := canonicalize_name(waiting.pop())) in names:
             continue
         names.add(name)
-        try:  # A folder of sources has its requirements elsewhere.
-            lines = REQUIREMENT.findall(_metadata(name)) or importlib.metadata.requires(name) or ()
-        except importlib.metadata.PackageNotFoundError:
-            continue
-        optional = EXTRA.findall(_metadata(name)) if extras and name in map(canonicalize_name, roots) else []
-        for one in map(Requirement, lines):
+        optional = facts(name).extras if extras and name in map(canonicalize_name, roots) else ()
+        for one in map(Requirement, facts(name).requirements):
             holds = one.marker is None or any(one.marker.evaluate({"extra": e}) for e in ("", *optional))
             if holds and canonicalize_name(one.name) not in LEFT_OUT:
                 waiting.append(one.name)

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from harness.process import environment
 from harness.registry import gymnasium_tasks, loading
-from harness.registry.gymnasium_tasks import id_of, task_or_name
-from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin, id_of
 from harness.registry.loading import READ
 from harness.registry.names import BUILT_IN, BadInput, Entry
 from harness.registry.sources import Sources
@@ -72,8 +72,7 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
 def plugin(name: str) -> Plugin:
     """Return a plug-in with its place, without executing it. Raises BadInput if it does not exist."""
     if name.endswith(".py"):
-        file = Path(name)
-        path = os.path.join(os.path.realpath(file.parent), file.name)  # Links count before ".." does.
+        path = os.path.join(os.path.realpath(Path(name).parent), Path(name).name)  # the link, not its target
         if not os.path.isfile(path):
             raise BadInput(f"there is no plug-in {path}", READ)
         return Plugin(name, path)
@@ -82,9 +81,7 @@ def plugin(name: str) -> Plugin:
     spec = None
     with suppress(ImportError, ValueError):
         spec = importlib.util.find_spec(name.partition(".")[0])
-    places = list(spec.submodule_search_locations or []) if spec else []
-    if spec and not places and spec.has_location:
-        places = [str(spec.origin)]
+    places = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
     return Plugin(name, str(Path(places[0]).absolute().parent) if places else "")
 
 
@@ -109,10 +106,10 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
             if name in KNOWN.of_plugins(kind):
                 with loading.troubles(f"the {kind} {name} cannot be loaded"):
                     loading.check(kind, name, KNOWN.thing(kind, name))
-                    if kind == "env":
-                        gymnasium_tasks.try_out(name)
-                        for module in gymnasium_tasks.modules_of(SPECS[name].env_id):
-                            KNOWN.module(module, is_plugin=False)
+                if kind == "env":
+                    loading.try_out(name)
+                    for module in gymnasium_tasks.modules_of(SPECS[name].env_id):
+                        KNOWN.module(module, is_plugin=False)
 
 
 def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str]) -> None:
@@ -133,18 +130,17 @@ def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str
     load(methods, envs)
 
 
+def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
+    """Return the modules that define those of these that are plug-ins'."""
+    asked = {"method": methods, "env": envs}
+    entries = [KNOWN.of_plugins(kind).get(name) for kind, names in asked.items() for name in names]
+    return {entry.module for entry in entries if entry and not id_of(entry)}
+
+
 def needed(methods: Sequence[str], envs: Sequence[str]) -> tuple[Plugin, ...]:
     """Return the plug-ins, of those that were named, that define these methods and tasks."""
     theirs = modules(methods, envs)
     return tuple(one for module, one in KNOWN.plugins.items() if module in theirs)
-
-
-def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
-    """Return the modules that define those of these that are plug-ins'."""
-    theirs = {"method": KNOWN.of_plugins("method"), "env": KNOWN.of_plugins("env")}
-    entries = [theirs["method"][name] for name in methods if name in theirs["method"]]
-    entries += [theirs["env"][name] for name in envs if name in theirs["env"]]
-    return {entry.target.partition(":")[0] for entry in entries if not id_of(entry)}
 
 
 def check_alone(methods: Sequence[str], envs: Sequence[str]) -> None:
@@ -191,21 +187,13 @@ def packed(folder: Path) -> dict[Plugin, Plugin]:
         source = Path(one.place)
         if not one.is_file:
             source /= one.name.partition(".")[0]
-            source = source if source.is_dir() else source.with_suffix(".py")
         if source.is_dir():
-            target = folder / at / source.name
-            shutil.copytree(source, target, ignore=_not_copied, ignore_dangling_symlinks=True)
+            shutil.copytree(source, folder / at / source.name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
+            source = source.with_suffix(".py")
             shutil.copy(source, folder / at)
         copies[one] = Plugin(one.name, str(at / source.name if one.is_file else at))
     return copies
-
-
-def _not_copied(folder: str, names: list[str]) -> set[str]:
-    """Return names that are left out of a copy: bytecode, and links that lead back."""
-    here = f"{os.path.realpath(folder)}/"
-    back = {name for name in names if here.startswith(f"{os.path.realpath(Path(folder, name))}/")}
-    return back | {name for name in names if name == "__pycache__"}
 
 
 def unpacked(plugins: Sequence[Plugin]) -> tuple[Plugin, ...]:
@@ -218,18 +206,12 @@ def sources(kind: str, name: str) -> Sources:
 
     They are as another process reported them, or as they are now.
     """
-    entry = KNOWN.of_plugins(kind)[name]
-    if env_id := id_of(entry):
-        return gymnasium_tasks.sources_of_id(env_id)
-    own = _offer_of(kind, name).sources
-    variables = [f"{variable}={value}" for variable, value in environment.of_user().items()]
-    return Sources([*own.digests, *variables], own.program)
-
-
-def packages_of_task(env: str) -> dict[str, str]:
-    """Return the versions of the packages that a plug-in's task, or one of Gymnasium, needs."""
-    env_id = id_of(KNOWN.entries["env"][env])
-    return gymnasium_tasks.packages_of(env_id) if env_id else _offer_of("env", env).packages
+    if env_id := id_of(KNOWN.entries[kind][name]):
+        own, more = gymnasium_tasks.sources_of_task(env_id), [gymnasium_tasks.registered(env_id)]
+    else:
+        own = _offer_of(kind, name).sources
+        more = [f"{variable}={value}" for variable, value in environment.of_user().items()]
+    return Sources([*own.digests, *more], own.program)
 
 
 def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
@@ -263,7 +245,7 @@ def _offer_of(kind: str, name: str) -> Offer:
     """
     entry = KNOWN.entries[kind][name]
     if entry.target not in KNOWN.offers:
-        if entry.target.partition(":")[0] in sys.modules:
-            return loading.offer(kind, name, entry, KNOWN.thing(kind, name))
+        if entry.module in sys.modules:
+            return loading.offer(kind, name, entry)
         KNOWN.offers[entry.target], *_ = loading.in_a_process([], [(kind, name, entry)])
     return KNOWN.offers[entry.target]

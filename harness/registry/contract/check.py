@@ -21,7 +21,7 @@ class Check:
     """A condition that must hold. run: raises whatever it likes where it does not."""
 
     title: str
-    run: Callable[[], None]
+    run: Callable[[], object]
 
     def outcome(self) -> tuple[str, str]:
         """Return 'ok', 'skipped' where the method says that it is not made for that, or 'FAILED', and why."""

@@ -1,6 +1,5 @@
 """Copies in lockstep against environments that are stepped one by one."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,13 +24,7 @@ def assert_together_as_alone(spec: EnvSpec, steps: int) -> set[str]:
 
     def reset(place: int) -> None:
         seed, lengths[place] = next(seeds), 0
-        _same(
-            "after a reset",
-            "obs",
-            [together.reset(place, seed)],
-            [apart.reset(place, seed)],
-            [place],
-        )
+        _same("after a reset", "obs", [place], [together.reset(place, seed)], [apart.reset(place, seed)])
 
     for place in range(COPIES):
         reset(place)
@@ -43,32 +36,20 @@ def assert_together_as_alone(spec: EnvSpec, steps: int) -> set[str]:
         *expected, truncated = apart.step(places, act)
         # Time limits are not a batch's to keep.
         ended = cut | (lengths[places] == spec.horizon)
+        when = f"at step {step + 1}"
         for name, batched, other in zip(GIVEN, (*stepped, ended), (*expected, truncated), strict=True):
-            _same(f"at step {step + 1}", name, batched, other, places)
+            _same(when, name, places, batched, other)
         for place, terminated, ended in zip(places, stepped[2], truncated, strict=True):
             if terminated:
-                endings.add(together.why_ended(place))
-                why, alone_why = together.why_ended(place), apart.why_ended(place)
-                expect(
-                    why == alone_why,
-                    f"at step {step + 1}, copy {place} of a batch ended for {why!r}, alone for {alone_why!r}",
-                )
+                endings.add(why := together.why_ended(place))
+                _same(when, "why_ended", [place], [why], [apart.why_ended(place)])
             if terminated or ended or (step + 7 * place) % 60 == 59:
                 reset(place)
     return endings
 
 
-def _same(when: str, name: str, batched: Any, alone: Any, places: Sequence[int]) -> None:
-    """Raise ContractError, with the first entry that differs, unless both are equal."""
-    batched, alone = np.asarray(batched), np.asarray(alone)
-    expect(
-        batched.shape == alone.shape,
-        f"{when}, {name} of a batch has the shape {batched.shape}, not {alone.shape}",
-    )
-    for place in np.argwhere(batched != alone)[:1].tolist():
-        entry = f"{name} {place[1]}" if len(place) > 1 else name
-        expect(
-            False,
-            f"{when}, copy {places[place[0]]} of a batch gives {batched[tuple(place)]} as {entry}, "
-            f"alone {alone[tuple(place)]}",
-        )
+def _same(when: str, name: str, places: list[int], batched: Any, alone: Any) -> None:
+    """Raise ContractError, with the first copy that differs, unless both are equal."""
+    expect(np.shape(batched) == np.shape(alone), f"{when}, {name} of a batch has another shape than alone")
+    for place, one, other in zip(places, batched, alone, strict=True):
+        expect(np.array_equal(one, other), f"{when}, copy {place} of a batch gives {name} {one}, alone {other}")

@@ -24,7 +24,7 @@ LARGE = 100
 
 def checks(spec: EnvSpec) -> list[Check]:
     """Return the checks of a task, to be called."""
-    found = [
+    result = [
         Check("budgets grow", partial(_budgets, spec)),
         Check("actions are scaled and sizes are as said", partial(_sizes, spec)),
         Check("features are bounded", partial(_features, spec)),
@@ -34,10 +34,11 @@ def checks(spec: EnvSpec) -> list[Check]:
         Check("Gymnasium's own checks accept it", partial(_gymnasium, spec)),
     ]
     if spec.batch:
-        found.append(Check("copies step together as they do alone", partial(_batch, spec)))
+        together = partial(assert_together_as_alone, spec, min(spec.horizon, 100))
+        result.append(Check("copies step together as they do alone", together))
     for name in spec.variants:
-        found.append(Check(f"the variant {name} is another task", partial(_variant, spec, name)))
-    return found
+        result.append(Check(f"the variant {name} is another task", partial(_variant, spec, name)))
+    return result
 
 
 def play(copy: Copies, seed: int, acts: Array) -> list[Any]:
@@ -130,10 +131,6 @@ def _gymnasium(spec: EnvSpec) -> None:
         # Copied, for some tasks write the next observation into the same array, which is allowed here.
         copied = TransformObservation(env, np.array, env.observation_space)
         gymnasium_accepts(copied, skip_render_check=True)
-
-
-def _batch(spec: EnvSpec) -> None:
-    assert_together_as_alone(spec, min(spec.horizon, 100))
 
 
 def _variant(spec: EnvSpec, name: str) -> None:

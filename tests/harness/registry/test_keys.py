@@ -13,7 +13,7 @@ import pytest
 from harness.records import Cell, Conditions
 from harness.registry import ENVS, KNOWN, METHODS, VARIANTS, keys, loading, plugins, sources
 from harness.registry.keys import ROOT
-from harness.registry.sources import PROGRAM
+from harness.registry.ours import PROGRAM
 from methods import settings
 from tests.harness.plugged import MINE
 

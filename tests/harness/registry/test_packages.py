@@ -25,11 +25,11 @@ def install(site: Path, name: str, version: str, *requirements: str, extra: str 
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder in which packages can be installed."""
     monkeypatch.syspath_prepend(tmp_path)
-    for function in (packages._required, packages.distributions):
+    for function in (packages._required, packages.distributions, packages.facts):
         function.cache_clear()
     with KNOWN.for_now():
         yield tmp_path
-    for function in (packages._required, packages.distributions):
+    for function in (packages._required, packages.distributions, packages.facts):
         function.cache_clear()
 
 

@@ -24,7 +24,7 @@ from harness.process.environment import (
 from harness.records import Cell, Conditions
 from harness.registry import keys, packages
 from harness.registry.keys import ROOT, RUNNING, cell_keys, expert_key, program, sources
-from harness.registry.sources import PROGRAM
+from harness.registry.ours import PROGRAM
 from tests.harness.fake_runs import compute, prepared
 
 HERE = Path(__file__).parents[1]
