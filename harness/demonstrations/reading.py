@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from harness.demonstrations import apart, npz
+from harness.demonstrations import apart
 from harness.demonstrations.arrays import from_arrays, split, to_arrays
+from harness.demonstrations.forms import ACT_BOUNDS
 from harness.demonstrations.recording import Bounds, Recording
-from harness.demonstrations.units import OPTION, SLACK, Units, units_of
+from harness.demonstrations.units import OPTION, SCALED, SLACK, Units, units_of
 from harness.registry import BadInput
 from harness.store.files import write_atomic
 from methods.base import Array, Episodes
@@ -89,7 +91,10 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
         raise BadInput(f"{path}: give a name that ends in .npz")
     if not episodes.whole:
         raise ValueError("only episodes whose every step is shown can be written")
-    write_atomic(path, npz.to_bytes(to_arrays(episodes, rewards)))
+    buffer, arrays = io.BytesIO(), to_arrays(episodes, rewards)
+    arrays[ACT_BOUNDS] = SCALED.repeat(arrays["act"].shape[1], axis=1)
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    write_atomic(path, buffer.getvalue())
 
 
 def check_new(path: Path) -> None:
@@ -102,36 +107,33 @@ def check_new(path: Path) -> None:
 
 def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demonstrations:
     """Return a recording's episodes as the task's. Raises ValueError for what does not fit."""
-    arrays, lengths, env = recording.arrays, recording.arrays["lengths"], spec.make()
+    arrays, lengths, env = recording.arrays, recording.arrays["lengths"].astype(np.int64), spec.make()
     if lengths.max() > spec.horizon:
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
     obs = _numbers(arrays["obs"], spec.obs_size, "observations")
     units = units_of(recording, spec, env, bounds)
-    act = (
-        _choices(arrays["act"], lengths, spec, units.first)
-        if spec.discrete
-        else _scaled(arrays["act"], spec, units)
-    )
+    if spec.discrete:
+        act = _choices(arrays["act"], lengths, spec, units.first)
+    else:
+        act = _scaled(arrays["act"], spec, units)
     _check_possible(obs, lengths, spec, env.observation_space)
-    full = lengths == spec.horizon
+    full, rewards = lengths == spec.horizon, None
     if unended := [i for i in recording.unended if not full[i]]:
         raise ValueError(
             f"episode {unended[0]} neither terminated nor was cut where it ends, before the horizon"
         )
-    guessed = arrays["terminated"] & full & recording.calls_all_ends_terminal
-    terminated = arrays["terminated"] & ~guessed
+    terminated = arrays["terminated"].astype(bool)
+    guessed = terminated & full & recording.calls_all_ends_terminal
+    terminated &= ~guessed
+    if "rewards" in arrays:
+        paid = _numbers(arrays["rewards"][:, None], 1, "rewards")[:, 0]
+        if np.abs(paid).max() > LARGEST_RETURN / lengths.max():
+            raise ValueError(f"it has rewards that sum to more than {LARGEST_RETURN:g}")
+        rewards = split(paid, lengths)
     episodes = from_arrays({"obs": obs, "act": act, "lengths": lengths, "terminated": terminated})
-    rewards = None if "rewards" not in arrays else split(_rewards(arrays["rewards"], lengths), lengths)
     cut = int((~terminated & ~full).sum())
     return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units)
-
-
-def _rewards(rewards: NDArray[Any], lengths: NDArray[Any]) -> Array:
-    values = _numbers(rewards[:, None], 1, "rewards")[:, 0]
-    if np.abs(values).max() > LARGEST_RETURN / lengths.max():
-        raise ValueError(f"it has rewards that sum to more than {LARGEST_RETURN:g}")
-    return values
 
 
 def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:

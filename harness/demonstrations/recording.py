@@ -1,37 +1,36 @@
-"""A recording: episodes as a file holds them, and how much a file may hold."""
+"""A recording: episodes as a file holds them, for whatever task."""
 
 from __future__ import annotations
 
 import importlib
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.registry import BadInput
-from harness.store.files import opened
 
 LARGEST = 1 << 30
-"""Bytes of a file, and of its numbers at 8 bytes each, at most."""
-MOST_EPISODES = 100_000
-FLAT = "flat rows of numbers are needed"
+"""Most bytes of a file that is read."""
+OWN_FORM = "npz"
+"""The form of this project's files."""
+NUMBERS, FLAT = "fiub", "flat rows of numbers are needed"
+ONE_MORE = "an episode has one observation more than actions, of where its last one led"
 Bounds = NDArray[np.float64]
 """Lowest and highest actions: (2, A), or (2, 1) where all components have the same."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Episodes as a file holds them, for whatever task.
+    """Episodes as a file holds them.
 
     `form`: name of the file's form. `arrays`: as of `harness.demonstrations.arrays`, with the file's types
     and units; choices may be whole numbers (sum of T,). `bounds`: None where an `.npz` has none, infinite
     where another form lacks them. `first`: number of the first choice, if the file says it. `unended`:
-    episodes that neither terminated nor were cut. Raises ValueError for arrays of different episodes.
+    episodes that neither terminated nor were cut. Raises ValueError for arrays of different episodes, and
+    for bounds whose low one is above the high one.
     """
 
     form: str
@@ -41,21 +40,27 @@ class Recording:
     unended: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, array in self.arrays.items():
-            if array.dtype.kind not in "fiub" or array.ndim == 0:
-                raise ValueError(f"its {name} is {array.dtype} {array.shape}; numbers are needed")
-        check_size(sum(array.size * max(1, array.itemsize // 8) for array in self.arrays.values()))
-        lengths, steps = self.arrays["lengths"], len(self.arrays["act"])
-        if not 0 < len(lengths) <= MOST_EPISODES or self.arrays["terminated"].shape != lengths.shape:
-            raise ValueError("its lengths and endings do not list the same episodes")
+        bounds = {} if self.bounds is None else {"bounds": self.bounds}
+        for name, array in (self.arrays | bounds).items():
+            if array.dtype.kind not in NUMBERS or array.ndim == 0:
+                raise ValueError(f"its {name} is {array.dtype} {array.shape}; {FLAT}")
+        lengths, steps, ends = self.arrays["lengths"], len(self.arrays["act"]), self.arrays["terminated"]
+        if lengths.dtype.kind not in "iu" or lengths.ndim != 1:
+            raise ValueError(f"its lengths are {lengths.dtype} {lengths.shape}; whole numbers are needed")
+        if not len(lengths) or ends.shape != lengths.shape or not np.isin(ends, (0, 1)).all():
+            raise ValueError("its endings must be true or false, one for each episode")
         if lengths.min() < 1 or lengths.max() > steps or lengths.sum() != steps:
             raise ValueError(f"its {steps} actions are not those of its episodes, each of a step or more")
-        rows = {name: len(array) for name, array in self.arrays.items()}
-        if rows["obs"] != steps + len(lengths):
-            hint = f"; {ONE_MORE}" if rows["obs"] == steps else ""
-            raise ValueError(f"it has {rows['obs']} observations for {steps} actions{hint}")
-        if rows.get("rewards", steps) != steps or self.arrays.get("rewards", lengths).ndim != 1:
+        observed = len(self.arrays["obs"])
+        if observed != steps + len(lengths):
+            hint = f"; {ONE_MORE}" if observed == steps else ""
+            raise ValueError(f"it has {observed} observations for {steps} actions{hint}")
+        if self.arrays.get("rewards", np.zeros(steps)).shape != (steps,):
             raise ValueError(f"it has rewards {self.arrays['rewards'].shape} for {steps} steps")
+        if self.bounds is not None and not (
+            self.bounds.ndim == 2 and len(self.bounds) == 2 and (self.bounds[0] <= self.bounds[1]).all()
+        ):
+            raise ValueError(f"its bounds {self.bounds.shape} are no (2, A) of lows and highs")
 
     @property
     def calls_all_ends_terminal(self) -> bool:
@@ -63,46 +68,37 @@ class Recording:
         return self.form.startswith("imitation")
 
 
-ONE_MORE = "an episode has one observation more than actions, of where its last one led"
+class Episode(NamedTuple):
+    """An episode of T steps: obs (T+1, O), act (T, A) or (T,), whether it terminated, and rewards (T,)."""
+
+    obs: NDArray[Any]
+    act: NDArray[Any]
+    terminated: object
+    rewards: NDArray[Any] | None
 
 
-def check_size(numbers: int) -> None:
-    """Raise ValueError for more numbers than are read."""
-    if 8 * numbers > LARGEST:
-        raise ValueError(f"it holds more than {LARGEST >> 20} MiB")
-
-
-def check_observed(observed: Sequence[int], lengths: Sequence[int]) -> None:
-    """Raise ValueError for an episode that has not one observation more than actions."""
-    for i, (rows, steps) in enumerate(zip(observed, lengths, strict=True)):
-        if rows != steps + 1:
-            hint = f" and as many actions; {ONE_MORE}" if rows == steps else f" for {steps} actions"
-            raise ValueError(f"episode {i} has {rows} observations{hint}")
-
-
-def endings(flags: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return (N,) flags as booleans. Raises ValueError for any but true, false, 0 and 1."""
-    if odd := [flag for flag in flags.tolist() if flag not in (0, 1)]:
-        raise ValueError(f"its endings must be true or false, not {odd[0]!r:.40}")
-    return flags.astype(bool)
-
-
-def checked_bounds(low: NDArray[Any], high: NDArray[Any], where: str) -> Bounds:
-    """Return bounds (2, A). Raises ValueError where a low one is above its high one, or not a number."""
-    if low.shape != high.shape:
-        raise ValueError(f"{where} has {low.size} low bounds and {high.size} high ones")
-    if not (low <= high).all():
-        raise ValueError(f"{where} has a low bound that is not below the high one")
-    return np.array([low, high], np.float64)
-
-
-@contextmanager
-def opened_to_read(path: Path) -> Iterator[BinaryIO]:
-    """Open a regular file. Raises OSError for a link or a pipe, and ValueError for more than is read."""
-    with opened(path) as file:
-        if os.fstat(file.fileno()).st_size > LARGEST:
-            raise ValueError(f"{path.name}: it is larger than {LARGEST >> 20} MiB")
-        yield file
+def joined(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
+    """Return episodes as `Recording.arrays`. Raises ValueError for rows of several shapes, and for an episode
+    that has not one observation more than actions."""
+    if not episodes:
+        raise ValueError("it holds no episode")
+    for i, one in enumerate(episodes):
+        if {one.obs.dtype.kind, one.act.dtype.kind} - {*NUMBERS}:
+            raise ValueError(f"episode {i} observes {one.obs.dtype}, acts {one.act.dtype}; {FLAT}")
+        steps = len(one.act)
+        if len(one.obs) != steps + 1:
+            hint = f" and as many actions; {ONE_MORE}" if len(one.obs) == steps else f" for {steps} actions"
+            raise ValueError(f"episode {i} has {len(one.obs)} observations{hint}")
+        if one.rewards is not None and len(one.rewards) != steps:
+            raise ValueError(f"episode {i} has {len(one.rewards)} rewards for {steps} actions")
+    rewards = [one.rewards for one in episodes if one.rewards is not None]
+    arrays = {
+        "obs": np.concatenate([one.obs for one in episodes]),
+        "act": np.concatenate([one.act for one in episodes]),
+        "lengths": np.array([len(one.act) for one in episodes]),
+        "terminated": np.array([one.terminated for one in episodes]),
+    }
+    return arrays | ({"rewards": np.concatenate(rewards)} if len(rewards) == len(episodes) else {})
 
 
 def extra(module: str) -> Any:

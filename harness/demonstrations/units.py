@@ -8,22 +8,19 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import RescaleAction
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from harness.demonstrations.npz import OWN_FORM
-from harness.demonstrations.recording import Bounds, Recording
+from envs.scaled import Scaled, wrappers
+from harness.demonstrations.recording import OWN_FORM, Bounds, Recording
 from harness.registry import BadInput
 from methods.base import Array
 
 SLACK = 1e-6
-"""Largest distance outside the bounds that counts as rounding, as a share of the distance between them."""
+"""Largest difference between bounds, or distance outside of them, that counts as rounding: a share."""
 FARTHEST = 1e6
 """Bounds of a file beyond it count as unbounded."""
-SHARES = (0.0, 0.25, 0.5, 0.625, 1.0)
-"""Actions on which wrappers are tried, as shares of the way from the lowest to the highest."""
-ROUNDING = 1e-5
-"""Largest difference that counts as rounding of a wrapper, as a share of the distance between the bounds."""
 SCALED: Bounds = np.array([[-1.0], [1.0]])
 OPTION = "--action-bounds"
 
@@ -44,14 +41,10 @@ class Units:
         return _text(np.array([self.low, self.high]))
 
     def excess(self, act: NDArray[Any]) -> Array:
-        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding. A component of
-        one value is not scaled: there, rounding is a share of that."""
+        """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding."""
         beyond = np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
         width, size = self.high - self.low, np.maximum(abs(self.low), abs(self.high))
-        slack = SLACK * np.where(width > 0, width, size)
-        if act.dtype.kind == "f":
-            slack += 2 * _spacing(size, act.dtype)
-        return np.where(beyond > slack, beyond, 0.0)
+        return np.where(beyond > SLACK * np.where(width > 0, width, size), beyond, 0.0)
 
     def scaled(self, act: Array) -> Array:
         """Return actions (T, A) of the file in [-1, 1]; 0 where both bounds are the same."""
@@ -85,14 +78,23 @@ def units_of(recording: Recording, spec: EnvSpec, env: gym.Env[Any, Any], asked:
         return Units(unused, unused, "the task's own", first)
     if recording.first is not None:
         raise ValueError("its actions are choices, and the task's are numbers")
-    native = _native_bounds(env, spec.act_size)
+    if recording.bounds is not None and recording.bounds.shape[1] not in (1, spec.act_size):
+        raise ValueError("its bounds are of other actions than the task's")
+    native, public = _native_bounds(env, spec.act_size), None
+    if spec.public_bounds is not None:
+        public = np.array(spec.public_bounds)[:, None]
     if asked is not None:
-        return _as_asked(asked, recording.bounds, native, spec.act_size)
-    if recording.bounds is not None:
-        return _as_recorded(recording.bounds, native, spec)
-    if recording.form == OWN_FORM:
-        return _units(SCALED, spec.act_size, "by this project's form")
-    return _as_in_task(recording.arrays["act"], native, spec)
+        why = f"as {OPTION} says"
+        bounds = _as_asked(asked, recording.bounds, native, spec.act_size)
+    elif recording.bounds is not None:
+        why = "as the file says"
+        bounds = _as_recorded(recording.bounds, [one for one in (SCALED, native, public) if one is not None])
+    elif recording.form == OWN_FORM:
+        bounds, why = SCALED, "by this project's form"
+    else:
+        bounds, why = _as_in_task(recording.arrays["act"], native, public), "the task's own"
+    low, high = np.broadcast_to(bounds, (2, spec.act_size)).astype(np.float64)
+    return Units(low, high, why)
 
 
 def first_choice(env: gym.Env[Any, Any]) -> int:
@@ -104,59 +106,45 @@ def first_choice(env: gym.Env[Any, Any]) -> int:
     return int(space.start)
 
 
-def same(one: Bounds, other: Bounds) -> bool:
-    """Return whether two bounds are the same, but for rounding to 32 bits."""
-    return bool(_near(one, other).all())
-
-
-def _as_asked(asked: Bounds, recorded: Bounds | None, native: Bounds | None, size: int) -> Units:
+def _as_asked(asked: Bounds, recorded: Bounds | None, native: Bounds | None, size: int) -> Bounds:
     pairs = asked.shape[1]
     if pairs not in (1, size):
         raise ValueError(f"{OPTION} is given {pairs} times, and its actions have {size} components")
-    if pairs < size and native is not None and not same(asked, SCALED) and np.ptp(native, axis=1).any():
+    if pairs < size and native is not None and not _same(asked, SCALED) and np.ptp(native, axis=1).any():
         raise ValueError(
             f"its {size} components have other bounds each, in the task {_text(native)}; give {OPTION} for "
             "each, in this order"
         )
-    if recorded is not None:
-        _check_size(recorded, size)
-        if not (_near(recorded, asked) | (np.abs(recorded) > FARTHEST)).all():
-            raise ValueError(f"{OPTION} {_text(asked)} contradicts the file, which says {_text(recorded)}")
-    return _units(asked, size, f"as {OPTION} says")
+    if recorded is not None and not _same(np.where(abs(recorded) > FARTHEST, asked, recorded), asked):
+        raise ValueError(f"{OPTION} {_text(asked)} contradicts the file, which says {_text(recorded)}")
+    return asked
 
 
-def _as_recorded(recorded: Bounds, native: Bounds | None, spec: EnvSpec) -> Units:
-    _check_size(recorded, spec.act_size)
+def _as_recorded(recorded: Bounds, known: list[Bounds]) -> Bounds:
     if not np.abs(recorded).max() <= FARTHEST:
         raise ValueError(f"it does not tell the bounds of its actions; give them as {OPTION}")
-    known = [bounds for bounds in (SCALED, native, _public_bounds(spec)) if bounds is not None]
-    if not any(same(recorded, bounds) for bounds in known):
+    if not any(_same(recorded, bounds) for bounds in known):
         names = " or ".join(dict.fromkeys(map(_text, known)))
         raise ValueError(
             f"its actions are in {_text(recorded)}, and the task's in {names}; to scale them by their "
             f"bounds, give these as {OPTION}"
         )
-    return _units(recorded, spec.act_size, "as the file says")
+    return recorded
 
 
-def _as_in_task(act: NDArray[Any], native: Bounds | None, spec: EnvSpec) -> Units:
+def _as_in_task(act: NDArray[Any], native: Bounds | None, public: Bounds | None) -> Bounds:
     if native is None:
         raise ValueError(
             f"a wrapper of the task changes its actions, so their bounds in the file are not known; give "
             f"them as {OPTION}, or {OPTION}=scaled for [-1, 1]"
         )
-    public = _public_bounds(spec)
     if public is not None and np.abs(act).max(initial=0) <= 1 + SLACK:
         low, high = public.ravel()
         raise ValueError(
             f"its actions may be in {_text(public)}, as in the public environment, or in [-1, 1], as in "
             f"this task; give {OPTION}={low:g},{high:g} or {OPTION}=scaled"
         )
-    return _units(native if public is None else public, spec.act_size, "the task's own")
-
-
-def _public_bounds(spec: EnvSpec) -> Bounds | None:
-    return None if spec.public_bounds is None else np.array(spec.public_bounds)[:, None]
+    return native if public is None else public
 
 
 def _native_bounds(env: gym.Env[Any, Any], size: int) -> Bounds | None:
@@ -169,56 +157,17 @@ def _native_bounds(env: gym.Env[Any, Any], size: int) -> Bounds | None:
 
 def _space_beneath(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
     """Return the space of actions beneath all wrappers; None where they do more than scale or number anew."""
-    outer = env.action_space
-    actions = _samples(outer)
-    while isinstance(env, gym.Wrapper):
-        if isinstance(env, gym.ActionWrapper):
-            actions = [env.action(action) for action in actions]
-        elif env.action_space != env.env.action_space:
+    for wrapper in wrappers(env):
+        evenly = isinstance(wrapper, Scaled | RescaleAction)
+        if not evenly and (
+            isinstance(wrapper, gym.ActionWrapper) or wrapper.action_space != wrapper.env.action_space
+        ):
             return None
-        env = env.env
-    inner = env.action_space
-    if outer != inner and outer.shape != inner.shape:
-        return None
-    wanted = np.array(_samples(inner), np.float64)
-    size = np.abs(wanted).max(axis=0, initial=0)
-    rounding = ROUNDING * np.ptp(wanted, axis=0) + 8 * _spacing(size) if len(wanted) else 0
-    evenly = len(actions) == len(wanted) and (np.abs(np.array(actions) - wanted) <= rounding).all()
-    return inner if evenly else None
+    return env.unwrapped.action_space
 
 
-def _samples(space: spaces.Space[Any]) -> list[Any]:
-    """Return actions at equal shares of a space; none where it is unbounded, or neither choices nor
-    numbers."""
-    if isinstance(space, spaces.Discrete):
-        return [np.int64(space.start + i) for i in range(int(space.n))]
-    if not (isinstance(space, spaces.Box) and space.is_bounded()):
-        return []
-    low, high = space.low.astype(float), space.high.astype(float)
-    return [(low + share * (high - low)).astype(space.dtype) for share in SHARES]
-
-
-def _units(bounds: Bounds, size: int, why: str) -> Units:
-    low, high = np.broadcast_to(bounds, (2, size))
-    return Units(low, high, why)
-
-
-def _check_size(bounds: Bounds, size: int) -> None:
-    if bounds.shape[1] not in (1, size):
-        raise ValueError("its bounds are of other actions than the task's")
-
-
-def _near(one: Bounds, other: Bounds) -> NDArray[np.bool_]:
-    """Return (2, A): whether low and high bounds are the same, but for rounding to 32 bits."""
-    width = np.minimum(one[1] - one[0], other[1] - other[0])
-    with np.errstate(invalid="ignore"):  # infinite ones are never the same
-        return np.asarray(np.abs(one - other) <= SLACK * width + _spacing(np.minimum(abs(one), abs(other))))
-
-
-def _spacing(size: NDArray[Any], kind: Any = np.float32) -> Array:
-    """Return the distance between neighbouring numbers of that size and type."""
-    with np.errstate(all="ignore"):  # for sizes beyond the type
-        return np.asarray(np.spacing(size.astype(kind)), np.float64)
+def _same(one: Bounds, other: Bounds) -> bool:
+    return bool(np.allclose(one, other, rtol=SLACK, atol=0))
 
 
 def _text(bounds: Bounds) -> str:

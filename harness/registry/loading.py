@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import os
 import signal
 import subprocess
@@ -175,7 +176,8 @@ def _like(method: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
         place = f"{base.__module__}:{base.__qualname__}"
         like = tuple(name for name, entry in (METHODS | VARIANTS).items() if entry.target == place)
         if like := like or settings.BASES.get(place, ()):
-            return like, tuple(one.name for one in dataclasses.fields(base) if one.name not in own)
+            taken = inspect.signature(method).parameters.keys() - own
+            return like, tuple(one.name for one in dataclasses.fields(base) if one.name in taken)
         own |= {*vars(base).get("__annotations__", {})}
     return (), ()
 

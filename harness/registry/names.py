@@ -8,7 +8,10 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 NO_NUMBERS = {
-    **dict.fromkeys(("METHODS", "VARIANTS", "ENVS", "BUILT_IN"), "Keys are of a cell's own entry."),
+    "METHODS": "Keys are of a cell's own entry.",
+    "VARIANTS": "Keys are of a cell's own entry.",
+    "ENVS": "Keys are of a cell's own entry.",
+    "BUILT_IN": "Keys are of a cell's own entry.",
     "GROUPS": "It lists what users may type.",
     "choose": "It reads what users type.",
 }

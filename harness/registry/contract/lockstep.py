@@ -52,4 +52,6 @@ def _same(when: str, name: str, places: list[int], batched: Any, alone: Any) -> 
     """Raise ContractError, with the first copy that differs, unless both are equal."""
     expect(np.shape(batched) == np.shape(alone), f"{when}, {name} of a batch has another shape than alone")
     for place, one, other in zip(places, batched, alone, strict=True):
-        expect(np.array_equal(one, other), f"{when}, copy {place} of a batch gives {name} {one}, alone {other}")
+        expect(
+            np.array_equal(one, other), f"{when}, copy {place} of a batch gives {name} {one}, alone {other}"
+        )

@@ -10,7 +10,6 @@ import pytest
 
 from harness.cli.main import main
 from harness.registry import KNOWN
-from harness.registry.gymnasium_tasks import TASKS
 
 ODD = """
 import gymnasium as gym
@@ -49,7 +48,6 @@ def registered() -> Iterator[None]:
     before = {*gymnasium.registry}
     with KNOWN.for_now():
         yield
-    TASKS.clear()
     for name in gymnasium.registry.keys() - before:
         del gymnasium.registry[name]
 

@@ -193,14 +193,7 @@ def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ("run --methods iq_learn", "'iq_learn'; IQ-Learn is left out, and docs/adversarial.md says why\n"),
-        ("run --methods IQ-Learn,GIAL", "docs/adversarial.md says why; did you mean 'gail'?\n"),
         ("run --methods AIRL,GAIL,DAgger", "; did you mean 'airl', 'gail', 'dagger'?\n"),
-        ("run --methods ppo", "'ppo'; ppo learns from rewards: tasks name their learner (docs/design.md)\n"),
-        ("run --methods D-REX", "no method named 'D-REX'; did you mean 'shaped_ranked'?\n"),
-        ("run --envs CartPole-v1", "no env named 'CartPole-v1'; did you mean 'cartpole_discrete'?\n"),
-        ("run --envs MountainCar-v0", "a task of Gymnasium is gym:MountainCar-v0\n"),
-        ("run --envs swingup.flipped", "it is --envs swingup --transfer flipped\n"),
         ("run --methods maxmagin", "no method named 'maxmagin'; did you mean 'maxmargin'?"),
         ("run --methods f-irl,GIAL", "no method named 'f-irl', 'GIAL'; did you mean 'f_irl', 'gail'?"),
         ("run --methods gial,foo", "no method named 'gial', 'foo'; there are shaped, shaped_ml"),

@@ -1,24 +1,30 @@
 """Demonstrations, files of them, and how a file is refused."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
+import minari
 import numpy as np
 import pyarrow as pa
 import pytest
+from gymnasium import spaces
 
 from harness.demonstrations.reading import read
 from harness.registry import SPECS, BadInput
 from methods.base import Episodes
 
 SWINGUP, CHOICES = SPECS["swingup"], SPECS["cartpole_discrete"]
+FORMS = ("hdf5", "parquet", "arrow")
+"""Formats of Minari."""
+FLAGS = ("terminations", "truncations")
 
 
 def made(
     lengths: tuple[int, ...] = (200, 7, 3), ended: tuple[bool, ...] = (False, True, True), spec: Any = SWINGUP
 ) -> tuple[Episodes, tuple[np.ndarray, ...]]:
-    """Episodes and rewards."""
+    """Return episodes and rewards."""
     rng = np.random.default_rng(0)
     obs = tuple(
         rng.uniform(-0.4, 0.4, (n + 1, spec.obs_size)).astype(np.float32).astype(float) for n in lengths
@@ -41,8 +47,8 @@ def refused(path: Path, why: str, spec: Any = SWINGUP, bounds: Any = None) -> No
 
 
 def imitation(path: Path, episodes: Episodes, rewards: Any, parts: int = 2, act: Any = None) -> Path:
-    """A folder as `datasets` of imitation's trajectories is saved, with every end called terminal, and texts
-    in `infos` that would run something if they were decoded."""
+    """Make a folder as `datasets` of imitation's trajectories is saved, with every end called terminal, and
+    texts in `infos` that would run something if they were decoded."""
     path.mkdir()
     rows = {
         "obs": [obs.tolist() for obs in episodes.obs],
@@ -61,3 +67,42 @@ def imitation(path: Path, episodes: Episodes, rewards: Any, parts: int = 2, act:
             stream.write_table(table)
     (path / "state.json").write_text(json.dumps({"_data_files": [{"filename": name} for name in names]}))
     return path
+
+
+def minari_folder(
+    path: Path,
+    form: str,
+    content: Any,
+    space: spaces.Space[Any] | None = None,
+    kind: Any = None,
+    **changes: Any,
+) -> Path:
+    """Make a dataset as Minari writes it, of episodes and rewards; those that did not end were cut.
+
+    space: of actions. kind: of numbers. changes: of each episode's buffer, or its observation_space.
+    """
+    (episodes, rewards), discrete = content, isinstance(space, spaces.Discrete)
+    seen, buffers = changes.pop("observation_space", None), []
+    for obs, act, end, paid in zip(episodes.obs, episodes.act, episodes.terminated, rewards, strict=True):
+        last = np.arange(len(act)) == len(act) - 1
+        columns: Any = {
+            "observations": obs.astype(kind or float),
+            "actions": act.argmax(axis=1) + space.start if discrete else act.astype(kind or float),
+            "rewards": paid,
+            "terminations": last & end,
+            "truncations": last & (not end),
+            "infos": {},
+        }
+        buffers.append(minari.data_collector.EpisodeBuffer(**columns | changes))
+    size = episodes.obs[0].shape[1:]
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about an author and more, which it is not given
+        patch.setenv("MINARI_DATASETS_PATH", str(path.parent))
+        minari.create_dataset_from_buffers(
+            f"{path.name}-v0",
+            buffers,
+            action_space=space or spaces.Box(-1, 1, episodes.act[0].shape[1:], kind or np.float64),
+            observation_space=seen or spaces.Box(-np.inf, np.inf, size, kind or np.float64),
+            data_format=form,
+        )
+    return path.with_name(f"{path.name}-v0").rename(path)

@@ -38,7 +38,7 @@ def test_a_key_is_of_what_a_task_is_registered_with(key: Key, monkeypatch: pytes
     def key_with(horizon: int = 200, **kwargs: object) -> str:
         spec = EnvSpec("Heavy-v0", entry, max_episode_steps=horizon, kwargs=kwargs)
         monkeypatch.setitem(gymnasium.registry, "Heavy-v0", spec)
-        return key("bc", gymnasium_tasks.add_task("Heavy-v0"))
+        return key("bc", gymnasium_tasks.task_or_name("gym:Heavy-v0"))
 
     assert len({key_with(g=10.0), key_with(g=2.0), key_with(horizon=100, g=2.0)}) == 3
     with pytest.raises(BadInput, match="registered with arguments that are neither numbers nor texts"):
@@ -66,7 +66,7 @@ def test_a_key_is_of_modules_that_a_task_is_registered_with(
     def key_now() -> str:
         if kind == "plug-in":
             return key("bc", "far", tmp_path / "far.py")
-        return key("bc", gymnasium_tasks.add_task("Far-v0"))
+        return key("bc", gymnasium_tasks.task_or_name("gym:Far-v0"))
 
     found = [key_now()]
     for name in ("far_env", "far_wrap", "far_away"):

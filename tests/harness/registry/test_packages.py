@@ -19,18 +19,22 @@ def install(site: Path, name: str, version: str, *requirements: str, extra: str 
     head = ["Metadata-Version: 2.1", f"Name: {name}", f"Version: {version}"]
     (folder / "METADATA").write_text("\n".join([*head, *lines]) + "\n")
     (folder / "top_level.txt").write_text(f"{name}\n")
+    forget()
+
+
+def forget() -> None:
+    for function in (packages._required, packages.distributions, packages.facts):
+        function.cache_clear()
 
 
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder in which packages can be installed."""
     monkeypatch.syspath_prepend(tmp_path)
-    for function in (packages._required, packages.distributions, packages.facts):
-        function.cache_clear()
+    forget()
     with KNOWN.for_now():
         yield tmp_path
-    for function in (packages._required, packages.distributions, packages.facts):
-        function.cache_clear()
+    forget()
 
 
 def key(env: str) -> str:
@@ -72,7 +76,7 @@ def test_another_version_of_a_simulator_is_another_key(site: Path) -> None:
 @pytest.fixture
 def among_installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same folder, taken for one of this Python's own."""
-    monkeypatch.setattr(sources, "_places", lambda: (site.resolve(),))
+    monkeypatch.setattr(sources, "is_installed", lambda place: place.is_relative_to(site))
     return site
 
 

@@ -15,10 +15,8 @@ from methods.settings import settings_for
 SUBCLASSES = """
 from dataclasses import dataclass, make_dataclass
 from methods.adversarial import Game
-from methods.airl import AIRL
 from methods.bc import BehaviourCloning
 from methods.gail import GAIL
-from methods.maxmargin import MaxMargin
 
 @dataclass(frozen=True)
 class Rate(GAIL):
@@ -30,10 +28,6 @@ class Long(GAIL):
 
 class Plain(GAIL): ...
 
-class Init(GAIL):
-    def __init__(self, rl_share=0.077, final_share=0.5):
-        super().__init__(rl_share=rl_share, final_share=final_share)
-
 @dataclass(frozen=True)
 class Mine(Game):
     def fit(self, demos, world, rng): ...
@@ -43,8 +37,7 @@ class Unlike:
     iterations: int = 3
     def fit(self, demos, world, rng): ...
 
-METHODS = {"rate": Rate, "long": Long, "plain": Plain, "init": Init, "game": Mine, "unlike": Unlike,
-           "itself": GAIL, "airl_itself": AIRL, "margin": type("Margin", (MaxMargin,), {}),
+METHODS = {"rate": Rate, "long": Long, "plain": Plain, "game": Mine, "unlike": Unlike, "itself": GAIL,
            "made": make_dataclass("Made", [("batch", int, 7)], bases=(BehaviourCloning,), frozen=True)}
 """
 
@@ -55,18 +48,13 @@ def subclasses(here: None, tmp_path: Path) -> None:
     plugins.add([str(tmp_path / "subclasses.py")])
 
 
-@pytest.mark.parametrize(
-    ("env", "budget"), [("swingup", "smoke"), ("hopper", "full"), ("gridworld", "quick")]
-)
+@pytest.mark.parametrize(("env", "budget"), [("swingup", "smoke"), ("gridworld", "quick")])
 def test_what_derives_from_a_method_gets_its_settings(env: str, budget: str) -> None:
     gail, airl = settings_for("gail", env, budget), settings_for("airl", env, budget)
     expected = {
         **dict.fromkeys(("rate", "plain", "itself"), gail),
         "long": {name: value for name, value in gail.items() if name != "iterations"},
-        "init": {name: value for name, value in gail.items() if name == "final_share"},
         "game": {name: value for name, value in gail.items() if airl.get(name) == value},
-        "airl_itself": airl,
-        "margin": settings_for("maxmargin", env, budget),
         "made": settings_for("bc", env, budget),
         "unlike": {},
     }
@@ -106,11 +94,8 @@ def result(method: str, steps: int, like: list[str] | None = None, env: str = "s
             [result("gail", 900), result("mine", 2901, ["gail"])],
             "mine in swingup took 3,001 .* 1,000 of gail:",
         ),
-        ([result("gail", 900), result("airl", 9000)], ""),
         ([result("mine", 36_236, ["gail"])], ""),
-        ([result("mine", 7000)], ""),
         ([result("mine", 36_236)], "mine in swingup took 36,236 .* of RL at this budget:"),
-        ([result("gail", 20_000), result("mine", 36_236)], ""),
         (
             [result("bc", 0), result("mine", 36_236, ["bc"])],
             "took 36,236 .* of RL at this budget:|100 of bc:",
