@@ -15,8 +15,6 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import NoReturn
 
-import msgspec
-
 from harness.process import environment
 from harness.registry import gymnasium_tasks, ours
 from harness.registry.known import KNOWN, Offer, Plugin
@@ -36,18 +34,13 @@ Wanted = tuple[str, str, Entry]
 """Kind, name and entry of an installed package's method or task."""
 
 
-class Answer(msgspec.Struct):
-    """The answer of the process that imported plug-ins: what they offer, or why they cannot be used."""
-
-    offers: list[Offer] = []
-    error: str = ""
-
-
 def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
     """Return `look`, called in a process of its own in the environment of cells.
 
     Raises BadInput for a plug-in that is broken, and for one that ends its process or hangs.
     """
+    import msgspec
+
     from harness.engines.containment import kill_descendants
 
     begin = f"import sys; sys.path.insert(0, {str(ours.ROOT)!r}); from harness.registry import loading"
@@ -72,21 +65,24 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
             kill_descendants(process.pid)
             process.kill()
             process.wait()
-        answer = msgspec.json.decode(file.read_bytes(), type=Answer) if file.exists() else None
-    if answer is None:
+        content = file.read_bytes() if file.exists() else b""
+    if not content:
         names = ", ".join([*(one.name for one in named), *(name for _, name, _ in wanted)])
         ended = f"ended its process while it was loaded ({code})"
         raise BadInput(f"{names} {f'was not loaded within {LONGEST:g} s' if code is None else ended}", READ)
-    if answer.error:
-        raise BadInput(answer.error)
-    return answer.offers
+    offers, message = msgspec.json.decode(content, type=tuple[list[Offer], str])
+    if message:
+        raise BadInput(message)
+    return offers
 
 
 def answer(request: str, file: str) -> NoReturn:
-    """Write the `Answer` to a request into a new file, and end this process.
+    """Write what plug-ins offer, and why they cannot be used, into a new file, and end this process.
 
     request: JSON of the path of modules, plug-ins, and entries of installed packages.
     """
+    import msgspec
+
     path, named, wanted = msgspec.json.decode(request, type=tuple[list[str], list[Plugin], list[Wanted]])
     sys.path[:] = path
     ours.first()
@@ -94,15 +90,15 @@ def answer(request: str, file: str) -> NoReturn:
 
     adopt_orphans()
     signal.alarm(LONGEST + 5)  # in case that nobody waits any more
-    result = Answer()
+    offers, message = list[Offer](), ""
     try:
         bound_memory()
-        result.offers = look(named, wanted)
+        offers = look(named, wanted)
     except BadInput as error:
-        result.error = str(error)
+        message = str(error)
     except BaseException as error:
-        result.error = f"a plug-in cannot be loaded: {in_words(error)}"
-    Path(f"{file}.new").write_bytes(msgspec.json.encode(result))
+        message = f"a plug-in cannot be loaded: {in_words(error)}"
+    Path(f"{file}.new").write_bytes(msgspec.json.encode((offers, message)))
     Path(f"{file}.new").rename(file)
     with suppress(Exception):
         sys.stdout.flush()

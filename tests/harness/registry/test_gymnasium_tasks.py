@@ -18,11 +18,8 @@ Key = Callable[..., str]
 pytestmark = pytest.mark.usefixtures("here")
 
 
-@pytest.mark.parametrize("before", ["import irl_bench", "pass"])
-def test_every_task_can_be_made_by_gymnasium(before: str) -> None:
-    """After `import irl_bench`, or by an id that names the module."""
-    prefix = "" if "import" in before else "irl_bench:"
-    code = f"{before}\nimport gymnasium\nenv = gymnasium.make('{prefix}irl_bench/Swingup-v0')\n"
+def test_every_task_can_be_made_by_gymnasium() -> None:
+    code = "import gymnasium\nenv = gymnasium.make('irl_bench:irl_bench/Swingup-v0')\n"
     code += "print(env.reset(seed=3)[0].tolist())\n"
     code += "print(sum(name.startswith('irl_bench/') for name in gymnasium.registry))"
     command = [sys.executable, "-W", "error", "-c", code]
@@ -89,10 +86,9 @@ def test_a_task_of_gymnasium_needs_its_id_alone(key: Key) -> None:
         ("gym:Pendulum", "Pendulum names no version of the task"),
         ("gym:Blackjack-v1", "observations must be a flat box"),
         ("gym:../run-v0", "no id of Gymnasium"),
-        ("gym:", "no id of Gymnasium|cannot be loaded"),
     ],
 )
-def test_of_a_task_that_cannot_be_derived_it_is_said_why(
+def test_why_a_task_cannot_be_derived_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, reason: str
 ) -> None:
     out = tmp_path / "run"

@@ -23,7 +23,7 @@ from harness.engines.inline import Inline
 from harness.engines.jobs import Job
 from harness.process import environment
 from harness.process.environment import of_this_process
-from harness.records import Cell, Conditions
+from harness.records import Cell
 from harness.registry import KNOWN, SPECS, BadInput, keys, loading, packages, plugins, sources
 from harness.registry.known import FILE_MODULE
 from harness.schedule import plan
@@ -31,9 +31,9 @@ from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid
 from harness.store.codec import decode
 from tests.harness.plugged import MINE
+from tests.harness.registry.conftest import CONDITIONS
 from tests.harness.small_runs import stored
 
-CONDITIONS = Conditions("smoke", "absorbing", "sbx")
 OTHER = MINE.replace("mine", "other").replace("moon", "mars").replace("Mine", "Other")
 
 
@@ -58,8 +58,8 @@ def imported() -> list[str]:
 
 def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
     """Beside the script lie packages called as this program's. The plug-in wraps a built-in method, and
-    changes what numbers are of. The variable of earlier versions names a file. A second run knows no plug-in
-    of the first, and its cells are the same, key and score."""
+    changes what numbers are of. A second run knows no plug-in of the first, and its cells are the same, key
+    and score."""
     for name in ("envs", "methods", "harness"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('theirs')")
@@ -74,7 +74,6 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
             BehaviourCloning.fit = lambda self, demos, world, rng: Learned(still, None)
         """)
     )
-    (tmp_path / "evil.py").write_text("open('executed', 'w')")
     (tmp_path / "script.py").write_text(
         textwrap.dedent("""
             import irl_bench
@@ -88,13 +87,11 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
         """)
     )
     env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
-    env["IRL_BENCH_PLUGINS"] = f'[["evil.py", "{tmp_path / "evil.py"}"]]'
     done = subprocess.run(
         [sys.executable, "script.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].startswith("BadInput no method named 'mine'")
-    assert not (tmp_path / "executed").exists()
     one, two = (decode(json.dumps(stored(tmp_path / run, "gridworld__bc__seed0"))) for run in ("one", "two"))
     assert one.rows[0].status == "ok"
     assert (one.key, one.rows[0].return_mean) == (two.key, two.rows[0].return_mean)
@@ -195,17 +192,6 @@ def test_a_plugin_whose_helper_was_edited_is_not_computed_in_the_same_process(
             plugins.load([], ["moon"])
 
 
-def test_an_inline_run_after_a_plugin_is_refused_before_anything_is_written(
-    both: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plugins.load(["mine"], [])
-    out = tmp_path / "run"
-    asked = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", str(out)]
-    assert cli.main([*asked, "--engine", "inline"]) == 2
-    assert "the plug-in mine was imported in this process" in capsys.readouterr().err
-    assert not out.exists()
-
-
 def test_experts_of_two_plugins_are_not_trained_in_one_process(
     both: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -214,19 +200,10 @@ def test_experts_of_two_plugins_are_not_trained_in_one_process(
     assert not imported()
 
 
-ENDED = "ended its process while it was loaded: "
 ENDING = {
-    "leaves": ("import os\nos._exit(0)", f"{ENDED}exit code 0"),
-    "crashes": ("import ctypes\nctypes.string_at(0)", f"{ENDED}killed by SIGSEGV"),
+    "leaves": ("import os\nos._exit(0)", "ended its process while it was loaded (0)"),
+    "crashes": ("import ctypes\nctypes.string_at(0)", "ended its process while it was loaded (-11)"),
     "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
-    "memory": (
-        "import resource\nbytearray(resource.getrlimit(resource.RLIMIT_DATA)[0])",
-        "cannot be loaded: MemoryError",
-    ),
-    "out of memory": (
-        "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)",
-        f"{ENDED}killed by SIGKILL (out of memory?)",
-    ),
     "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
     "variable": ("import os\nos.environ['MY_DATA']", "KeyError: 'MY_DATA'; of the environment's"),
     "envs": ("import envs.of_mine", "'envs' is this program's package: give yours another name"),
@@ -247,8 +224,7 @@ def test_however_a_plugin_ends_while_it_is_loaded_is_a_line(
     assert reason in err
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the system gives orphans to nobody here")
-@pytest.mark.parametrize("then", ["", "import os; os._exit(0)", "import time; time.sleep(1000)"])
+@pytest.mark.parametrize("then", ["", "import time; time.sleep(1000)"])
 def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
     then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -258,7 +234,7 @@ def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
         "file.close()\nMETHODS = {}",
     ]
     (tmp_path / "starts.py").write_text("\n".join([*lines, then]))
-    monkeypatch.setattr(loading, "LONGEST", 6 if "sleep" in then else 100)
+    monkeypatch.setattr(loading, "LONGEST", 4 if then else 100)
     with pytest.raises(BadInput) if then else nullcontext():
         plugins.add([str(tmp_path / "starts.py")])
     pid = int((tmp_path / "pid").read_text())
@@ -278,21 +254,9 @@ def test_variables_that_cells_lack_are_named_where_one_is_missing(monkeypatch: p
         assert ("cells have only LC_*, XDG_*, IRL_BENCH_*, CONDA_PREFIX, " in message) == is_named
 
 
-def test_a_check_has_the_variables_of_cells(
-    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("MY_DATA", "mine")
-    fit = "\n\n    def fit(self, demos, world, rng):\n        import os; os.environ['MY_DATA']"
-    (tmp_path / "mine.py").write_text(MINE.replace("steps: int = 30", f"steps: int = 30{fit}"))
-    assert cli.main(["check", "mine", "--plugin", str(tmp_path / "mine.py")]) == 1
-    assert "KeyError: 'MY_DATA'; of the environment's variables cells have only " in capsys.readouterr().out
-    assert os.environ["MY_DATA"] == "mine"
-
-
 def test_keys_of_many_methods_ask_no_distribution_twice(
     here: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """66 methods in a file that imports torch took 12 minutes before the first cell."""
     many = "METHODS = {f'm{i}': type(f'M{i}', (Mine,), {}) for i in range(66)}"
     (tmp_path / "many.py").write_text(f"import numpy, torch\n{MINE}\n{many}\n")
 

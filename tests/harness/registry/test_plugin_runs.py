@@ -18,12 +18,6 @@ ROOT = Path(__file__).parents[3]
 SAMPLE = ROOT / "tests/sample_plugin"
 
 
-@pytest.fixture
-def mine(tmp_path: Path) -> Path:
-    (tmp_path / "mine.py").write_text(MINE)
-    return tmp_path / "mine.py"
-
-
 def test_a_plugin_is_computed_beside_what_is_built_in(mine: Path) -> None:
     told = command(
         mine.parent, "run", "--plugin", "mine.py", "--methods", "bc,plugins", "--envs", "swingup", *SMOKE
@@ -72,21 +66,13 @@ def test_the_recipe_works_word_for_word(tmp_path: Path) -> None:
 
 def test_a_package_that_is_installed_is_found_by_its_metadata(tmp_path: Path) -> None:
     site = tmp_path / "site"
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--no-index",
-    ]
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    install += ["--no-index", "--target", str(site)]
     source = tmp_path / "source"
     source.mkdir()
     for file in SAMPLE.glob("*.*"):
         (source / file.name).write_bytes(file.read_bytes())
-    subprocess.run([*install, "--target", str(site), str(source)], check=True, capture_output=True)
+    subprocess.run([*install, str(source)], check=True, capture_output=True)
     listed = command(tmp_path, "list", PYTHONPATH=str(site))
     assert "still        " in listed.partition("methods of plug-ins:")[2] or "  still" in listed
     assert "of the package irl-bench-sample 0.3" in listed

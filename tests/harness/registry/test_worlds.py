@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness import records
 from harness.registry.contract import ContractError, check_method, small
 from harness.registry.contract.methods import checks
-from harness.rl.learned import LARGEST, check_learned
+from harness.rl.learned import check_learned
 from harness.rl.world import TaskWorld
 from methods.base import Array, Episodes, Learned, World
-from methods.network import Network
 from methods.rewards import Constant
 
 STILL = Constant(0.0, 0.0)
@@ -46,33 +44,17 @@ def pays(value: float) -> Any:
     return Constant(value, 0.0)
 
 
-def wide(world: World) -> Network:
-    """Return a network that sees another number of things than the world shows."""
-    size = world.obs_size + 1
-    weights = (np.zeros((size, 64)), np.zeros((64, 64)), np.zeros((64, world.act_size)))
-    return Network(
-        np.zeros(size), np.ones(size), weights, (np.zeros(64), np.zeros(64), np.zeros(world.act_size))
-    )
-
-
 FIT, KNOWN = "fit returns a policy and a reward: ", "where the model is known: "
 PRESUMED = {
     "replay of a known model": (lambda w, d, r: agent(w, r).replay(), f"{KNOWN}.*nothing is seen"),
-    "demonstrations for a known model": (
-        lambda w, d, r: agent(w, r, demonstrations=d if d.whole else None),
-        f"{KNOWN}.*nothing is learned from",
-    ),
     "the expert's actions": (lambda w, d, r: w.ask(d.pairs()[0]), f"{FIT}.*marked as asking"),
     "a policy before learning": (lambda w, d, r: w.agent(r).policy, f"{FIT}.*not learned yet"),
-    "a replay before learning": (lambda w, d, r: w.agent(r).replay(), f"{FIT}.*not learned yet"),
     "a solve without a step": (lambda w, d, r: w.solve(STILL, r, 0), f"{FIT}.*one step at least"),
     "no reward": (
         lambda w, d, r: agent(w, r, None) if callable(r) else w.agent(r).learn(10, None),
         f"{FIT}.*reward",
     ),
     "a reward of NaN": (lambda w, d, r: agent(w, r, pays(np.nan)), f"{FIT}.*finite"),
-    "a beginning of another size": (lambda w, d, r: agent(w, r, init=wide(w)), f"{FIT}.*layers"),
-    "behaviour without chance": (lambda w, d, r: agent(w, r).behaviour, f"{FIT}.*no stochastic policy"),
     "actions too far": (
         lambda w, d, r: w.rollout(lambda o: 1.5 * np.ones((len(o), w.act_size)), 2, r),
         f"{FIT}.*actions",
@@ -127,7 +109,6 @@ def test_check_and_run_come_to_one_verdict(learned: Learned, is_taken: bool) -> 
         assert not is_taken
     else:
         assert is_taken
-    assert LARGEST == records.LARGEST
 
 
 def test_no_agent_of_a_known_model_acts_before_it_has_learned() -> None:
