@@ -17,7 +17,6 @@ from harness.cli.arguments import parser
 from harness.cli.exchange import bounds
 from harness.cli.main import main
 from harness.demonstrations.reading import read, write
-from harness.demonstrations.units import Units
 from methods.base import Episodes
 from tests.harness.demonstrations.made_demonstrations import (
     CHOICES,
@@ -143,15 +142,6 @@ def test_where_few_actions_are_outside_the_advice_stretches_none(tmp_path: Path)
     )
     many[7, 1] = 2 + 1e-7  # is rounding
     assert np.abs(act(old_imitation(tmp_path / "e.npz", many), spec)).max() <= 1
-
-
-def test_a_component_of_one_value_has_no_width(tmp_path: Path) -> None:
-    low, high = np.array([-2.0, 3.0]), np.array([2.0, 3.0])
-    units = Units(low, high, "")
-    there = np.array([[1.0, 3.0], [-2.0, 3.0]])
-    assert units.scaled(there).tolist() == [[0.5, 0], [-1, 0]]
-    assert np.array_equal(units.native(units.scaled(there)), there)
-    assert units.excess(np.array([[0, 3.5], [0, 3.0]])).tolist() == [[0, 0.5], [0, 0]]
 
 
 def test_own_files_are_scaled_and_say_so(tmp_path: Path) -> None:

@@ -18,10 +18,9 @@ from harness.cli import commands
 from harness.cli import main as cli
 from harness.cli.arguments import parser
 from harness.engines import processes, ray
-from harness.engines.compute import compute, describe
+from harness.engines.compute import compute
 from harness.engines.inline import Inline
 from harness.engines.jobs import Job
-from harness.process import environment
 from harness.process.environment import of_this_process
 from harness.records import Cell
 from harness.registry import KNOWN, SPECS, BadInput, keys, loading, packages, plugins, sources
@@ -239,19 +238,6 @@ def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
         plugins.add([str(tmp_path / "starts.py")])
     pid = int((tmp_path / "pid").read_text())
     assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-
-
-def test_variables_that_cells_lack_are_named_where_one_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("MY_DATA", "IRL_BENCH_MY_DATA", "IRL_BENCH_PLUGINS", "IRL_BENCH_CACHE"):
-        monkeypatch.setenv(name, "here")
-    variables = environment.of_cells(True)
-    assert ("MY_DATA" in variables, "IRL_BENCH_PLUGINS" in variables) == (False, False)
-    assert environment.of_user() == {"IRL_BENCH_MY_DATA": "here"}
-    for mapping, is_named in ((os.environ, True), ({}, False)):
-        with pytest.raises(KeyError) as raised:
-            mapping["NOT_THERE"]
-        message = describe(raised.value)
-        assert ("cells have only LC_*, XDG_*, IRL_BENCH_*, CONDA_PREFIX, " in message) == is_named
 
 
 def test_keys_of_many_methods_ask_no_distribution_twice(

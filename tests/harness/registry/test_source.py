@@ -275,11 +275,3 @@ def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_written(tmp
     assert done.returncode == 2
     assert "the package torch is not installed, or only in part" in done.stderr
     assert not (tmp_path / "run").exists()
-
-
-def test_a_missing_template_is_told_before_anything_is_computed(copy: Path) -> None:
-    (copy / "harness/report/page.html.j2").unlink()
-    told, _ = (process := start(copy, *RUN)).communicate(timeout=120)
-    assert process.returncode == 2
-    assert "page.html.j2: No such file" in told
-    assert not (copy / "run").exists()
