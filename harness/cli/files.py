@@ -1,6 +1,6 @@
 """The commands `demos`, `export`, `view`, `compare`, `figure` and `table`: files besides a run's own.
 
-Each returns the exit code (`harness.cli`)."""
+Each returns the exit code (`harness.cli.arguments`)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from harness.cli import outcome
-from harness.cli.arguments import installed_version
+from harness.api.running import tell_unusable
+from harness.cli.values import installed_version
 from harness.process.signals import stop_cleanly
 from harness.records import CellResult, Conditions
 from harness.registry import KNOWN, SPECS, BadInput, Demonstrator, choose, keys, plugins
@@ -23,7 +23,6 @@ from harness.store import baseline
 from harness.store.files import new_folder, write_atomic
 from harness.store.opening import open_to_verify
 from harness.store.request import Request
-from methods.base import Array
 
 
 def demos(args: argparse.Namespace) -> int:
@@ -36,7 +35,8 @@ def demos(args: argparse.Namespace) -> int:
         export_demonstrations(args.to, spec.name, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {read(args.to, spec)}")
         return 0
-    demonstrations = read(args.path, spec, bounds(args.action_bounds))
+    bounds = None if args.action_bounds is None else np.array(args.action_bounds, np.float64).T
+    demonstrations = read(args.path, spec, bounds)
     if args.what == "import":
         write(args.to, demonstrations.episodes, demonstrations.rewards)
         say(f"{args.to}: {demonstrations}")
@@ -77,14 +77,6 @@ def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Dem
     minari.write(
         path, name, spec, episodes, rewards, first_choice(spec.make()) if spec.discrete else 0, **facts
     )
-
-
-def bounds(pairs: Sequence[tuple[float, float]] | None) -> Array | None:
-    """Return the lowest and the highest actions, (2, A) or (2, 1) for all, as `--action-bounds` gives
-    them."""
-    if pairs is None:
-        return None
-    return np.array(pairs, np.float64).T
 
 
 def _one_env(args: argparse.Namespace) -> str:
@@ -145,7 +137,7 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
     return 0
 
 
-def drawn(args: argparse.Namespace) -> int:
+def draw(args: argparse.Namespace) -> int:
     """Write a figure or a table of a run's scores into a file; `args.command` says which."""
     from harness.report import files
     from harness.report.model import build
@@ -168,7 +160,7 @@ def _read(path: Path) -> tuple[Request, list[CellResult]]:
     with open_to_verify(path) as run:
         results, unusable = run.load()
         beside, damaged = run.beside()
-    outcome.tell_unusable(unusable | damaged, "left out")
+    tell_unusable(unusable | damaged, "left out")
     if not results and not beside:
         raise BadInput(f"{path} holds no finished cell")
     return run.request, [*results.values(), *beside]
