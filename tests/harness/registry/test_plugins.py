@@ -49,7 +49,7 @@ def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, key: Key, monkeypatch
     for file, counts in (
         ("methods/bc.py", True),
         ("methods/gail.py", False),
-        ("harness/api/frames.py", False),
+        ("harness/api/results.py", False),
     ):
         edited = program | {file: program[file] + b"\nMORE = 1\n"}
         monkeypatch.setattr(keys, "program", lambda edited=edited: edited)

@@ -71,17 +71,6 @@ def test_a_cell_that_hangs_is_stopped(directory: Path) -> None:
     assert [results[cell].rows[0].reason for cell in cells] == ["it was stopped after 3 s", ""]
 
 
-def test_cells_of_an_env_without_expert_fail_and_are_not_tried(directory: Path) -> None:
-    cells = [Cell(env, method, 0) for env in ("nowhere", "cartpole") for method in ("a", "b")]
-    results = run(directory, cells, workers=1)
-    reasons = {cell: result.rows[0].reason for cell, result in results.items()}
-    assert [reasons[cell].split(";")[0] for cell in cells] == ["no expert: RuntimeError: no gradient"] * 2 + [
-        ""
-    ] * 2
-    tried = (directory / "computed.txt").read_text().split()[::2]
-    assert sorted(tried) == [cell.name for cell in cells[2:]]
-
-
 def test_the_number_of_workers_changes_no_result(directory: Path) -> None:
     cells = [Cell("cartpole", "good", seed) for seed in range(3)]
     one, three = run(directory, cells, workers=1), run(directory, cells, workers=3)
@@ -116,16 +105,6 @@ def test_what_was_measured_decides_what_comes_first(
     assert len({others.of(job) for job in jobs}) == 1, "of another budget nothing is known"
 
 
-def test_a_file_of_seconds_that_cannot_be_used_is_no_matter(directory: Path) -> None:
-    kept = directory.parent / "cache/seconds.json"
-    kept.parent.mkdir()
-    kept.write_text('{"smoke": [1]}')
-    (job,) = [Job((Cell("cartpole", "bc", 0),), False, CONDITIONS, "")]
-    assert Costs(CONDITIONS).of(job) > 0
-    run(directory, list(job.cells), workers=1)
-    assert json.loads(kept.read_text())
-
-
 @pytest.mark.parametrize("seconds", [1e308, -1.0, 0.0, 1e-320, 1e7])
 def test_seconds_that_nothing_takes_are_not_believed(directory: Path, seconds: float) -> None:
     kept = directory.parent / "cache/seconds.json"
@@ -136,21 +115,6 @@ def test_seconds_that_nothing_takes_are_not_believed(directory: Path, seconds: f
     assert Costs(CONDITIONS).of(job) == guess
     run(directory, list(job.cells), workers=1)
     assert Costs(CONDITIONS).of(job) != guess
-
-
-def test_what_cells_share_is_there_for_one_seed_at_a_time(
-    directory: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cells = [Cell("cartpole", method, seed) for seed in (0, 1) for method in ("a", "b")]
-    run(directory, cells, workers=1)
-    lines = capsys.readouterr().out.splitlines()
-    started = [line.split()[1] for line in lines if line.startswith("start")]
-    assert [name[-1] for name in started] == ["0"] * 3 + ["1"] * 3
-
-
-def test_nothing_to_do_starts_no_process(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("harness.engines.processes.Server", None)
-    assert run(directory, [], workers=2) == {}
 
 
 def processes(directory: Path) -> list[str]:
