@@ -97,7 +97,7 @@ def test_what_rl_earns_of_the_thesiss_reward_is_that_of_the_files() -> None:
 def test_the_failed_solves_of_the_findings_are_those_of_the_file() -> None:
     text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
     (sentences,) = re.findall(r"<!-- failed solves -->\n(.*?)<!-- end", text, re.DOTALL)
-    rows = list(csv.DictReader((ROOT / "results/reference/rl_solves.csv").read_text("utf-8").splitlines()))
+    rows = list(csv.DictReader((ROOT / "results/studies/rl_solves.csv").read_text("utf-8").splitlines()))
     chosen = [row for row in rows if row["chosen"] == "1"]
     failed, failed_chosen = (sum(row["solved"] == "0" for row in some) for some in (rows, chosen))
     methods = Counter(row["method"] for row in rows)
