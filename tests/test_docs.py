@@ -44,7 +44,7 @@ def extension() -> Iterator[Any]:
 def test_the_page_of_faults_lists_every_test_that_injects_one(extension: Any) -> None:
     lists = extension("fault_lists")
     page = (ROOT / "docs/faults.md").read_text(encoding="utf-8")
-    assert "<!-- generated: fault_lists.lists -->" in page
+    assert "<!-- generated: fault_lists.lists -->\n" in page
     sections = re.split(r"^## ", lists.lists(), flags=re.MULTILINE)[1:]
     assert [section.splitlines()[0] for section in sections] == [*lists.SECTIONS]
     for section, folders in zip(sections, lists.SECTIONS.values(), strict=True):

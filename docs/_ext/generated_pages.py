@@ -31,8 +31,8 @@ OTHERS = {
     "CHANGELOG.md": "changes/index",
 }
 """Pages from elsewhere, by their file, with their place here."""
-MARK = re.compile(r"<!-- generated: (\w+\.\w+) -->")
-"""The place of a generated list in a page written by hand."""
+MARK = re.compile(r"<!-- generated: (\w+\.\w+) -->\n.*\n<!-- end -->")
+"""The place of a generated list in a page written by hand, with a line for readers of the source."""
 
 
 def write(app: Sphinx) -> None:
