@@ -2,7 +2,7 @@
 
     irl-bench run --methods all --envs swingup,cartpole_swingup --seeds 100-104 --demos 5 --budget full \
         --record none --out DIR
-    python results/reference/rl_solves.py DIR
+    python results/studies/rl_solves.py DIR
 
 Columns: env, method, seed, solve (its number), chosen (1 for pi_R), solved (by what it earns of R*,
 `harness.judge.solved`), score (normalised), score_star (of pi*), and own_return, own_return_star,
@@ -14,9 +14,8 @@ import math
 import sys
 from pathlib import Path
 
-from harness.judge.results import usable
-
 from harness.judge.leaderboard import scored_rows
+from harness.registry.bounds import usable
 from harness.store.opening import open_to_verify
 
 COLUMNS = ("env", "method", "seed", "solve", "chosen", "solved", "score", "score_star")

@@ -1,6 +1,6 @@
 """Solve tasks under the true reward, as `control_true` does at budget full, on tuning seeds.
 
-python results/reference/control_true.py TASKS FILE [SEED ...]: a line for each task and seed, by default 100
+python results/studies/control_true.py TASKS FILE [SEED ...]: a line for each task and seed, by default 100
 to 119, appended to a CSV file. Locomotion has seeds 110 to 114.
 score: 0 the random policy, 1 the seed's expert, on the seed's 100 evaluation episodes; under other dynamics,
 1 is that expert's return in the task's own. seconds: processor time of the solve with its checks, in one
@@ -12,13 +12,13 @@ import sys
 import time
 
 import numpy as np
-from harness.judge.results import Conditions
-from harness.learn.seeds import evaluation_seeds, rng_for
-from harness.learn.world import solver_for
 
 from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
+from harness.records import Conditions
 from harness.registry import SPECS
+from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.rl.world import solver_for
 
 SEEDS = range(100, 120)
 CONDITIONS = Conditions("full", "absorbing", "sbx")

@@ -1,7 +1,7 @@
 """Solve highway by PPO of several settings under the true reward, and by the task's own under that of
 `control_survival`, on tuning seeds.
 
-python results/reference/highway_rl.py FILE: a line for each setting and seed, written to a CSV file. score: 0
+python results/studies/highway_rl.py FILE: a line for each setting and seed, written to a CSV file. score: 0
 the random policy, 1 the seed's expert, on 50 of the seed's evaluation episodes. seconds: processor time of
 the solve with its checks; the first of a setting may compile.
 """
@@ -13,15 +13,15 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from harness.judge.results import Conditions
-from harness.learn.rl import Agent
-from harness.learn.seeds import evaluation_seeds, rng_for
 
 from envs.learners import PPO
 from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
+from harness.records import Conditions
 from harness.registry import SPECS
+from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.rl.solving import Agent
 
 SPEC = SPECS["highway"]
 OWN = cast(PPO, SPEC.rl)

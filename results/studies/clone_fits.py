@@ -1,6 +1,6 @@
 """Fit clones of tuning seeds' experts, on their demonstrations of budget full.
 
-python results/reference/clone_fits.py NAME TASKS FILE: a line for each task, tuning seed, number of
+python results/studies/clone_fits.py NAME TASKS FILE: a line for each task, tuning seed, number of
 demonstrations and method, appended to a CSV file; NAME says what fits. Columns: that name, task, seed,
 demonstrations, method, pairs, seconds, error of what is fitted, error of 30 more demonstrations. Errors are
 mean squares of what the cloned action is off by, in units of its standard deviation over all 100
@@ -12,13 +12,13 @@ import sys
 import time
 
 import numpy as np
-from harness.judge.results import Conditions
-from harness.learn.seeds import demonstration_seeds
-from harness.learn.simulator import Simulator
-from harness.learn.world import TaskWorld
 
 from harness.cell.experts import source_for
+from harness.records import Conditions
 from harness.registry import SPECS
+from harness.rl.seeds import demonstration_seeds
+from harness.rl.simulator import Simulator
+from harness.rl.world import TaskWorld
 from methods.base import Episodes
 from methods.bc import BehaviourCloning
 from methods.shaped import Shaped

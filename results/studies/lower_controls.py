@@ -1,6 +1,6 @@
 """Solve tasks under rewards that know nothing, as the lower controls do at budget full, on tuning seeds.
 
-python results/reference/lower_controls.py TASKS FILE: a line for each task, control and seed, appended to a
+python results/studies/lower_controls.py TASKS FILE: a line for each task, control and seed, appended to a
 CSV file. score: 0 the random policy, 1 the seed's expert, on the seed's 100 evaluation episodes.
 """
 
@@ -8,14 +8,14 @@ import csv
 import sys
 
 import numpy as np
-from harness.judge.results import ALL_SHOWN, LOWER_CONTROLS, Conditions
-from harness.learn.seeds import evaluation_seeds, rng_for
-from harness.learn.world import solver_for
 
 from harness.cell.experts import source_for
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import evaluate
+from harness.records import ALL_SHOWN, LOWER_CONTROLS, Conditions
 from harness.registry import SPECS
+from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.rl.world import solver_for
 from methods.base import Episodes, Learned, Policy
 
 SEEDS = range(100, 120)
