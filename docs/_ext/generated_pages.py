@@ -12,7 +12,10 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 TITLES = {
-    "harness.api.frames": "Runs",
+    "harness.api.request": "Requests",
+    "harness.api.preparing": "Engines",
+    "harness.api.running": "Runs",
+    "harness.api.results": "Results",
     "harness.api.exported": "What was learned, in other programs",
     "methods.base": "Methods",
     "methods.network": "Networks",
