@@ -91,7 +91,8 @@ def test_every_command_and_option_of_the_documents_exists() -> None:
 
     pages = (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
     commands = "\n".join(re.findall(r"irl-bench (.*)", "\n".join(page.read_text("utf-8") for page in pages)))
-    lists = (ROOT / "harness/cli/arguments.py").read_text(encoding="utf-8")
+    files = (ROOT / f"harness/cli/{name}.py" for name in ("arguments", "options"))
+    lists = "".join(file.read_text(encoding="utf-8") for file in files)
     for option in set(re.findall(r"--[a-z][a-z-]+", commands)):
         assert f'"{option}"' in lists, option
     for command in re.findall(r"^([a-z]+) (?=[-a-z])", commands, re.MULTILINE):
