@@ -2,7 +2,9 @@
 
 import irl_bench
 
-frames = irl_bench.run(methods=["bc", "gail"], envs=["swingup"], seeds=3, budget="smoke")
+request = irl_bench.RunRequest(methods=["bc", "gail"], envs=["swingup"], seeds=3, budget="smoke")
+results = irl_bench.run(request, store="results/mine")
+results.leaderboard[["method", "policy", "score_mean"]]
 scores = irl_bench.load("results/reference/board/swingup_5").scores
 """
 
@@ -18,7 +20,10 @@ if TYPE_CHECKING:
     from envs.learners import DDPG, DQN, PPO, SAC, TD3
     from envs.spec import Quantity, Shape
     from harness.api.exported import Exported, ExportedPolicy, LearnedReward, export, load_learned, make
-    from harness.api.frames import Frames, add_plugins, load, run
+    from harness.api.preparing import Engine
+    from harness.api.request import RunRequest
+    from harness.api.results import Results, load
+    from harness.api.running import add_plugins, run
     from harness.registry.contract import ContractError, check_env, check_method
     from methods.base import Agent, Episodes, Learned, Method, Policy, Reward, Transitions, Unsuitable, World
     from methods.network import Network
@@ -31,7 +36,10 @@ _FROM = {
     "harness.api.exported": (
         *("Exported", "ExportedPolicy", "LearnedReward", "export", "load_learned", "make"),
     ),
-    "harness.api.frames": ("Frames", "add_plugins", "load", "run"),
+    "harness.api.preparing": ("Engine",),
+    "harness.api.request": ("RunRequest",),
+    "harness.api.results": ("Results", "load"),
+    "harness.api.running": ("add_plugins", "run"),
     "harness.registry.contract": ("ContractError", "check_env", "check_method"),
     "methods.base": (
         *("Agent", "Episodes", "Learned", "Method", "Policy", "Reward", "Transitions", "Unsuitable", "World"),
@@ -50,11 +58,11 @@ __all__ = [
     "TD3",
     "Agent",
     "ContractError",
+    "Engine",
     "EnvSpec",
     "Episodes",
     "Exported",
     "ExportedPolicy",
-    "Frames",
     "Learned",
     "LearnedReward",
     "LinearReward",
@@ -64,7 +72,9 @@ __all__ = [
     "NetworkReward",
     "Policy",
     "Quantity",
+    "Results",
     "Reward",
+    "RunRequest",
     "Shape",
     "StateReward",
     "Transitions",

@@ -18,21 +18,22 @@ folder = Path(sys.argv[2] if len(sys.argv) > 2 else tempfile.mkdtemp(prefix="wal
 plugin = str(Path(__file__).with_name("my_method.py"))
 
 # %% The method beside a built-in one, on two tasks: a frame with a row for each policy of each cell
-found = irl_bench.run(
+request = irl_bench.RunRequest(
     methods=["ridge", "bc"],
     envs=["cartpole", "swingup"],
     seeds=2,
     budget=budget,
-    out=folder / "run",
     plugins=[plugin],
-    options=["--no-retrain", "--demos", "5"],
+    retrain=False,
+    demos=[5],
 )
-learned = found.scores[found.scores.policy == "pi_star"]
+results = irl_bench.run(request, store=folder / "run")
+learned = results.scores[results.scores.policy == "pi_star"]
 print(learned.pivot_table(index="method", columns="env", values="normalized_score").round(2))
 
 # %% Over seeds, with intervals
 columns = ["env", "method", "score_mean", "score_low", "score_high"]
-print(found.leaderboard.query("policy == 'pi_star'")[columns].round(2).to_string(index=False))
+print(results.leaderboard.query("policy == 'pi_star'")[columns].round(2).to_string(index=False))
 
 # %% What it learned, in Stable-Baselines3's own evaluation: the task's true reward, in its own environment
 exported = irl_bench.load_learned(

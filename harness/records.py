@@ -273,6 +273,11 @@ class CellResult:
     """The settings that it was computed with (`harness.cell.settings`)."""
 
     @property
+    def has_failed(self) -> bool:
+        """True where a row of it has failed."""
+        return any(row.status == "failed" for row in self.rows)
+
+    @property
     def files(self) -> dict[str, str]:
         """SHA-256 of each recording by its path in the run's directory, and of what was learned."""
         files = {f"recordings/{name}": digest for name, digest in self.recordings.items()}

@@ -4,13 +4,18 @@ specs and the reference boards. They are in no commit, so none can be out of dat
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import os
+import re
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
 TITLES = {
-    "harness.api.frames": "Runs",
+    "harness.api.request": "Requests",
+    "harness.api.preparing": "Engines",
+    "harness.api.running": "Runs",
+    "harness.api.results": "Results",
     "harness.api.exported": "What was learned, in other programs",
     "methods.base": "Methods",
     "methods.network": "Networks",
@@ -23,8 +28,14 @@ TITLES = {
 """Titles of the modules that define public names, in the order of the page."""
 
 
-FINDINGS = "results/reference/thesis/FINDINGS.md"
-"""Equations of the thesis, which have a page of their own here."""
+OTHERS = {
+    "results/reference/thesis/FINDINGS.md": "thesis/findings",
+    "results/studies/README.md": "studies/index",
+    "CHANGELOG.md": "changes/index",
+}
+"""Pages from elsewhere, by their file, with their place here."""
+MARK = re.compile(r"<!-- generated: (\w+\.\w+) -->\n.*\n<!-- end -->")
+"""The place of a generated list in a page written by hand, with a line for readers of the source."""
 
 
 def write(app: Sphinx) -> None:
@@ -35,7 +46,9 @@ def write(app: Sphinx) -> None:
         import task_pages
 
         found = {"methods": method_pages.pages(), "tasks": task_pages.pages(), "api": {"irl_bench": api()}}
-        found["thesis"] = {"findings": (Path.cwd() / FINDINGS).read_text(encoding="utf-8")}
+        for source, place in OTHERS.items():
+            folder, _, name = place.partition("/")
+            found[folder] = {name: moved(Path(source), folder)}
     finally:
         os.chdir(here)
     for folder, pages in found.items():
@@ -50,9 +63,26 @@ def write(app: Sphinx) -> None:
                 file.write_text(text, encoding="utf-8")
 
 
-def relink(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Links to the thesis's findings lead to their page."""
-    source[0] = source[0].replace(f"](../{FINDINGS}", "](thesis/findings.md")
+def moved(source: Path, folder: str) -> str:
+    """Return a page's text with links as they are from a folder of docs/."""
+
+    def relink(match: re.Match[str]) -> str:
+        return f"]({Path(os.path.relpath(source.parent / match[1], f'docs/{folder}')).as_posix()}"
+
+    return re.sub(r"\]\((?!https?:|#)([^)#]+)", relink, source.read_text(encoding="utf-8"))
+
+
+def fill(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put generated lists where a page has their mark, and link pages from elsewhere."""
+    for file, place in OTHERS.items():
+        source[0] = source[0].replace(f"](../{file}", f"]({place}.md")
+    source[0] = MARK.sub(lambda match: generated(match[1]), source[0])
+
+
+def generated(name: str) -> str:
+    """Return the list of this name, such as 'fault_lists.lists', in Markdown."""
+    module, _, function = name.partition(".")
+    return str(getattr(importlib.import_module(module), function)())
 
 
 def api() -> str:
@@ -78,5 +108,5 @@ def api() -> str:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", write)
-    app.connect("source-read", relink)
+    app.connect("source-read", fill)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

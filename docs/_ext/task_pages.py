@@ -126,7 +126,7 @@ def told(value: object) -> str:
 @functools.cache
 def held_out() -> dict[str, float]:
     """Mean returns by the name of the expert."""
-    text = (ROOT / "results/reference/experts_held_out.csv").read_text(encoding="utf-8")
+    text = (ROOT / "results/studies/experts_held_out.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(text.splitlines())
     return {row["expert"]: float(row["mean_return"]) for row in rows if "__" in row["expert"]}
 
@@ -150,7 +150,7 @@ def expert(spec: EnvSpec) -> str:
             else f" and ends at most {shipped.terminated:.0%} of its episodes early"
         )
         + f" on {shipped.episodes:,} episodes that nothing else uses: {min(returns):.1f} to "
-        f"{max(returns):.1f} were [measured](../../results/reference/experts_held_out.csv)."
+        f"{max(returns):.1f} were [measured](../../results/studies/experts_held_out.csv)."
     )
     asked = spec.bar(range(20))
     if not math.isinf(asked) and spec.name != "highway":

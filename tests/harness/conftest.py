@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from harness.cli import commands
 from harness.cli import main as cli
+from harness.cli import runs
 from harness.demonstrations import apart
 from harness.engines import inline, processes
 from harness.process.environment import CACHE_VARIABLE
 from harness.schedule import grid
 from tests.harness.browser import browser, play  # noqa: F401, fixtures of all tests below
+from tests.harness.odd_env import task  # noqa: F401, the same
 
 HERE = Path(__file__).parent
 Main = Callable[..., tuple[int, str, str]]
@@ -31,7 +32,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     monkeypatch.setattr(inline, "Inline", inline.Inline)
     monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.report.files", None)
-    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.setattr(runs, "handle_signals", lambda: None)
     fake_cells.install()
 
     def call(*argv: str) -> tuple[int, str, str]:

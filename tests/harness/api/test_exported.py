@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import shutil
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
@@ -23,7 +21,7 @@ from harness.cell.run import prepare, run_cell
 from harness.cli.main import main
 from harness.process.environment import CACHE_VARIABLE
 from harness.records import LEARNED, Cell, Conditions
-from harness.registry import KNOWN, SPECS, BadInput
+from harness.registry import SPECS, BadInput
 from harness.rl.seeds import evaluation_seeds
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of
@@ -78,12 +76,6 @@ def test_nothing_that_is_there_is_replaced(run: Path, folder: Path, tmp_path: Pa
 def test_a_reward_is_of_its_own_tasks_spaces(folder: Path, other: str) -> None:
     with pytest.raises(BadInput, match=r"irl_bench.make\('cartpole'\) has those"):
         irl_bench.LearnedReward(gym.make(other), folder)
-
-
-def test_tasks_of_gymnasium_are_made_by_either_name() -> None:
-    for name in ("gym:Pendulum-v1", "gym_Pendulum-v1"):
-        with KNOWN.for_now():
-            assert irl_bench.make(name).observation_space.shape == (3,)
 
 
 def test_it_says_what_it_is(folder: Path) -> None:
@@ -197,19 +189,6 @@ def test_a_reward_that_could_not_be_kept_is_no_method_without_one(run: Path, tmp
         irl_bench.LearnedReward(irl_bench.make(cell.env), folder)
 
 
-def test_without_artifacts_nothing_is_exported(run: Path, tmp_path: Path) -> None:
-    conditions = Conditions("smoke", "absorbing", "sb3", record="none")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CACHE_VARIABLE, str(run.parent / "cache"))
-        with open_for_run(
-            tmp_path / "none", Request(("bc",), (CELLS[1].env,), (0,), conditions)
-        ) as directory:
-            result, _ = run_cell(CELLS[1], conditions, prepare([CELLS[1]], conditions))
-            directory.save(dataclasses.replace(result, learned=""))
-    with pytest.raises(BadInput, match=r"kept nothing of .*: it learned nothing"):
-        export(tmp_path / "none", CELLS[1].env, "bc", to=tmp_path / "to")
-
-
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_whatever_is_damaged_is_refused_in_a_line(
@@ -229,32 +208,3 @@ def test_whatever_is_damaged_is_refused_in_a_line(
         said = str(error)
     assert said.isprintable()
     assert name == FACTS or said != "ok" or whole[at] == 0x80
-
-
-def test_odd_descriptions_are_refused(
-    folder: Path, tmp_path: Path, tried: Callable[[str, Counter[str]], None]
-) -> None:
-    facts = json.loads((folder / FACTS).read_text())
-    del facts["sha256"]
-    odd = [
-        None,
-        3,
-        [],
-        {},
-        "x",
-        {"class": "os:system", "fields": {}},
-        {"class": "harness.cell.run:run_cell"},
-    ]
-    counts: Counter[str] = Counter()
-    for key in ("format", "env", "policy", "reward", "files"):
-        for value in odd:
-            shutil.rmtree(tmp_path / "copy", ignore_errors=True)
-            shutil.copytree(folder, tmp_path / "copy")
-            (tmp_path / "copy" / FACTS).write_text(json.dumps(facts | {key: value}))
-            if (key, value) == ("reward", None):
-                assert load_learned(tmp_path / "copy").reward is None
-                continue
-            with pytest.raises(BadInput, match=r"nothing that was exported|is of the task 'x' of a plug-in"):
-                load_learned(tmp_path / "copy")
-            counts["refused"] += 1
-    tried("descriptions of what was exported", counts)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import re
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.envs.registration import EnvSpec as Registered
 from gymnasium.envs.registration import WrapperSpec
 from gymnasium.wrappers import TimeLimit
 
-from envs import EnvSpec, Shape, from_gymnasium
-from envs.copies import Copies, alone, try_out
+from envs import Shape, from_gymnasium
+from envs.copies import try_out
 from envs.scaled import scaled
 from harness.api.exported import Exported, ExportedPolicy, LearnedReward
 from harness.demonstrations.reading import read
@@ -28,89 +25,7 @@ from harness.registry.contract.tasks import checks
 from harness.rl.simulator import Simulator, drawings
 from harness.rl.training_env import TrainingEnv
 from methods.base import Array
-
-LIMIT = 20
-BOX = spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-
-class Odd(gym.Env):
-    """It observes the steps taken and a start in [0, 1], pays 1, and keeps what it was told to do."""
-
-    observation_space = spaces.Box(-np.inf, np.inf, (2,), np.float32)
-    told: list[Any]
-
-    def __init__(self, act: spaces.Space = BOX, **odd: Any) -> None:
-        self.action_space, self.odd, self.steps = act, odd, 0
-        self.told = []
-        self.buffer = np.zeros(2, np.float32)
-
-    def seen(self) -> Any:
-        self.buffer[:] = self.steps, self.start
-        if "observe" in self.odd:
-            return self.odd["observe"](self)
-        return self.buffer if self.odd.get("reuse") else self.buffer.copy()
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
-        super().reset(seed=seed)
-        self.steps, self.start = 0, self.np_random.random()
-        return self.seen(), {}
-
-    def step(self, action: Any) -> tuple:
-        assert self.action_space.contains(action), action
-        self.told.append(action)
-        self.steps += 1
-        pay, end, cut = (
-            self.odd.get(name, of) for name, of in (("pay", one), ("end", never), ("cut", never))
-        )
-        return self.seen(), pay(self), end(self), cut(self), {}
-
-
-def one(env: Odd) -> Any:
-    return 1.0
-
-
-def never(env: Odd) -> Any:
-    return False
-
-
-def after(steps: int) -> Callable[[Odd], bool]:
-    return lambda env: env.steps >= steps
-
-
-@pytest.fixture
-def task(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """Registers an odd task, or one that a function makes, for the test alone; its id."""
-    numbers = itertools.count()
-
-    def register(
-        entry: Callable[..., gym.Env] | None = None,
-        limit: int | None = LIMIT,
-        wrapped: tuple = (),
-        **odd: Any,
-    ) -> str:
-        env_id = f"irl_bench_tests/Odd{next(numbers)}-v0"
-        spec = Registered(
-            env_id,
-            entry or partial(Odd, **odd),
-            max_episode_steps=limit,
-            disable_env_checker=True,
-            additional_wrappers=wrapped,
-        )
-        monkeypatch.setitem(gym.registry, env_id, spec)
-        return env_id
-
-    return register
-
-
-def lengths(spec: EnvSpec, count: int = 4) -> set[tuple[int, bool, str]]:
-    episodes = Simulator(spec, lanes=3).run(lambda obs: np.zeros((len(obs), spec.act_size)), range(count))
-    return {(len(episode.act), episode.terminated, episode.ending) for episode in episodes}
-
-
-def inner(env: gym.Env) -> Odd:
-    its = env.unwrapped
-    assert isinstance(its, Odd)
-    return its
+from tests.harness.odd_env import LIMIT, Odd, after, inner, lengths
 
 
 @pytest.mark.parametrize("start", [-5, -1, 0, 1, 7])
@@ -187,11 +102,6 @@ def test_each_instance_may_truncate_where_it_likes(task: Callable[..., str]) -> 
         from_gymnasium(task(lambda **given: limited(next(limits))), "odd")
 
 
-def test_what_terminates_as_it_is_truncated_has_terminated(task: Callable[..., str]) -> None:
-    spec = from_gymnasium(task(cut=after(8), end=after(8)), "odd")
-    assert lengths(spec) == {(8, True, "terminated")}
-
-
 BOUNDS = {
     "a dead one": ([-2.0, 3.0], [2.0, 3.0], np.float32),
     "all dead": ([1.5, 0.0], [1.5, 0.0], np.float32),
@@ -218,14 +128,6 @@ def test_actions_lie_within_their_own_bounds(task: Callable[..., str], which: st
         tolerance = 4 * max(np.finfo(kind).eps, 1e-7) * max(1, np.abs([low, high]).max())
         np.testing.assert_allclose(inner(env).told[-1], wanted, atol=tolerance)
     assert inner(env).told[0].tolist() == [box.low[0], box.high[1]]
-
-
-def test_healthy_actions_are_scaled_as_gymnasium_scales_them() -> None:
-    for low, high in (([-2.0], [2.0]), ([-0.4], [0.4]), ([-3.0], [1.0])):
-        env = Odd(spaces.Box(np.array(low, np.float32), np.array(high, np.float32)))
-        theirs = gym.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
-        act = np.random.default_rng(0).uniform(-1, 1, (100, 1)).astype(np.float32)
-        assert np.array_equal(scaled(env).action(act), theirs.action(act))
 
 
 @pytest.mark.parametrize(
@@ -290,20 +192,12 @@ def test_a_learned_reward_sees_where_a_step_began(task: Callable[..., str]) -> N
         assert (paid, info["true_reward"]) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("size", "kind"), [(200, np.uint8), (60_000, np.float16), (1e30, np.float32), (1e-30, np.float32)]
-)
-def test_a_typical_size_is_what_is_observed(task: Callable[..., str], size: float, kind: type) -> None:
-    spec = from_gymnasium(task(observe=lambda env: np.array([size, 0], kind)), "odd")
-    assert spec.obs_scale == pytest.approx((float(kind(size)), 1.0), rel=1e-3)
+def now_and_then(env: Odd) -> Any:
+    return np.array([1.0]) if env.steps % 3 else 1
 
 
 def of_one(env: Odd) -> np.ndarray:
     return np.array([[1.0]], np.float32)
-
-
-def now_and_then(env: Odd) -> Any:
-    return np.array([1.0]) if env.steps % 3 else 1
 
 
 @pytest.mark.parametrize("pay", [of_one, now_and_then, lambda env: np.int64(1), lambda env: True])
@@ -312,176 +206,3 @@ def test_a_reward_of_one_entry_is_a_number(task: Callable[..., str], pay: Callab
     for episode in Simulator(spec).run(lambda obs: np.zeros((len(obs), 2)), range(3)):
         assert episode.rewards.tolist() == [1.0] * LIMIT
     assert [check.outcome() for check in checks(spec) if check.outcome()[0] == "FAILED"] == []
-
-
-def at(step: int, value: Any, usual: Callable[[Odd], Any]) -> Callable[[Odd], Any]:
-    return lambda env: value if env.steps == step else usual(env)
-
-
-def steady(env: Odd) -> np.ndarray:
-    return env.buffer.copy()
-
-
-NAN = np.array([0, np.nan], np.float32)
-REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "whole actions": ({"act": spaces.Box(0, 5, (2,), np.int32)}, r"real numbers, not whole ones, Box\(0, 5"),
-    "bytes": ({"act": spaces.Box(0, 255, (2,), np.uint8)}, "not whole ones"),
-    "no bounds": ({"act": spaces.Box(-np.inf, np.inf, (2,))}, "a bounded box, not"),
-    "one bound": ({"act": spaces.Box(np.array([0, -np.inf]), 1, dtype=np.float64)}, "a bounded box, not"),
-    "a matrix": ({"act": spaces.Box(-1, 1, (2, 2))}, "a bounded box, not"),
-    "a number": ({"act": spaces.Box(-1, 1, ())}, "a bounded box, not"),
-    "no action": (
-        {"act": spaces.Box(-1, 1, (0,))},
-        "sizes, horizon, steps, solves and episodes must be positive",
-    ),
-    "many choices": ({"act": spaces.MultiDiscrete([2, 3])}, "a bounded box, not"),
-    "no limit": ({"limit": None}, "no time limit"),
-    "NaN at first": ({"observe": at(0, NAN, steady)}, "gives nan as observation 1 after step 0"),
-    "NaN later": ({"observe": at(7, NAN, steady)}, "gives nan as observation 1 after step 7"),
-    "infinite": (
-        {"observe": at(3, np.array([0, -np.inf]), steady)},
-        "gives -inf as observation 1 after step 3",
-    ),
-    "a reward of NaN": ({"pay": at(5, np.nan, one)}, "gives nan as reward of step 5"),
-    "a huge reward": ({"pay": at(5, 1e200, one)}, r"gives 1e\+200 as reward of step 5"),
-    "two rewards": (
-        {"pay": at(5, np.ones(2), one)},
-        r"gives array\(\[1., 1.\]\) as reward of step 5, which must be one number",
-    ),
-    "no reward": ({"pay": at(5, None, one)}, "gives None as reward of step 5, which must be real numbers"),
-    "a text": ({"pay": at(5, "1", one)}, "gives '1' as reward of step 5, which must be real numbers"),
-    "a masked reward": ({"pay": at(5, np.ma.masked, one)}, "gives masked as reward of step 5"),
-    "a complex reward": ({"pay": at(5, 1j, one)}, "gives 1j as reward of step 5"),
-    "a masked observation": (
-        {"observe": at(4, np.ma.array([1.0, 2.0], mask=[1, 0]), steady)},
-        r"gives masked_array\(.* as observation of step 4, which must be real numbers without a mask",
-    ),
-    "a complex observation": ({"observe": at(4, np.array([1j, 0]), steady)}, "as observation of step 4"),
-    "texts observed": ({"observe": at(0, np.array(["1", "2"]), steady)}, "as observation of step 0"),
-    "rows of several lengths": ({"observe": at(4, [[1.0], [1.0, 2.0]], steady)}, "as observation of step 4"),
-    **{
-        f"{name} {i}": (
-            {name: at(6, value, never)},
-            re.escape(
-                f"gives {' '.join(repr(value).split())} as {said} of step 6, which must be true or false"
-            ),
-        )
-        for name, said in (("end", "terminated"), ("cut", "truncated"))
-        for i, value in enumerate(
-            ("no", None, float("nan"), 1, np.array([False, True]), np.ma.array([True], mask=[False]))
-        )
-    },
-    "another shape": ({"observe": at(2, np.zeros((2, 1)), steady)}, r"of the shape \(2, 1\), not \(2,\)"),
-    "less": ({"observe": at(2, np.zeros(1), steady)}, r"of the shape \(1,\), not \(2,\)"),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_no_task_may_give_is_refused_by_name(task: Callable[..., str], what: str) -> None:
-    """By `from_gymnasium`, and of a task that is written down by `try_out`, a step and `check`."""
-    odd, why = REFUSED[what]
-    env_id = task(**odd)
-    with pytest.raises(ValueError, match=why):
-        from_gymnasium(env_id, "odd")
-    if "act" in odd or "limit" in odd:
-        return
-    spec = EnvSpec("odd", env_id, 2, 2, (1.0, 1.0), LIMIT)
-    with pytest.raises(ValueError, match=why):
-        try_out(spec)
-    with pytest.raises(ValueError, match=f"the task odd gives|{why}"):
-        lengths(spec)
-    if {"end", "cut"} & odd.keys():
-        return  # which Gymnasium's own checks may not reach
-    failed = {check.title: check.outcome()[1] for check in checks(spec) if check.outcome()[0] == "FAILED"}
-    assert any("odd gives" in told for told in failed.values())
-
-
-@pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
-def test_a_typical_size_is_positive_and_finite(task: Callable[..., str], size: float) -> None:
-    with pytest.raises(ValueError, match="a positive, finite number"):
-        from_gymnasium(task(), "odd", obs_scale=(1.0, size))
-
-
-def test_whole_actions_of_a_task_that_is_written_down_are_refused(task: Callable[..., str]) -> None:
-    env_id = task(act=spaces.Box(0, 5, (2,), np.int32))
-    with pytest.raises(ValueError, match="not whole ones"):
-        try_out(EnvSpec("odd", env_id, 2, 2, (1.0, 1.0), LIMIT))
-
-
-class Batch:
-    """Copies of `Odd` that forget that they truncate."""
-
-    def __init__(self, count: int) -> None:
-        self.steps = np.zeros(count)
-
-    def reset(self, place: int, seed: int) -> Array:
-        self.steps[place] = 0
-        return self._seen([place], seed)[0]
-
-    def _seen(self, places: Any, seed: int) -> Array:
-        return np.column_stack([self.steps[places], np.full(len(places), 0.5)])
-
-    def step(self, places: Any, act: Array) -> Any:
-        self.steps[places] += 1
-        return self._seen(places, 0), np.ones(len(places)), np.zeros(len(places), bool)
-
-
-def test_a_batch_that_forgets_to_truncate_breaks_the_contract(task: Callable[..., str]) -> None:
-    def start(env: Odd) -> Any:
-        return np.array([env.steps, 0.5], np.float32)
-
-    for cut, outcome in ((never, "ok"), (after(8), "FAILED")):
-        spec = from_gymnasium(task(observe=start, cut=cut), "odd", batch=Batch)
-        (found,) = [check.outcome()[0] for check in checks(spec) if check.title.startswith("copies step")]
-        assert found == outcome
-
-
-class Wrong(Batch):
-    """What it gives of the third copy is another number from its tenth step on."""
-
-    def __init__(self, entry: int, count: int) -> None:
-        super().__init__(count)
-        self.entry = entry
-
-    def step(self, places: Any, act: Array) -> Any:
-        given = list(super().step(places, act))
-        for row in np.flatnonzero((np.asarray(places) == 2) & (self.steps[places] >= 10)):
-            given[self.entry][(row, 1) if self.entry == 0 else row] = 2
-        return tuple(given)
-
-
-@pytest.mark.parametrize(
-    ("entry", "why"),
-    [
-        (0, "gives 2.0 as obs 1, alone 0.5"),
-        (1, "gives 2.0 as reward, alone 1.0"),
-        (2, "gives True as terminated, alone False"),
-    ],
-)
-def test_where_a_batch_is_wrong_step_copy_and_entry_are_told(
-    task: Callable[..., str], entry: int, why: str
-) -> None:
-    def start(env: Odd) -> Any:
-        return np.array([env.steps, 0.5], np.float32)
-
-    spec = from_gymnasium(task(observe=start), "odd", batch=partial(Wrong, entry))
-    (told,) = [check.outcome()[1] for check in checks(spec) if check.title.startswith("copies step")]
-    assert re.match(rf"at step \d+, copy 2 of a batch {why}", told), told
-
-
-def test_copies_count_the_steps_of_their_own_episodes(task: Callable[..., str]) -> None:
-    spec = EnvSpec("odd", task(pay=at(3, np.nan, one)), 2, 2, (1.0, 1.0), LIMIT)
-    copies: Copies = alone(spec, 2)
-    for place in (0, 1):
-        copies.reset(place, 0)
-    copies.step([1], np.zeros((1, 2)))
-    copies.step([0, 1], np.zeros((2, 2)))
-    with pytest.raises(ValueError, match="the task odd gives nan as reward of step 3"):
-        copies.step([0, 1], np.zeros((2, 2)))
-
-
-@pytest.fixture(autouse=True)
-def quiet() -> Iterator[None]:
-    """Gymnasium tells casts of bounds."""
-    with np.errstate(over="ignore"):
-        yield

@@ -52,7 +52,7 @@ class InstantGrid:
 @pytest.fixture
 def reproduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     monkeypatch.setattr("harness.schedule.grid.Grid", InstantGrid)
-    monkeypatch.setattr("harness.cli.commands.handle_signals", lambda: None)
+    monkeypatch.setattr("harness.cli.runs.handle_signals", lambda: None)
     InstantGrid.computed.clear()
     return lambda: main(["reproduce", "--seeds", "3", "--out", str(tmp_path)])
 

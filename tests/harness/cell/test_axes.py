@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from harness.api import request as asked
 from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
-from harness.cli import commands
 from harness.cli.arguments import parser
 from harness.cli.main import main
 from harness.judge.leaderboard import leaderboard, scored_rows
@@ -285,9 +285,9 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
 
 
 def test_a_variant_that_a_task_lacks_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert commands._variants(("cartpole", "swingup"), "long") == ("swingup.long",)
+    assert asked._variants(("cartpole", "swingup"), ["long"]) == ("swingup.long",)
     assert capsys.readouterr().err == "cartpole has no variant long\n"
-    assert "cartpole.heavy" in commands._variants(("cartpole", "swingup"), "long, all")
+    assert "cartpole.heavy" in asked._variants(("cartpole", "swingup"), ["long", "all"])
     assert capsys.readouterr().err == ""
 
 

@@ -9,7 +9,7 @@ from harness.cell import given
 from harness.cell.experts import Trained, source_for
 from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
-from harness.cli import commands
+from harness.cli import runs
 from harness.cli.main import main
 from harness.demonstrations.reading import Demonstrations, read, write
 from harness.judge.leaderboard import scored_rows
@@ -118,7 +118,7 @@ def test_other_rewards_are_another_run() -> None:
 def test_other_content_is_another_run_and_another_key(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.setattr(runs, "handle_signals", lambda: None)
     monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
     for name, lengths in (("one", (9, 8)), ("two", (9, 7))):
         write(Path(f"{name}.npz"), made(lengths, (True, True))[0])

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from harness import registry
+from harness.cli import checks
 from harness.cli import main as cli
-from harness.store.files import write_atomic
 from harness.store.opening import open_for_run, stored_request
 from methods.settings import settings_for
 from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
@@ -81,19 +81,6 @@ def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
     assert sorted(os.listdir(tmp_path)) == [".lock", "run.sqlite"]
 
 
-def test_a_list_of_checksums_is_read_in_little_memory(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST) as run:
-        write_atomic(tmp_path / "scores.csv", "")
-        run.seal([], [tmp_path / "scores.csv"])
-    (tmp_path / "scores.csv").unlink()
-    line = f'ulimit -v 200000; exec {sys.executable} -m harness verify "$0"'
-    done = subprocess.run(
-        ["bash", "-c", line, tmp_path], env=FAKE_ENV, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (1, "")
-    assert f"{tmp_path / 'scores.csv'}: missing" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("error", "said"),
     [
@@ -107,7 +94,7 @@ def test_out_of_memory_is_one_line(
     def fail(directory: Path) -> int:
         raise error
 
-    monkeypatch.setattr(cli, "_verify", fail)
+    monkeypatch.setattr(checks, "verify", fail)
     assert cli.main(["verify", "."]) == 2
     _, err = capsys.readouterr()
     assert err.startswith(f"irl-bench: error: {said}")
@@ -181,13 +168,6 @@ def test_list_tells_variants_from_methods(main: Main) -> None:
     methods, variants = out.partition("envs:")[0].split("variants of methods, not part of 'all':\n")
     for names, text in ((registry.METHODS, methods.partition("\n")[2]), (registry.VARIANTS, variants)):
         assert [line.split()[0] for line in text.splitlines()] == list(names)
-
-
-def test_list_tells_the_dynamics_that_transfer_takes(main: Main) -> None:
-    _, out, _ = main("list")
-    told = out.partition("dynamics of envs, for --transfer:\n")[2].splitlines()
-    assert "swingup long, heavy, gravity, light, flipped" in [" ".join(line.split()) for line in told]
-    assert len(told) == sum(bool(entry.variants) for entry in registry.ENVS.values())
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,14 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 import msgspec
 import pytest
 
 from harness.records import CellResult
-from harness.registry import keys
 from harness.report.model import Report
 from harness.schedule import plan
 from harness.schedule.events import AnyEvent, Begun, Ended, Reported
-from harness.store import opening
 from harness.store.store import Store
 from tests.harness.fake_runs import PER_SEED, SMOKE, computed, faults, scores
 from tests.harness.small_runs import damage, delete, snapshot
@@ -118,14 +115,6 @@ def test_a_directory_of_runs_is_named_as_one(main: Main, tmp_path: Path) -> None
     assert main("report", "study") == (2, "", told)
 
 
-def test_what_is_refused_to_a_run_is_refused_to_its_plan(main: Main, tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine/notes").write_text("x")
-    for asked in (("--out", "mine"), ("--baseline", "mine"), ("--methods", "nothing")):
-        code, out, err = main(*SMOKE, *asked, "--plan")
-        assert (code, out, err.count("\n")) == (2, "", 1), err
-
-
 def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Main, tmp_path: Path) -> None:
     faults(tmp_path, cartpole__bc__seed0="raise")
     code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
@@ -194,27 +183,6 @@ def test_inline_cells_are_computed_in_this_process(
         assert "computes one cell after the other and cannot stop any" in err
 
 
-@pytest.mark.parametrize("behaviour", ["exit", "generator", "changes_its_process"])
-def test_inline_cells_take_no_others_with_them(main: Main, tmp_path: Path, behaviour: str) -> None:
-    faults(tmp_path, cartpole__control_true__seed0=behaviour)
-    code, out, _ = main(*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
-    assert code == (behaviour != "changes_its_process")
-    assert f"{PER_SEED + 1 - code} ok" in out
-    assert Path.cwd() == tmp_path
-
-
-def test_inline_cells_are_computed_again_after_an_edit(
-    main: Main, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = (*SMOKE, "--methods", "bc", "--engine", "inline", "--out", "run")
-    assert main(*asked)[0] == 0
-    edited = {**keys.program(), "harness/rl/solving.py": b"# edited\n"}
-    monkeypatch.setattr(keys, "program", lambda: edited)
-    code, out, _ = main(*asked)
-    assert code == 0
-    assert f"{PER_SEED + 1} cells to run" in out
-
-
 def test_inline_cells_replace_none_of_another_engine(main: Main, tmp_path: Path) -> None:
     assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
     before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
@@ -222,24 +190,6 @@ def test_inline_cells_replace_none_of_another_engine(main: Main, tmp_path: Path)
     assert (code, out) == (2, "")
     assert "run holds cells that were computed otherwise; give another --out" in err
     assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
-
-
-def test_a_cell_that_is_lost_again_and_again_is_a_failed_row(
-    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    save = Store.save
-
-    def lose(self: Store, result: CellResult, files: Mapping[str, bytes] = MappingProxyType({})) -> None:
-        save(self, result, files)
-        if result.cell.method == "control_true" and result.rows[0].status == "ok":
-            delete(tmp_path / "run", "cartpole__control_true__seed0")
-
-    monkeypatch.setattr(Store, "save", lose)
-    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"{PER_SEED} ok, 1 failed; " in out) == (1, True)
-    reason = "its stored result cannot be used: it is gone"
-    assert f"FAILED: cartpole__control_true__seed0: {reason}" in err
-    assert main("verify", "run")[0] == 0
 
 
 def test_a_cache_that_cannot_be_written_to_is_told(
@@ -285,11 +235,3 @@ def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     assert main(*SMOKE, "--methods", "bc,maxent", *out)[0] == 0
     assert built == [1 + PER_SEED, 1 + PER_SEED, 2 + PER_SEED]
     assert main("verify", "run")[0] == 0
-
-
-def test_nothing_is_left_behind_in_the_lock(main: Main, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run/.lock").write_text("irl-bench 1")  # of a run that died
-    assert main(*SMOKE, "--methods", "bc", "--out", "run")[0] == 0
-    with opening.open_for_report(tmp_path / "run"):
-        assert main("report", "run")[0] == 2

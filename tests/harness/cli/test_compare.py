@@ -1,14 +1,12 @@
 """Runs are compared side by side, where they can be."""
 
 import dataclasses
-import math
 from pathlib import Path
 
 import pytest
 
-from harness.cli import exchange
+from harness.cli import files
 from harness.cli.main import main
-from harness.judge.statistics import probability_of_improvement
 from harness.report import compare
 from tests.harness.made_results import REQUEST, make_results
 from tests.harness.store.test_baseline import computed, edited, made, of_another_method
@@ -19,7 +17,7 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     request = dataclasses.replace(REQUEST, methods=("bc", "shaped", "maxmargin", "gail"), envs=("cartpole",))
     one = made(tmp_path / "one", [*results, *computed((0, 1, 2), 470)], request)
     other = made(tmp_path / "other", [*results, *computed((1, 2), 480)], request)
-    stored = [(path, *exchange._read(path)) for path in (one, other)]
+    stored = [(path, *files._read(path)) for path in (one, other)]
     runs = [compare.Run(str(path), request.conditions, results) for path, request, results in stored]
     found = {(d.method, d.policy): d for d in compare.differences(*runs).items}
     gail = found["gail", "pi_star"]
@@ -62,10 +60,3 @@ def test_scores_of_other_scales_are_not_compared() -> None:
     assert not compare.differences(one, other).items
     assert compare.is_other_scale(one, other)
     assert "demonstrations: none, there abc: 3 episodes" in compare.differing(one, other)
-
-
-def test_the_probability_of_improvement_is_mann_and_whitneys() -> None:
-    assert probability_of_improvement([1, 2, 3], [0, 0, 0]) == 1
-    assert probability_of_improvement([1, 2], [1, 2]) == 0.5
-    assert probability_of_improvement([1, 3], [2, 4]) == 0.25
-    assert math.isnan(probability_of_improvement([], [1]))

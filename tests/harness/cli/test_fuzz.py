@@ -8,19 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.cli import commands, outcome
+from harness.api import running
+from harness.api.preparing import Prepared
+from harness.api.running import Reported
 from harness.cli import main as cli
+from harness.cli import messages, runs
 from harness.records import Cell, CellResult
 from harness.registry import ENVS, METHODS, VARIANTS
 from harness.store.opening import open_for_run
-from harness.store.request import Request
 from harness.store.store import Store
-from methods.base import Episodes
 from tests.harness.small_runs import REQUEST, store
 
 Tried = Callable[[str, Counter[str]], None]
@@ -54,9 +54,14 @@ command_line = st.one_of(
 )
 
 
-def compute(run: Store, request: Request, *_: object) -> dict[Cell, CellResult]:
-    """In place of the cells' work."""
-    return {cell: CellResult(cell, []) for cell in request.cells}
+def compute(prepared: Prepared, run: Store, watch: object) -> dict[Cell, CellResult]:
+    """Return empty results in place of the cells' work."""
+    return {cell: CellResult(cell, []) for cell in prepared.request.cells}
+
+
+def report(run: Store, results: dict[Cell, CellResult], **settings: Any) -> Any:
+    """Return a report of nothing."""
+    return Reported(run.path, None, results, (), (), (), {})  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -85,10 +90,11 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
             contextlib.redirect_stderr(err),
         ):
             patch.chdir(place)
-            patch.setattr(commands, "_compute", compute)
-            patch.setattr(outcome, "report", lambda *_, **__: True)
+            patch.setattr(running, "_computed", compute)
+            patch.setattr(running, "report", report)
+            patch.setattr(messages, "show", lambda *_, **__: None)
             patch.setattr("harness.benchmarks.reproduce.write_study", write_study)
-            patch.setattr(commands, "handle_signals", lambda: None)
+            patch.setattr(runs, "handle_signals", lambda: None)
             code = cli.main(argv)
         assert code in (0, 1, 2)
         if code == 2:
@@ -104,48 +110,6 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
     assert codes["exit 0"] > 20
     assert codes["exit 2"] > 100
     tried("command lines", codes)
-
-
-odd_arrays = st.one_of(
-    st.tuples(st.integers(0, 4), st.integers(0, 3)).map(np.zeros),
-    st.sampled_from([np.full((3, 2), np.nan), np.full((2, 2), np.inf), np.zeros(3), np.zeros((2, 2, 2))]),
-)
-
-
-@st.composite
-def demonstrations(draw: st.DrawFn) -> tuple[tuple[Any, ...], ...]:
-    """Observations, actions, ends: of one step or more and of unequal lengths, often with something wrong."""
-    lengths = draw(st.lists(st.integers(0, 4), min_size=0, max_size=3))
-    obs, act = [np.zeros((n + 1, 2)) for n in lengths], [np.zeros((n, 1)) for n in lengths]
-    for some in (obs, act):
-        if some and draw(st.booleans()) and draw(st.booleans()):
-            some[draw(st.integers(0, len(some) - 1))] = draw(odd_arrays)
-        if draw(st.integers(0, 9)) == 0:
-            some.append(draw(odd_arrays))
-    return tuple(obs), tuple(act), tuple(draw(st.booleans()) for _ in lengths)
-
-
-def test_demonstrations_of_any_shape_are_taken_or_refused(tried: Tried) -> None:
-    @settings(max_examples=800, deadline=None)
-    @given(demonstrations())
-    def check(parts: tuple[tuple[Any, ...], ...]) -> None:
-        message = ""
-        try:
-            episodes = Episodes(*parts)
-        except ValueError as error:
-            message = str(error)
-        counts["refused" if message else "taken"] += 1
-        assert "\n" not in message
-        if not message:
-            states, actions = episodes.pairs()
-            assert len(states) == len(actions) == episodes.lengths.sum() > 0
-            assert np.isfinite(states).all()
-            assert np.isfinite(actions).all()
-
-    counts: Counter[str] = Counter()
-    check()
-    assert min(counts["taken"], counts["refused"]) > 40
-    tried("demonstrations", counts)
 
 
 json_values = st.recursive(

@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -90,15 +89,6 @@ def test_whatever_would_end_a_run_stops_it_cleanly_once() -> None:
         signal.raise_signal(number)
 
 
-@pytest.mark.usefixtures("interruptible")
-def test_a_handler_of_another_program_stays() -> None:
-    came: list[int] = []
-    signal.signal(signal.SIGUSR2, lambda number, frame: came.append(number))
-    stop_cleanly()
-    signal.raise_signal(signal.SIGUSR2)
-    assert came == [signal.SIGUSR2]
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGUSR1, signal.SIGKILL])
 def test_a_run_that_is_stopped_keeps_what_is_finished_and_resumes(
     tmp_path: Path, unbroken: dict[str, str], number: int
@@ -140,22 +130,6 @@ def test_being_stopped_again_and_again_is_one_clean_stop(tmp_path: Path, after: 
     assert process.returncode in (0, 130, -signal.SIGTERM)
     assert process.returncode != -signal.SIGTERM or not err  # Nothing was begun yet.
     assert "Traceback" not in err
-
-
-def test_a_run_with_nothing_to_do_deletes_what_a_killed_one_left(tmp_path: Path) -> None:
-    with tempfile.TemporaryDirectory(prefix="t-") as temporary:  # a short path
-        finish(tmp_path, TMPDIR=temporary)
-        process = subprocess.Popen(
-            command(tmp_path, "--seeds", "2"),
-            env={**FAKE_ENV, "TMPDIR": temporary},
-            stdout=subprocess.DEVNULL,
-        )
-        while not list(Path(temporary).glob("irl-bench-*/program")):
-            time.sleep(0.01)
-        process.kill()
-        process.wait()
-        finish(tmp_path, TMPDIR=temporary)
-        assert os.listdir(temporary) == []
 
 
 def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
 from envs.scaled import scaled
 from harness.cli.arguments import parser
-from harness.cli.exchange import bounds
 from harness.cli.main import main
 from harness.demonstrations.reading import read, write
 from methods.base import Episodes
@@ -65,7 +64,8 @@ def old_imitation(path: Path, act: Any, obs_size: int = 1) -> Path:
 
 
 def asked(*words: str) -> Any:
-    return bounds(parser().parse_args(["run", *(f"--action-bounds={word}" for word in words)]).action_bounds)
+    pairs = parser().parse_args(["run", *(f"--action-bounds={word}" for word in words)]).action_bounds
+    return np.array(pairs, np.float64).T
 
 
 def is_refused(path: Path, why: str, spec: EnvSpec, *words: str) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from harness.cli import commands
-from harness.cli.exchange import export_demonstrations
+from harness.cli import runs
+from harness.cli.files import export_demonstrations
 from harness.cli.main import main
 from harness.demonstrations.reading import read
 from harness.demonstrations.units import SCALED
@@ -195,7 +195,7 @@ def test_without_the_extra_one_line_says_what_to_install(
 
 
 def test_a_run_is_shown_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.setattr(runs, "handle_signals", lambda: None)
     monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
     path, out = minari_folder(tmp_path / "d", "hdf5", made()), tmp_path / "run"
     main(["run", "--methods", "bc", "--envs", "swingup", "--out", str(out), "--demos-from", str(path)])

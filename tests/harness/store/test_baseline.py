@@ -7,7 +7,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from harness.cli import commands
+from harness.api import running
+from harness.cli import runs
 from harness.cli.main import main
 from harness.process.environment import numeric
 from harness.records import Cell, CellResult, policies_of
@@ -185,7 +186,7 @@ class Computes:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     monkeypatch.setattr("harness.schedule.grid.Grid", Computes)
-    monkeypatch.setattr(commands, "handle_signals", lambda: None)
+    monkeypatch.setattr(runs, "handle_signals", lambda: None)
     monkeypatch.chdir(tmp_path)
     return lambda *words: main(["run", "--methods", "gail", "--envs", "cartpole", "--seeds", "3", *words])
 
@@ -238,7 +239,7 @@ def test_what_methods_were_shown_otherwise_is_told(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(commands, "_compute", lambda *_: {})
+    monkeypatch.setattr(running, "_computed", lambda *_: {})
     run("--baseline", str(board), "--demos", "5", "--out", "run")
     told = "methods in one were shown as many demonstrations as the budget says, and here 5 demonstrations"
     assert told in capsys.readouterr().err

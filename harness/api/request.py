@@ -1,0 +1,236 @@
+"""A request for a run, as a user states it, and the cells that it means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, SupportsIndex
+
+import numpy as np
+
+from harness.process.environment import can_fix_instructions
+from harness.records import Conditions, Shown
+from harness.registry import (
+    ASKING,
+    BUDGETS,
+    DEMONSTRATORS,
+    EXPERTS,
+    KNOWN,
+    LEARNERS,
+    LIBRARIES,
+    PROTOCOLS,
+    RECORDS,
+    SPECS,
+    BadInput,
+    Demonstrator,
+    Experts,
+    LearnerName,
+    Library,
+    Record,
+    choose,
+    keys,
+    plugins,
+)
+from harness.registry.bounds import MOST_SEEDS
+from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.known import GYMNASIUM_NAME
+from harness.schedule.progress import tell
+from harness.store.request import Request
+
+if TYPE_CHECKING:
+    from harness.demonstrations.reading import Demonstrations
+
+CHOICES = {
+    "budget": BUDGETS,
+    "protocol": PROTOCOLS,
+    "rl": LIBRARIES,
+    "learner": LEARNERS,
+    "experts": EXPERTS,
+    "demonstrator": DEMONSTRATORS,
+    "record": RECORDS,
+}
+ITEMS: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("methods", "envs", "transfer"), (str,)),
+    **dict.fromkeys(("plugins", "baseline"), (str, Path)),
+    "demos": (SupportsIndex,),
+}
+"""Fields that are lists, and what they hold."""
+PLUGIN_HINT = (
+    "put a class or task of yours into a file that names it in METHODS or ENVS, and the file in plugins"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest:
+    """A request for a run. Names, values and defaults are those of `irl-bench run` (docs/commands.md).
+
+    Raises BadInput for a value that no run can have.
+    """
+
+    methods: Sequence[str] = ("all",)
+    envs: Sequence[str] = ("all",)
+    seeds: int | Sequence[int] | None = None
+    """The number of seeds, from 0, or a list of seeds; None for one, or five at `full`."""
+    budget: str = "quick"
+    protocol: str = "absorbing"
+    rl: Library = "sbx"
+    learner: LearnerName = "own"
+    solves: int = 0
+    """RL solves of each learned reward; 0: the number of the task and budget."""
+    experts: Experts = "shipped"
+    demos: Sequence[int] = (0,)
+    """Numbers of demonstrations, one after the other; 0: the number of the budget."""
+    subsample: int = 1
+    """The distance between shown steps."""
+    demonstrator: Demonstrator = "expert"
+    demos_from: Path | str | None = None
+    """A file of demonstrations, instead of the demonstrator's."""
+    action_bounds: Sequence[tuple[float, float]] | None = None
+    """The lowest and highest action in that file: one pair, or a pair for each component."""
+    transfer: Sequence[str] = ()
+    """Variants of the tasks in which what was learned is used, too; 'all' for every variant."""
+    retrain: bool = True
+    record: Record = "both"
+    plugins: Sequence[Path | str] = ()
+    """Files or modules with methods and tasks."""
+    baseline: Sequence[Path | str] = ()
+    """Runs, or folders of runs, that are shown beside this one."""
+    fast: bool = False
+    """True where libraries may choose their instructions by the processor."""
+
+    def __post_init__(self) -> None:
+        for name, kinds in ITEMS.items():
+            items = getattr(self, name)
+            if isinstance(items, str) or not isinstance(items, Sequence | np.ndarray):
+                raise BadInput(f"{name} must be a list, not {items!r:.40}")
+            for item in items:
+                if not isinstance(item, kinds):
+                    raise BadInput(f"{name} cannot hold {item!r:.80}; {PLUGIN_HINT}", page="plugins")
+        for name, choices in CHOICES.items():
+            if (value := getattr(self, name)) not in choices:
+                raise BadInput(f"{name} must be one of {', '.join(choices)}, not {value!r:.40}")
+        for name, least in (("solves", 0), ("subsample", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or not least <= value <= MOST_SEEDS:
+                raise BadInput(f"{name} must lie between {least} and {MOST_SEEDS}, not {value!r:.40}")
+        if not len(self.demos) or not all(0 <= number.__index__() <= MOST_SEEDS for number in self.demos):
+            raise BadInput(f"demos must lie between 0 and {MOST_SEEDS}, and one number is needed")
+        _ = self.all_seeds
+
+    @property
+    def all_seeds(self) -> tuple[int, ...]:
+        """Every seed, in ascending order."""
+        if self.seeds is None:
+            return tuple(range(5 if self.budget == "full" else 1))
+        if isinstance(self.seeds, SupportsIndex):
+            seeds = [*range(self.seeds.__index__())]
+        elif isinstance(self.seeds, str) or not all(isinstance(seed, SupportsIndex) for seed in self.seeds):
+            raise BadInput(f"seeds must be a number or a list of numbers, not {self.seeds!r:.40}")
+        else:
+            seeds = sorted({seed.__index__() for seed in self.seeds})
+        if not seeds or not 0 <= seeds[0] <= seeds[-1] < MOST_SEEDS:
+            raise BadInput(f"seeds must lie between 0 and {MOST_SEEDS - 1}, and one is needed")
+        return tuple(seeds)
+
+
+def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demonstrations | None]:
+    """Return the cells of a request, and the demonstrations of its file, if it has one.
+
+    The plug-ins become known. `fixes_instructions`: whether the engine can fix the processor's instructions.
+    Raises BadInput for unknown names, broken plug-ins, and values that contradict each other.
+    """
+    methods, envs = _names(asked)
+    for contradiction in _contradictions(asked, methods, envs):
+        raise BadInput(contradiction)
+    demonstrations = _demonstrations(asked, envs) if asked.demos_from is not None else None
+    conditions = Conditions(
+        budget=asked.budget,
+        protocol=asked.protocol,
+        rl=asked.rl,
+        deterministic=fixes_instructions and not asked.fast and can_fix_instructions(),
+        experts=asked.experts,
+        record=asked.record,
+        retrain=asked.retrain,
+        demonstrations=str(demonstrations) if demonstrations else "",
+        learner=asked.learner,
+        solves=asked.solves,
+    )
+    demos = sorted({number.__index__() for number in asked.demos})
+    shown = tuple(Shown(number, asked.subsample, asked.demonstrator) for number in demos)
+    variants = _variants(envs, asked.transfer) if asked.transfer else ()
+    return Request(methods, envs, asked.all_seeds, conditions, shown, variants), demonstrations
+
+
+def _names(asked: RunRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the methods and tasks, and import those of plug-ins. Raises BadInput for unknown ones."""
+    methods, envs = ",".join(asked.methods), ",".join(asked.envs)
+    plugins.add([str(plugin) for plugin in asked.plugins], [methods, envs])
+    chosen = KNOWN.chosen_envs(",".join(task_or_name(name.strip()) for name in envs.split(",")))
+    named = KNOWN.chosen_methods(methods)
+    plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
+    return named, chosen
+
+
+def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str]) -> Iterator[str]:
+    if asked.solves and not asked.retrain:
+        yield "--solves is how often RL solves R*; leave out --no-retrain"
+    if asked.learner == "ddpg" and (discrete := [env for env in envs if plugins.task(env).discrete]):
+        yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
+    if asked.experts == "none":
+        if asked.demos_from is None:
+            yield "--experts none is for demonstrations of a file: --demos-from"
+        if asked.transfer:
+            yield "--transfer carries the expert over; leave out --experts none"
+        if asking := [method for method in methods if method in ASKING]:
+            yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
+    if asked.demos_from is not None and (len(envs) != 1 or asked.demonstrator != "expert"):
+        yield "--demos-from is for one environment, and leaves out --demonstrator"
+    if asked.action_bounds and asked.demos_from is None:
+        yield "--action-bounds are of demonstrations of a file: --demos-from"
+    if asked.demonstrator == "medium":
+        if asked.experts == "trained":
+            yield "medium demonstrators are shipped ones; leave out --experts trained"
+        if lacking := [env for env in envs if not keys.expert_files(env)]:
+            yield f"there are no medium demonstrators of {', '.join(lacking)}; leave it out of --envs"
+    if asked.transfer and not asked.retrain:
+        yield "--transfer scores by what RL reaches in a variant; leave out --no-retrain"
+
+
+def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
+    """Return the demonstrations of a file. Raises BadInput for those that cannot be shown."""
+    from harness.demonstrations.reading import read
+
+    bounds = None if asked.action_bounds is None else np.array(asked.action_bounds, np.float64).T
+    path = Path(str(asked.demos_from))
+    demonstrations = read(path, SPECS[envs[0]], bounds)
+    episodes = len(demonstrations.episodes)
+    if asked.experts == "none" and demonstrations.returns is None:
+        raise BadInput(f"{path} tells no rewards, so nothing would score 1; leave out --experts none")
+    if asked.experts == "none" and demonstrations.cut:
+        raise BadInput(
+            f"{demonstrations.cut} of the {episodes} episodes of {path} neither terminated nor "
+            "last until the horizon, so what they return is no score; leave out --experts none"
+        )
+    if max(asked.demos) > episodes:
+        raise BadInput(f"{path} has {episodes} demonstrations, not {max(asked.demos)}")
+    return demonstrations
+
+
+def _variants(envs: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the tasks with other dynamics, by these names or all. Raises BadInput where there is none."""
+    entries, theirs = KNOWN.entries["env"], KNOWN.of_plugins("env")
+    try:
+        known = {env: entries[env].variants if env in theirs else SPECS[env].variants for env in envs}
+        variants = [f"{env}.{name}" for env in envs for name in known[env]]
+    except Exception as error:  # whatever is wrong with an environment's file
+        raise BadInput(f"an environment cannot be loaded: {type(error).__name__}: {error}") from error
+    if not variants:
+        raise BadInput(f"there are no other dynamics of {', '.join(envs)} to carry anything over to")
+    named = dict.fromkeys(variant.partition(".")[2] for variant in variants)
+    chosen = choose("variant", ",".join(names), named)
+    if "all" not in [name.strip() for name in names]:
+        for env in envs:
+            if lacking := [name for name in chosen if f"{env}.{name}" not in variants]:
+                tell(f"{env} has no variant {', '.join(lacking)}")
+    return tuple(variant for variant in variants if variant.partition(".")[2] in chosen)

@@ -1,0 +1,183 @@
+"""Options of `run`, and those that it shares with other commands."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from harness.cli import values
+from harness.registry import (
+    BUDGETS,
+    DEMONSTRATORS,
+    ENGINES,
+    ENVS,
+    EXPERTS,
+    GROUPS,
+    LEARNERS,
+    LIBRARIES,
+    METHODS,
+    PROTOCOLS,
+    RECORDS,
+    VARIANTS,
+)
+
+
+class _Once(argparse.Action):
+    """An option that may not be given twice: of two, one would be ignored."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option: object = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            parser.error(f"{option} is given twice; one file is read")
+        setattr(namespace, self.dest, values)
+
+
+def add_run(add: argparse.ArgumentParser) -> None:
+    """Add the options of `run`."""
+    add.add_argument(
+        "--methods",
+        default="all",
+        metavar="all|A,B",
+        help=", ".join([*METHODS, *VARIANTS]) + "; plugins: those of plug-ins, which 'all' does not include",
+    )
+    add.add_argument(
+        "--envs",
+        default="all",
+        metavar="all|A,B",
+        help=", ".join([*ENVS, *GROUPS]) + "; gym:ID, a task of Gymnasium; plugins: those of plug-ins",
+    )
+    add_plugins(add)
+    add.add_argument(
+        "--seeds",
+        type=values.seeds,
+        metavar="K|A,B-C",
+        help="how many, from 0, or which: 0,3,5-9 (7-7 is seed 7 alone; default 1; 5 for full)",
+    )
+    add.add_argument("--budget", default="quick", choices=BUDGETS)
+    add.add_argument("--protocol", default="absorbing", choices=PROTOCOLS, help="what an episode's end means")
+    add.add_argument("--rl", default="sbx", choices=LIBRARIES, help="whose learners: SB3 in JAX, or SB3")
+    add.add_argument(
+        "--learner",
+        default="own",
+        choices=LEARNERS,
+        help="of every RL: each task's own, or DDPG, the thesis's",
+    )
+    add.add_argument(
+        "--solves",
+        type=values.count,
+        metavar="K",
+        default=0,
+        help="RL solves of each learned reward, of which the one that earns most counts (default: by budget "
+        "and task); controls and variants take one",
+    )
+    add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
+    add.add_argument(
+        "--demos",
+        type=values.demos,
+        metavar="N[,N]",
+        default=(0,),
+        help="demonstrations, each number in turn; 0 (default): as many as the budget says",
+    )
+    add.add_argument(
+        "--subsample",
+        type=values.count,
+        metavar="K",
+        default=1,
+        help="show every K-th step of them (default: all)",
+    )
+    add.add_argument(
+        "--demos-from",
+        type=values.folder,
+        action=_Once,
+        metavar="PATH",
+        help="demonstrations of a file instead of the experts' (docs/demonstrations.md)",
+    )
+    add_bounds(add)
+    add.add_argument(
+        "--demonstrator",
+        default="expert",
+        choices=DEMONSTRATORS,
+        help="who is shown: the expert, a worse one, or the expert with noise on its actions",
+    )
+    add.add_argument(
+        "--transfer",
+        nargs="?",
+        const="all",
+        metavar="all|A,B",
+        help="in the variants of each task too, or in those named, such as flipped: pi* carried over, and RL "
+        "on R* there",
+    )
+    add.add_argument("--no-retrain", action="store_true", help="pi* alone: neither pi_R nor controls")
+    add.add_argument(
+        "--baseline",
+        action="append",
+        default=[],
+        type=values.folder,
+        metavar="DIR",
+        help="a run, or a folder of runs, to be shown beside: what it has is not computed again",
+    )
+    add.add_argument("--out", default=Path("results/latest"), type=values.folder, metavar="DIR")
+    add.add_argument("--plan", action="store_true", help="say what it would take; compute and write nothing")
+    add_how_cells_run(add)
+
+
+def add_bounds(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the units of actions in a file."""
+    parser.add_argument(
+        "--action-bounds",
+        type=values.bounds,
+        action="append",
+        metavar="LOW,HIGH|scaled",
+        help="lowest and highest action in that file, such as =-2,2: one pair, or one for each component, in "
+        "order; scaled: they are in [-1, 1] (default: as the file says, or else the task's own)",
+    )
+
+
+def add_plugins(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names plug-ins."""
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE.py|MODULE",
+        help="methods and environments of your own (docs/plugins.md); may be given more than once",
+    )
+
+
+def add_how_cells_run(parser: argparse.ArgumentParser) -> None:
+    """Add the options of all commands that compute cells."""
+    add = parser.add_argument
+    add("--workers", type=values.count, metavar="N", help="processes at a time (default: the cores)")
+    add(
+        "--engine",
+        default="isolated",
+        choices=ENGINES,
+        help="cells in worker processes, here or on a Ray cluster (docs/cluster.md), or all inline, "
+        "in this one, for a debugger",
+    )
+    add("--address", metavar="ADDRESS", help="of a Ray cluster, or 'auto'; without it ray starts one here")
+    add("--cell-timeout", type=values.seconds, metavar="S", help="seconds after which a cell is stopped")
+    add(
+        "--fast",
+        action="store_true",
+        help="libraries choose their instructions: a little faster, and other numbers on other processors",
+    )
+    add(
+        "--record",
+        default="both",
+        choices=RECORDS,
+        help="which evaluation episodes of each policy of seed 0: the median, the worst, both, all or "
+        "none; what was learned is kept in any case",
+    )
+    add(
+        "--json-progress",
+        action="store_true",
+        help="standard output is JSON, an object a line, for programs (docs/commands.md); text goes to "
+        "standard error",
+    )
+    add("--retry-failed", action="store_true", help="compute again what failed before")
