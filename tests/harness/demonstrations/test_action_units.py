@@ -65,7 +65,7 @@ def old_imitation(path: Path, act: Any, obs_size: int = 1) -> Path:
 
 def asked(*words: str) -> Any:
     pairs = parser().parse_args(["run", *(f"--action-bounds={word}" for word in words)]).action_bounds
-    return np.array(pairs, np.float64).T
+    return None if pairs is None else np.array(pairs, np.float64).T
 
 
 def is_refused(path: Path, why: str, spec: EnvSpec, *words: str) -> None:

@@ -14,9 +14,8 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from harness.cli import commands
+from harness.api.preparing import Engine
 from harness.cli import main as cli
-from harness.cli.arguments import parser
 from harness.engines import processes, ray
 from harness.engines.compute import compute
 from harness.engines.inline import Inline
@@ -29,6 +28,7 @@ from harness.schedule import plan
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid
 from harness.store.codec import decode
+from harness.store.request import Request
 from tests.harness.plugged import MINE
 from tests.harness.registry.conftest import CONDITIONS
 from tests.harness.small_runs import stored
@@ -131,8 +131,8 @@ def test_the_process_that_cells_are_forked_from_imports_no_plugin(
     both: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(processes, "Processes", lambda workers, timeout, fixed, modules: modules)
-    args = parser().parse_args(["run"])
-    assert commands._engine(args, ["swingup", "moon"]) == ["envs.swingups.swingup"]
+    request = Request(("bc",), ("swingup", "moon"), (0,), CONDITIONS)
+    assert Engine().for_request(request) == ["envs.swingups.swingup"]
 
 
 def test_of_a_package_only_what_is_asked_for_is_imported(
