@@ -75,12 +75,12 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
     )
     (tmp_path / "script.py").write_text(
         textwrap.dedent("""
-            import irl_bench
-            asked = {"envs": ["gridworld"], "budget": "smoke", "options": ["--no-retrain", "--workers", "1"]}
-            irl_bench.run(["bc", "mine"], out="one", plugins=["hostile.py"], **asked)
-            irl_bench.run(["bc"], out="two", **asked)
+            from irl_bench import Engine, RunRequest, run
+            asked = {"envs": ["gridworld"], "budget": "smoke", "retrain": False}
+            run(RunRequest(methods=["bc", "mine"], plugins=["hostile.py"], **asked), Engine(workers=1), "one")
+            run(RunRequest(methods=["bc"], **asked), Engine(workers=1), "two")
             try:
-                irl_bench.run(["mine"], out="three", **asked)
+                run(RunRequest(methods=["mine"], **asked), store="three")
             except Exception as error:
                 print(type(error).__name__, error)
         """)
