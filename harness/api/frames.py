@@ -19,7 +19,7 @@ from harness.judge.leaderboard import Entry
 from harness.records import Row
 from harness.registry import KNOWN, BadInput, ours
 from harness.registry import plugins as plugged_in
-from harness.report.spreadsheet import read_csv
+from harness.report.tables import read_csv
 from harness.store.database import FILE
 from harness.store.files import opened
 from harness.store.opening import open_to_verify

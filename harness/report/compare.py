@@ -7,7 +7,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.rows import is_on, scores_of
 from harness.judge.statistics import mean_interval, probability_of_improvement
 from harness.records import REFERENCE, CellResult, Conditions, Row
 from harness.report.columns import METHOD
@@ -75,7 +76,10 @@ def differing(one: Run, other: Run) -> list[str]:
         mine, others = ({getattr(result.cell, name) for result in run.results} for run in (one, other))
         for where, extra in (("here", mine - others), ("there", others - mine)):
             lines += [f"{title} only {where}: {', '.join(sorted(extra))}"] if extra else []
-    sources, other_sources = _sources(one), _sources(other)
+    sources, other_sources = (
+        {(r.cell.method, r.cell.task, r.cell.shown): r.key.partition(":")[2] for r in run.results}
+        for run in (one, other)
+    )
     for key in sorted(sources.keys() & other_sources.keys()):
         if sources[key] != other_sources[key]:
             lines.append(f"{key[0]} in {key[1]}: the source or the settings of the method")
@@ -89,11 +93,6 @@ def _origins(run: Run) -> dict[str, set[str]]:
         for name, value in result.origin.items():
             origins.setdefault(name, set()).add(value)
     return origins
-
-
-def _sources(run: Run) -> dict[tuple[str, str, object], str]:
-    """Return the digest of each method's source and settings, by method, task and demonstrations."""
-    return {(r.cell.method, r.cell.task, r.cell.shown): r.key.partition(":")[2] for r in run.results}
 
 
 def other_versions(one: Run, other: Run) -> list[str]:
@@ -120,54 +119,31 @@ def differences(one: Run, other: Run) -> Table:
     It is empty where scores are of different scales.
     """
     lines: list[Difference] = []
-    if is_other_scale(one, other):
-        return Table("differences", COLUMNS, lines)
+    rows = [scored_rows(run.results) for run in (one, other)]
     apart = other_versions(one, other)
-    here, there = (scored_rows(run.results) for run in (one, other))
-    mine, theirs = _grouped(here), _grouped(there)
-    for entry in leaderboard(here):
-        a, b = _scores(mine, entry), _scores(theirs, entry)
-        seeds = sorted(a.keys() & b.keys())
+    by_policy: list[dict[tuple[str, ...], list[Row]]] = [{}, {}]
+    for mine, groups in zip(rows, by_policy, strict=True):
+        for row in mine:
+            groups.setdefault(_policy(row), []).append(row)
+    for entry in leaderboard(rows[0]) if not is_other_scale(one, other) else ():
+        here, there = (
+            scores_of([row for row in groups.get(_policy(entry), ()) if is_on(row, entry.shown)])
+            for groups in by_policy
+        )
+        seeds = sorted(here.keys() & there.keys())
         if seeds and entry.env not in apart and entry.method != REFERENCE:
-            lines.append(_difference(entry, [a[seed] for seed in seeds], [b[seed] for seed in seeds]))
+            lines.append(_difference(entry, [here[seed] for seed in seeds], [there[seed] for seed in seeds]))
     return Table("differences", COLUMNS, lines)
+
+
+def _policy(item: Row | Entry) -> tuple[str, ...]:
+    return item.env, item.dynamics, item.method, item.policy, item.protocol
 
 
 def _difference(entry: Entry, here: Sequence[float], there: Sequence[float]) -> Difference:
     gained = [b - a for a, b in zip(here, there, strict=True)]
     low, high = mean_interval(gained)
-    return Difference(
-        board=entry.board,
-        method=entry.method,
-        policy=entry.policy,
-        seeds=len(here),
-        here=math.fsum(here) / len(here),
-        there=math.fsum(there) / len(there),
-        difference=math.fsum(gained) / len(gained),
-        low=low,
-        high=high,
-        better=probability_of_improvement(there, here),
-    )
-
-
-Group = tuple[str, str, str, str, str]
-
-
-def _group(item: Row | Entry) -> Group:
-    return item.env, item.dynamics, item.method, item.policy, item.protocol
-
-
-def _grouped(rows: Sequence[Row]) -> dict[Group, list[Row]]:
-    groups: dict[Group, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(_group(row), []).append(row)
-    return groups
-
-
-def _scores(groups: dict[Group, list[Row]], entry: Entry) -> dict[int, float]:
-    """Return the scores of the entry's rows by seed."""
-    return {
-        row.seed: row.normalized_score
-        for row in groups.get(_group(entry), ())
-        if is_on(row, entry.shown) and math.isfinite(row.normalized_score)
-    }
+    mean_here, mean_there, difference = (math.fsum(its) / len(its) for its in (here, there, gained))
+    better = probability_of_improvement(there, here)
+    who = entry.board, entry.method, entry.policy, len(here)
+    return Difference(*who, mean_here, mean_there, difference, low, high, better)

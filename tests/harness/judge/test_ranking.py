@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from harness.judge.ranking import POLICIES, Ranked, ranked
 
 from envs import EnvSpec
 from harness.cell.shipped import shipped_policies
-from harness.judge.ranking import POLICIES, Ranked, ranked
 from harness.registry import SPECS
 from harness.rl.seeds import rng_for
 from methods.base import Array

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 import pytest
+from harness.recordings.solid_scene import Solid
 from rerun.chunk import RrdReader
 
 from envs.point_maze import TARGET
@@ -16,7 +17,6 @@ from harness.recordings import ghosts
 from harness.recordings.common import LONG
 from harness.recordings.episode import Advantage, Episode, record
 from harness.recordings.scenes import Flat, scene
-from harness.recordings.solid_scene import Solid
 from harness.records import Cell
 from harness.registry import SPECS
 from harness.rl.simulator import Simulator, Trajectory
