@@ -185,9 +185,10 @@ def distances(board: Board) -> Chart | None:
         places = [(e.reward_distance, e.score_mean) for e in mine]
         plot.points(places, colour, marker, [tips[e.method] for e in mine])
         for e in mine:
-            name = e.method.removeprefix("control_")
-            place = e.reward_distance, e.score_mean
-            plot.axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
+            near = [o for o in known if abs(o.reward_distance - e.reward_distance) < 0.25]
+            if sum(abs(o.score_mean - e.score_mean) < 0.08 for o in near) == 1:
+                name, place = e.method.removeprefix("control_"), (e.reward_distance, e.score_mean)
+                plot.axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
     shown = (METHOD, columns.DISTANCE, columns.RANK, SCORE)
     return Chart(board.name, [plot.svg()], table=Table(f"distances {board.name}", shown, known))
 

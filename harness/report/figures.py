@@ -77,7 +77,7 @@ def styled() -> Iterator[None]:
 
 
 class Plot:
-    """A plot of one pair of axes or of a grid of them, and the tooltips of its points. `said`: it in words."""
+    """A figure of one pair of axes, and the tooltips of its points. `said`: it in words."""
 
     def __init__(self, said: str, figure: Figure) -> None:
         self.said = said
@@ -99,7 +99,7 @@ class Plot:
 
     @property
     def axes(self) -> Axes:
-        """The first pair of axes."""
+        """The pair of axes."""
         return self.figure.axes[0]
 
     def points(
