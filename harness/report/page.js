@@ -23,7 +23,12 @@ function tell(target) {
 
 document.addEventListener("pointerover", (event) => tell(event.target));
 document.addEventListener("focusin", (event) => tell(event.target));
-document.addEventListener("scroll", () => tell(document.body), { capture: true, passive: true });
+const scrolled = () => {
+  const at = described;
+  tell(document.body);
+  if (at && at === document.activeElement) tell(at);
+};
+document.addEventListener("scroll", scrolled, { capture: true, passive: true });
 document.addEventListener("keydown", (event) => event.key === "Escape" && tell(document.body));
 
 function sort(button) {

@@ -69,7 +69,6 @@ def test_numbers_stand_out_from_their_tiles(browser: Any, reported: Path, scheme
     ("name", "width", "media"),
     [
         ("390", 390, {}),
-        ("768", 768, {}),
         ("1300", 1300, {}),
         ("dark", 1300, {"color_scheme": "dark"}),
         ("print", 794, {"media": "print"}),
@@ -92,16 +91,7 @@ def test_it_fits_every_width(
     page.close()
 
 
-def test_without_scripts_it_is_whole_but_for_buttons(browser: Any, reported: Path) -> None:
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto((reported / "report.html").as_uri())
-    assert page.locator(LINES).first.is_visible()
-    assert not page.locator(".filters").is_visible()
-    context.close()
-
-
-def test_what_to_beware_of_stands_beside_what_it_concerns(browser: Any, tmp_path: Path) -> None:
+def test_cautions_stand_beside_the_numbers_that_they_are_about(browser: Any, tmp_path: Path) -> None:
     results = make_results(seeds=1)
     for result in results:
         if result.cell.method == "control_survival" and result.cell.env == "pendulum":
