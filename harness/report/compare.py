@@ -11,8 +11,8 @@ from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.rows import is_on, scores_of
 from harness.judge.statistics import mean_interval, probability_of_improvement
 from harness.records import REFERENCE, CellResult, Conditions, Row
-from harness.report.columns import METHOD
-from harness.report.tables import Column, Table, interval, number
+from harness.report.columns import MEANINGS
+from harness.report.tables import Table, at, interval, number
 
 
 @dataclass(frozen=True)
@@ -24,41 +24,15 @@ class Run:
     results: Sequence[CellResult]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A policy of a method in two runs, over the seeds that both have.
-
-    `low`, `high`: 95 % interval of the mean of the paired differences, NaN with one seed.
-    `better`: the probability that a seed there scores more than one here (Agarwal et al. 2021).
-    """
-
-    board: str
-    method: str
-    policy: str
-    seeds: int
-    here: float
-    there: float
-    difference: float
-    low: float
-    high: float
-    better: float
-
-
 COLUMNS = (
-    Column("board", "Task", "The board.", lambda d: d.board, "text"),
-    METHOD,
-    Column("policy", "Policy", "The policy.", lambda d: d.policy, "text"),
-    Column("seeds", "Seeds", "Seeds that both runs have.", lambda d: str(d.seeds)),
-    Column("here", "Score", "Mean score in the first run.", lambda d: number(d.here, "z.2f")),
-    Column("there", "Score there", "Mean score in the other run.", lambda d: number(d.there, "z.2f")),
-    Column(
-        "difference",
-        "Difference",
-        "Mean of the differences, paired by seed.",
-        lambda d: interval(d.difference, d.low, d.high, "+.2f"),
-        "interval",
-    ),
-    Column("better", "P(better there)", "Probability of a higher score.", lambda d: number(d.better, ".2f")),
+    at(0, "board", "Task", "The board.", "text"),
+    at(1, "method", "Method", MEANINGS["method"], "choice"),
+    at(2, "policy", "Policy", "The policy.", "text"),
+    at(3, "seeds", "Seeds", "Seeds that both runs have."),
+    at(4, "here", "Score", "Mean score in the first run."),
+    at(5, "there", "Score there", "Mean score in the other run."),
+    at(6, "difference", "Difference", "Mean of the differences, paired by seed.", "interval"),
+    at(7, "better", "P(better there)", "Probability of a higher score (Agarwal et al. 2021)."),
 )
 
 
@@ -114,36 +88,30 @@ def is_other_scale(one: Run, other: Run) -> bool:
 
 
 def differences(one: Run, other: Run) -> Table:
-    """Return the differences of the policies that both runs have, in the order of the first's leaderboard.
-
-    It is empty where scores are of different scales.
-    """
-    lines: list[Difference] = []
+    """Return the differences of the policies that both runs have, over the seeds that both have, in the order
+    of the first's leaderboard. It is empty where scores are of different scales."""
+    groups: list[dict[tuple[str, ...], list[Row]]] = [{}, {}]
     rows = [scored_rows(run.results) for run in (one, other)]
-    apart = other_versions(one, other)
-    by_policy: list[dict[tuple[str, ...], list[Row]]] = [{}, {}]
-    for mine, groups in zip(rows, by_policy, strict=True):
+    for mine, by_policy in zip(rows, groups, strict=True):
         for row in mine:
-            groups.setdefault(_policy(row), []).append(row)
+            by_policy.setdefault(_policy(row), []).append(row)
+    apart, lines = other_versions(one, other), []
     for entry in leaderboard(rows[0]) if not is_other_scale(one, other) else ():
-        here, there = (
-            scores_of([row for row in groups.get(_policy(entry), ()) if is_on(row, entry.shown)])
-            for groups in by_policy
+        own, theirs = (
+            scores_of([row for row in by_policy.get(_policy(entry), ()) if is_on(row, entry.shown)])
+            for by_policy in groups
         )
-        seeds = sorted(here.keys() & there.keys())
+        seeds = sorted(own.keys() & theirs.keys())
         if seeds and entry.env not in apart and entry.method != REFERENCE:
-            lines.append(_difference(entry, [here[seed] for seed in seeds], [there[seed] for seed in seeds]))
+            here, there = ([scores[seed] for seed in seeds] for scores in (own, theirs))
+            gained = [b - a for a, b in zip(here, there, strict=True)]
+            means = (number(math.fsum(scores) / len(seeds), "z.2f") for scores in (here, there))
+            difference = interval(math.fsum(gained) / len(seeds), *mean_interval(gained), "+.2f")
+            better = number(probability_of_improvement(there, here), ".2f")
+            who = entry.board, entry.method, entry.policy, number(len(seeds), ".0f")
+            lines.append((*who, *means, difference, better))
     return Table("differences", COLUMNS, lines)
 
 
 def _policy(item: Row | Entry) -> tuple[str, ...]:
     return item.env, item.dynamics, item.method, item.policy, item.protocol
-
-
-def _difference(entry: Entry, here: Sequence[float], there: Sequence[float]) -> Difference:
-    gained = [b - a for a, b in zip(here, there, strict=True)]
-    low, high = mean_interval(gained)
-    mean_here, mean_there, difference = (math.fsum(its) / len(its) for its in (here, there, gained))
-    better = probability_of_improvement(there, here)
-    who = entry.board, entry.method, entry.policy, len(here)
-    return Difference(*who, mean_here, mean_there, difference, low, high, better)

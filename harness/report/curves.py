@@ -73,7 +73,9 @@ class Panels(Plot):
     def line(self, points: Array | None, y: Limits, colour: str, style: str = "-") -> None:
         """Draw a line through points (N, 2 or more): x and y, where all are finite."""
         if points is not None and np.isfinite(points).all():
-            self.axes.add_artist(Line2D(*self.places(points[:, :2], y).T, color=colour, linestyle=style))
+            line = Line2D(*self.places(points[:, :2], y).T, color=colour)
+            line.set(linestyle=style)
+            self.axes.add_artist(line)
 
     def curve(self, summary: Array | None, y: Limits, colour: str) -> None:
         """Draw a summary: its mean, in a band from the lowest to the highest."""

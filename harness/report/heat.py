@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
@@ -35,25 +35,24 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Group:
-    """Columns of one policy in tasks or in variants. `names`, `cautions`, `tiles`: by board, with a pair of a
-    word and a sentence for each caution, and a tile for each method."""
+class Head:
+    """The head of a column: a board, its short name, and a word and a sentence for each caution."""
 
-    title: str
-    boards: Sequence[Board]
-    names: Sequence[str]
-    cautions: Sequence[Sequence[tuple[str, str]]]
-    tiles: Sequence[Sequence[Tile]]
+    board: Board
+    name: str
+    cautions: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Methods by boards. roles: by method, in order. boards_left, methods_left: numbers of those left out."""
+    """Methods by boards. `roles`: by method, in order. `left_out`: what is not on it, in words.
 
-    roles: dict[str, str]
-    groups: Sequence[Group]
-    boards_left: int
-    methods_left: int
+    `groups`: heads with a tile for each method, by title.
+    """
+
+    roles: Mapping[str, str]
+    groups: Mapping[str, Sequence[tuple[Head, Sequence[Tile]]]]
+    left_out: str
 
 
 def heat_map(boards: Sequence[Board]) -> HeatMap:
@@ -62,21 +61,19 @@ def heat_map(boards: Sequence[Board]) -> HeatMap:
     roles = _ordered(boards)
     methods = list(roles)[:MOST_METHODS]
     kinds = {"": [b for b in boards if b.is_nominal], "Transfer: ": [b for b in boards if not b.is_nominal]}
-    groups = []
+    groups: dict[str, list[tuple[Head, list[Tile]]]] = {}
     for beginning, mine in kinds.items():
         for policy, title in NAMES.items():
-            tiles = {}
             for board in mine[:MOST_COLUMNS]:
                 entries = {e.method: e for e in board.entries if e.policy == policy}
                 if entries.keys() & {*methods}:
-                    tiles[board.name] = [_tile(entries.get(method)) for method in methods]
-            drawn = [board for board in mine if board.name in tiles]
-            names = [_short_name(board, boards) for board in drawn]
-            cautions = [_cautions(board, policy) for board in drawn]
-            if drawn:
-                groups.append(Group(beginning + title, drawn, names, cautions, [*tiles.values()]))
-    left = sum(max(0, len(mine) - MOST_COLUMNS) for mine in kinds.values())
-    return HeatMap({m: roles[m] for m in methods}, groups, left, len(roles) - len(methods))
+                    head = Head(board, _short_name(board, boards), _cautions(board, policy))
+                    tiles = [_tile(entries.get(method)) for method in methods]
+                    groups.setdefault(beginning + title, []).append((head, tiles))
+    boards_left = sum(max(0, len(mine) - MOST_COLUMNS) for mine in kinds.values())
+    methods_left = len(roles) - len(methods)
+    left_out = f"{boards_left} more boards and {methods_left} more methods are in the leaderboard."
+    return HeatMap({m: roles[m] for m in methods}, groups, left_out * bool(boards_left or methods_left))
 
 
 def _ordered(boards: Sequence[Board]) -> dict[str, str]:

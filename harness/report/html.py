@@ -7,7 +7,7 @@ import dataclasses
 import gzip
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from harness.judge.leaderboard import Entry
 from harness.report import charts, curves, facts, heat
 from harness.report.columns import ENTRY
 from harness.report.figures import Chart, styled
-from harness.report.model import Report
+from harness.report.model import Board, Report
 from harness.report.tables import Table, as_csv
 
 PAGE, STYLE, SCRIPT = (
@@ -35,14 +35,30 @@ Sign = tuple[int, str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """Charts of one kind. `id`: its anchor. `link`: a short title. `note`: help with reading them."""
+    """Charts of one kind. `id`: its anchor. `link`: a short title."""
 
     id: str
     link: str
     title: str
     charts: Sequence[Chart]
-    note: str = ""
     legend: Sequence[Sign] = ()
+
+    @property
+    def note(self) -> str:
+        """Help with reading them."""
+        return NOTES.get(self.id, "")
+
+
+NOTES = {
+    "seeds": "Small dots are seeds, markers means, bars 95 % intervals; controls are on grey.",
+    "transfer": "0 is the random policy there, 1 RL on the true reward. Dotted: the expert, carried over.",
+    "cost": "Upper left is better. The line is the Pareto front: no point off it scores more for as little. "
+    "The cost of π_R is that of the fit and of RL on R*.",
+    "distances": "A good reward is at the upper left. Squares are controls. At the lower left the reward is "
+    "right and the learner did not use it; at the upper right a wrong reward solves the task.",
+    "learning": "Steps are those that RL learned from, not checks. True returns of a task have one scale.",
+    "training": "Means over seeds, and their range, by iteration.",
+}
 
 
 def render(report: Report) -> str:
@@ -68,6 +84,7 @@ def render(report: Report) -> str:
     tables += [chart.table for chart in drawn if chart.table]
     tables += [table for mine in folded.values() for table in mine]
     more = len(report.warnings) - MOST_LISTED
+    left_out = [f"and {more:,} more; scores.csv has every row"] if more > 0 else []
     choices = {
         column: dict.fromkeys(str(column.read(item)) for item in lines)
         for column in columns
@@ -86,7 +103,7 @@ def render(report: Report) -> str:
         sections=sections,
         folded={name: its for name, its in folded.items() if its},
         recordings=dataclasses.replace(report.recordings, items=report.recordings.items[:MOST_LISTED]),
-        warnings=[*report.warnings[:MOST_LISTED], *([f"and {more:,} more"] if more > 0 else [])],
+        warnings=[*report.warnings[:MOST_LISTED], *left_out],
         glossary={column.key: column for table in tables for column in table.columns if table.items},
         anchor=lambda board: "board-" + board.replace(" ", "_"),
         files=Markup(json.dumps(data).replace("<", "\\u003c")),
@@ -103,62 +120,25 @@ def _sections(report: Report) -> list[Section]:
     by_env: dict[str, list[Entry]] = {board.env: [] for board in report.drawn}
     for entry in (entry for board in report.shown for entry in board.entries):
         by_env.get(entry.env, []).append(entry)
+    by_demonstrations = [charts.demonstrations(env, mine) for env, mine in by_env.items()]
     most = report.panels
+
+    def each(draw: Callable[..., Chart | None], boards: Sequence[Board], *more: int) -> list[Chart]:
+        return [chart for board in boards if (chart := draw(board, *more))]
+
+    scores, carried = each(charts.scores, nominal), each(charts.scores, variants)
+    costs, distances = each(charts.costs, nominal), each(charts.distances, nominal)
+    learning, training = each(curves.learning, report.drawn, most), each(curves.training, nominal, most)
+    distant = "Distances between rewards, and scores of π_R"
+    shown = [chart for chart in by_demonstrations if chart]
     return [
-        Section(
-            "seeds",
-            "Seeds",
-            "Scores, seed by seed",
-            [chart for board in nominal if (chart := charts.scores(board))],
-            "Small dots are seeds, markers means, bars 95 % intervals; controls are on grey.",
-            charts.SIGNS,
-        ),
-        Section(
-            "transfer",
-            "Transfer",
-            "Transfer to other dynamics",
-            [chart for board in variants if (chart := charts.scores(board))],
-            "0 is the random policy there, 1 RL on the true reward. Dotted: the expert, carried over.",
-            charts.CARRIED,
-        ),
-        Section(
-            "cost",
-            "Cost",
-            "Score against cost",
-            [chart for board in nominal if (chart := charts.costs(board))],
-            "Upper left is better. The line is the Pareto front: no point off it scores more for as little. "
-            "The cost of π_R is that of the fit and of RL on R*.",
-            charts.SIGNS,
-        ),
-        Section(
-            "demonstrations",
-            "Demonstrations",
-            "Score against demonstrations",
-            [chart for env, its in by_env.items() if (chart := charts.demonstrations(env, its))],
-        ),
-        Section(
-            "distances",
-            "Reward distances",
-            "Distances between rewards, and scores of π_R",
-            [chart for board in nominal if (chart := charts.distances(board))],
-            "A good reward is at the upper left. Squares are controls. At the lower left the reward is "
-            "right and the learner did not use it; at the upper right a wrong reward solves the task.",
-        ),
-        Section(
-            "learning",
-            "Learning curves",
-            "Learning curves: RL on R*",
-            [chart for board in report.drawn if (chart := curves.learning(board, most))],
-            "Steps are those that RL learned from, not checks. True returns of a task have one scale.",
-            curves.SIGNS,
-        ),
-        Section(
-            "training",
-            "Training",
-            "Training of the methods",
-            [chart for board in nominal if (chart := curves.training(board, most))],
-            "Means over seeds, and their range, by iteration.",
-        ),
+        Section("seeds", "Seeds", "Scores, seed by seed", scores, charts.SIGNS),
+        Section("transfer", "Transfer", "Transfer to other dynamics", carried, charts.CARRIED),
+        Section("cost", "Cost", "Score against cost", costs, charts.SIGNS),
+        Section("demonstrations", "Demonstrations", "Score against demonstrations", shown),
+        Section("distances", "Reward distances", distant, distances),
+        Section("learning", "Learning curves", "Learning curves: RL on R*", learning, curves.SIGNS),
+        Section("training", "Training", "Training of the methods", training),
     ]
 
 

@@ -40,9 +40,8 @@ def test_five_lines_give_the_results_and_where_to_look() -> None:
     assert "why some failed: results/latest/run.log; --retry-failed tries them again" in lines["cells"]
     assert lines["pi*"] == "cartpole: bc 0.95 [0.92, 0.97]"
     assert lines["pi_R"] == "cartpole: shaped 0.86 [0.84, 0.89]"
-    where = (
-        "results/latest/report.html, and scores.csv there; tables: irl-bench report --print results/latest"
-    )
+    where = "results/latest/report.html, and scores.csv there; tables: irl-bench report --print "
+    where += "results/latest"
     assert lines["look at"] == where
     results[0] = dataclasses.replace(results[0], recordings={"cartpole.rrd": "0"})
     assert closing(results)["look at"] == f"{where}; recordings: irl-bench view results/latest"
@@ -56,11 +55,7 @@ def test_five_lines_give_the_results_and_where_to_look() -> None:
         # Survival has 450 of 500, the best method 440.
         ("control_survival", 450.0, "WARNING: an uninformed reward does as well as the best method's on "),
         ("control_plus1", 430.0, "WARNING: an uninformed reward does as well as the best method's on "),
-        (
-            "control_plus1",
-            300.0,
-            "no uninformed reward comes within 0.05 of the best method's; the highest: ",
-        ),
+        ("control_plus1", 300.0, "no uninformed reward comes within 0.05 of the best method's; "),
     ],
 )
 def test_an_uninformed_control_that_ties_is_a_warning(method: str, level: float, expected: str) -> None:
@@ -113,14 +108,12 @@ def test_a_reward_that_rl_did_not_solve_is_named_and_marked() -> None:
         elif result.cell.method == "maxmargin" and result.cell.seed < 2:
             result.rows[1] = dataclasses.replace(result.rows[1], solved=1.0)
     lines = closing(results)
-    says = (
-        "; RL did not solve R* on every seed, so the score says nothing about the reward: shaped on cartpole"
-    )
-    assert lines["pi_R"].endswith(says)
+    says = "RL did not solve R* on every seed, so the score says nothing about the reward: "
+    assert lines["pi_R"].endswith(f"; {says}shaped on cartpole")
     assert "RL did not" not in lines["pi*"]
     assert "R* solved on 67% of seeds" in table_line(results, "shaped", "pi_R")
-    groups = heat_map(build(ONE, results).boards).groups
-    (tile,) = [t for group in groups for tiles in group.tiles for t in tiles if "†" in t.mark]
+    groups = heat_map(build(ONE, results).boards).groups.values()
+    (tile,) = [tile for group in groups for _, tiles in group for tile in tiles if "†" in tile.mark]
     assert tile.tip.startswith("shaped, π_R, cartpole: ")
     assert tile.tip.endswith("; the best; RL solved R* on 67% of seeds")
 
