@@ -33,7 +33,6 @@ from harness.rl.world import TaskWorld, without_rewards
 from methods.base import Array, Reward
 from methods.rewards import Constant
 from methods.shaped import Shaped
-from methods.shaped_ml import ShapedML
 from methods.tabular.model import action_values, greedy, soft_policy, soft_value_iteration, value_iteration
 from tests.harness.rewards import Seek
 
@@ -200,19 +199,18 @@ def best_feedback() -> Array:
     return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
-@pytest.mark.parametrize("method", [shaped(batch=1024, steps=3000) for shaped in (Shaped, ShapedML)])
-def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages(method: Shaped) -> None:
-    """Near upright; what a learned expert leaves of it is its own distance from the best. Of 20 of
-    its episodes the rank was 0.9987 to 0.9998, by seed; of 100, 0.9993 or more."""
+def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages() -> None:
+    """Near upright; what a learned expert leaves of it is its own distance from the best."""
     spec, K = SPECS["cartpole"], best_feedback()
 
     def regulate(obs: Array) -> Array:
         return np.clip(-obs @ K.T, -1, 1)
 
     demos = without_rewards(Simulator(spec).run(regulate, range(100)))
-    learned = method.fit(demos, TaskWorld(spec, "absorbing", "sbx"), np.random.default_rng(0))
+    world = TaskWorld(spec, "absorbing", "sbx")
+    learned = Shaped(batch=256, steps=600).fit(demos, world, np.random.default_rng(0))
     assert learned.reward is not None
-    replays = replay(spec, regulate, range(100, 500), np.random.default_rng(0))
+    replays = replay(spec, regulate, range(100, 300), np.random.default_rng(0))
     from_its_own_states = slice(0, None, 2)
     own, true = replays.advantage_of(learned.reward), replays.advantage
     comparison = compare(own[from_its_own_states], true[from_its_own_states])

@@ -15,16 +15,12 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from scipy.stats import norm
 
-import irl_bench
 from harness.records import COLUMNS, CONTROLS, UNSHOWN, Cell, CellResult, Conditions, Shown
 from harness.report.files import recorded_in, write_report
 from harness.report.model import build
-from harness.report.tables import as_csv
-from harness.report.tables import read_csv as read_back
 from tests.harness.made_results import ENVS, REQUEST, changed, entry_of, make_results, make_row
 
 STORED = Path(__file__).parents[3] / "results/reference/quick_one_seed"
@@ -261,41 +257,6 @@ def test_numbers_beyond_all_bounds_are_short_everywhere(tmp_path: Path) -> None:
         text = (tmp_path / name).read_text()
         assert "-1e+99" in text
         assert not re.search(r"\d{3}(,?\d{3}){10}", re.sub('id="files".*', "", text)), name
-
-
-def test_texts_that_a_spreadsheet_would_compute_are_marked_and_read_back(tmp_path: Path) -> None:
-    texts = ["=1+1", "+1", "-1", "@A1", "\tx", "\rx", "'=1", "''-1", "\uff1d1", "'", "plain -1", "'s"]
-    file = tmp_path / "a.csv"
-    table = pd.DataFrame({"text": texts, "number": [-float(i) for i in range(len(texts))]})
-    file.write_text(as_csv(table), newline="")
-    with file.open(newline="") as raw:
-        lines = list(csv.DictReader(raw))
-    assert not [line["text"] for line in lines if line["text"][0] in "=+-@\t\r\uff1d"]
-    assert [line["number"] for line in lines] == [str(-float(i)) for i in range(len(texts))]
-    with file.open("rb") as binary:
-        again = read_back(binary, {"text": str})
-    assert [*again.text] == texts
-    assert [*again.number] == [*table.number]
-
-
-def test_no_column_of_texts_holds_a_formula(tmp_path: Path) -> None:
-    evil = '=HYPERLINK("http://x";1)'
-    results = [
-        replace(
-            r,
-            origin={"irl-bench": evil},
-            finished=evil,
-            rows=[replace(row, expert="@x", source="-1+1", reason=evil, status="skipped") for row in r.rows],
-        )
-        for r in make_results(("cartpole",))
-    ]
-    write_report(tmp_path, build(REQUEST, results))
-    for name in ("scores.csv", "leaderboard.csv"):
-        cells = {value for row in read_csv(tmp_path / name) for value in row.values()}
-        assert not [cell for cell in cells if cell[:1] in tuple("=+-@")]
-    loaded = irl_bench.load(tmp_path).scores
-    assert {*loaded.program, *loaded.finished, *loaded.reason} == {evil}
-    assert {*loaded.expert, *loaded.source} == {"@x", "-1+1"}
 
 
 def test_glyphs_that_fonts_lack_warn_nobody(tmp_path: Path) -> None:
