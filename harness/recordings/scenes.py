@@ -30,6 +30,7 @@ _POSE, _POSES = 28, 80_000  # bytes of a geometry's pose; of all poses of a long
 _FOLLOWED = 2.0  # m, path from which on a view follows what moves
 _SHOWN_GROUPS = 3  # MuJoCo's viewer hides geometries of groups from this on
 _GHOST = 0.35  # opacity of a ghost
+_LONG = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 _KINDS: dict[str, Any] = {
     "capsule": rr.Capsules3D,
     "cylinder": rr.Cylinders3D,
@@ -146,7 +147,12 @@ class Solid:
         path = self.places[:, [geom for geoms in movable.values() for geom in geoms]].mean(axis=1)
         follows = bool(np.ptp(path, axis=0).max() > _FOLLOWED)
         visible = [g for part in (movable, fixed) for kind, gs in part.items() if kind != "plane" for g in gs]
-        places, reach = self.places[: 1 if follows else None, visible], self.model.geom_rbound[visible, None]
+        steps = slice(1 if follows else None)
+        places, turns = self.places[steps, visible], self.turns[steps, visible]
+        radii, halves, _ = self.model.geom_size[visible].T[..., None]
+        is_long = np.isin(self.model.geom_type[visible, None], _LONG)
+        bounds = self.model.geom_rbound[visible, None]
+        reach = np.where(is_long, radii + halves * np.abs(_upwards(turns)), bounds)
         low, high = (places - reach).min(axis=(0, 1)), (places + reach).max(axis=(0, 1))
         size = float(np.linalg.norm(high - low))
         eye = np.array([0.0, -0.35, 1.0] if high[2] - low[2] < 0.2 * size else [0.25, -1.0, 0.25])

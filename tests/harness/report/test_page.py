@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from harness.records import CONTROLS, UNSHOWN
+from harness.records import UNSHOWN
 from harness.report.columns import visible
 
 LINES = "#lines tbody tr"
@@ -229,14 +229,3 @@ def test_each_figure_has_words_and_its_data(page: Any) -> None:
     assert len(ids) == len({*ids})
     anchors = page.eval_on_selector_all("a[href^='#']", "all => all.map(one => one.hash.slice(1))")
     assert {*anchors} <= {*ids}
-
-
-def test_the_best_is_marked_and_so_are_those_not_significantly_worse(page: Any) -> None:
-    marks = page.eval_on_selector_all(
-        ".heat td b", "all => all.map(b => [b.textContent, b.parentElement.dataset.tip])"
-    )
-    assert {mark for mark, _ in marks} <= {"★", "≈"}
-    assert all(("the best" in tip) for _, tip in marks)
-    best = {tip.partition(",")[0] for mark, tip in marks if mark == "★"}
-    assert best == {"bc", "shaped"}
-    assert not best & {*CONTROLS}
