@@ -174,7 +174,7 @@ class Row:
     reward_epic: float = math.nan
     """pi_R rows where the model is known: the EPIC distance, for comparison with other work."""
     policy_ranking: float = math.nan
-    """pi_R rows: Spearman's correlation of policies' mean returns under the two (`harness.judge.ranking`)."""
+    """pi_R rows: Spearman's correlation of policies' mean returns under the two rewards."""
     own_return: float = math.nan
     """pi_star and pi_R rows: mean undiscounted return under R* above absorption, over evaluation episodes."""
     own_return_shown: float = math.nan
@@ -184,7 +184,7 @@ class Row:
     solves: Count = 0
     """RL solves that pi_R was chosen from; 0 in other rows."""
     solved: float = math.nan
-    """pi_R rows of methods: 1 where RL solved R*, 0 where it did not (`harness.judge.solved`)."""
+    """pi_R rows of methods: 1 where RL solved R*, 0 where it did not (`harness.judge.evaluation`)."""
     fit_seconds: float = math.nan
     """Wall time of making this policy: `fit` for pi_star, RL on R* for pi_R."""
     env_steps: Count = 0

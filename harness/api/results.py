@@ -14,7 +14,7 @@ import pandas as pd
 from harness.judge.leaderboard import Entry
 from harness.records import CellResult, Row
 from harness.registry import BadInput
-from harness.report.spreadsheet import read_csv
+from harness.report.tables import read_csv
 from harness.store.database import FILE
 from harness.store.files import opened
 from harness.store.opening import open_to_verify

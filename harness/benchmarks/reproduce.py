@@ -18,12 +18,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
-from harness.judge.roles import SURVIVAL
+from harness.judge.rows import SURVIVAL
 from harness.records import ALL_SHOWN, COLUMNS, CONTROLS, REFERENCE, UNSHOWN, CellResult, Shown
 from harness.registry import BadInput, LearnerName
 from harness.report.columns import score
 from harness.report.figures import BLUE, ORANGE, as_file, plot_seeds, styled
-from harness.report.spreadsheet import as_csv, frame_of
+from harness.report.tables import as_csv, frame_of
 from harness.store.files import write_atomic
 from harness.store.marked import open_marked
 from harness.store.opening import STUDY

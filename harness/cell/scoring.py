@@ -12,9 +12,8 @@ from harness.cell.inputs import Inputs, Seconds, added
 from harness.cell.phases import Phase
 from harness.cell.retraining import Retrained
 from harness.cell.watched import Watched
-from harness.judge.evaluation import Evaluation, evaluate
+from harness.judge.evaluation import Evaluation, evaluate, is_solved
 from harness.judge.numbers import as_text
-from harness.judge.solved import is_solved
 from harness.records import CONTROLS, REFERENCE, PolicyName, Row, Solve, row_of
 from methods.base import Policy, Reward
 from methods.rewards import fast

@@ -13,8 +13,7 @@ import numpy as np
 from harness.cell.experts import Expert, Source, from_kept, source_for, to_kept
 from harness.cell.shipped import shipped_policies
 from harness.demonstrations.arrays import from_arrays, to_arrays
-from harness.judge.advantage import Replays, replay
-from harness.judge.ranking import Ranked, ranked
+from harness.judge.advantage import Ranked, Replays, ranked, replay
 from harness.records import LEARNED, Conditions, Shown, name_of
 from harness.registry import SPECS
 from harness.registry.keys import experts_version

@@ -120,7 +120,6 @@ def view(args: argparse.Namespace) -> int:
 def compare(directory: Path, others: Sequence[Path]) -> int:
     """Show what differs between a run and each of the others."""
     from harness.report import compare as comparison
-    from harness.report.markdown import as_markdown
 
     runs = [(str(path), *_read(path)) for path in (directory, *others)]
     first, *rest = [comparison.Run(name, request.conditions, results) for name, request, results in runs]
@@ -132,7 +131,7 @@ def compare(directory: Path, others: Sequence[Path]) -> int:
             say(f"- {env}: not compared; {baseline.OTHER_VERSION}")
         if comparison.is_other_scale(first, other):
             say("- scores are not compared: 1 is what demonstrations return in one, and not in the other")
-        table = as_markdown(comparison.differences(first, other))
+        table = comparison.differences(first, other).as_markdown()
         say("\n" + table if table else "\nthere is nothing that both have")
     return 0
 

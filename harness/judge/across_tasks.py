@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.roles import UNINFORMED
+from harness.judge.rows import UNINFORMED
 from harness.judge.statistics import interquartile_interval, interquartile_mean
 from harness.records import REFERENCE, Row
 from harness.registry import ASKING
@@ -42,15 +42,15 @@ def indistinct(entries: Sequence[Entry]) -> dict[str, str]:
     for entry in entries:
         if entry.policy == "pi_R" and math.isfinite(entry.score_mean):
             boards.setdefault(entry.env, []).append(entry)
-    found = {}
+    reasons = {}
     for env, mine in boards.items():
         best = max((e.score_mean for e in mine if e.role == "method"), default=math.nan)
-        knows_nothing = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
-        if knows_nothing:
-            top = max(knows_nothing, key=lambda e: e.score_mean)
+        ties = [e for e in mine if e.role in UNINFORMED and e.score_mean >= best - NO_BETTER]
+        if ties:
+            top = max(ties, key=lambda e: e.score_mean)
             scores = as_text(top.score_mean, ".2f"), as_text(best, ".2f")
-            found[env] = f"{top.method} scores {scores[0]} there, the best method {scores[1]}"
-    return found
+            reasons[env] = f"{top.method} scores {scores[0]} there, the best method {scores[1]}"
+    return reasons
 
 
 def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
@@ -72,6 +72,6 @@ def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
             pooled = [score for runs in by_env.values() for score in runs]
             low, high = interquartile_interval(list(by_env.values()))
             below = sum(score < GOOD for score in pooled) / len(pooled)
-            score = interquartile_mean(pooled)
-            lines.append(Overall(method, policy, len(envs), len(pooled), score, low, high, below))
+            middle = interquartile_mean(pooled)
+            lines.append(Overall(method, policy, len(envs), len(pooled), middle, low, high, below))
     return sorted(lines, key=lambda line: (-line.score, line.method, line.policy))

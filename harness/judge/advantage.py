@@ -1,4 +1,4 @@
-"""The distance of a learned reward from the true one.
+"""The distance of a learned reward from the true one, and whether it ranks policies as the true one does.
 
 Under each reward an action has an advantage over what the expert does, and the advantages are compared.
 Scale, shift and potential-based shaping (Ng et al. 1999) leave the best policies, and advantages up to scale,
@@ -14,24 +14,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from envs import EnvSpec
 from envs.models import Tabular
 from harness.judge.statistics import rank_correlation
-from harness.judge.stretches import Stretches
 from harness.rl.exact import expected_rewards
 from harness.rl.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
 from methods.network import standardiser
+from methods.rewards import fast
+from methods.stochastic import roughened
 from methods.tabular.model import action_values, greedy, policy_value, value_iteration
 
 LEAST_WEIGHT = 0.01
 """The discount at which a replay ends."""
 SAME = 1e-9
 """The share of the largest reward below which an advantage is rounding."""
+POLICIES = 20
+"""Number of policies that a reward must rank."""
+ROUGHEST = 0.5
+"""Share of random actions in the worst variant of a policy."""
 
 
 class Comparison(NamedTuple):
@@ -46,6 +52,54 @@ class Comparison(NamedTuple):
     rank: float
     floor: float = math.nan
     epic: float = math.nan
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """N parts of episodes, one after the other, in 32 bits.
+
+    `obs`: observations before each of the M steps and at each part's end, (M + N, O). `act`: (M, A).
+    `lengths`: steps of each, (N,). `terminated`: whether the episode terminated at its end, (N,).
+    """
+
+    obs: NDArray[np.float32]
+    act: NDArray[np.float32]
+    lengths: NDArray[np.int64]
+    terminated: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, episodes: Sequence[Trajectory], starts: Sequence[int]) -> Self:
+        """Return each episode from its start step on."""
+        both = list(zip(episodes, starts, strict=True))
+        return cls(
+            np.concatenate([e.obs[t:] for e, t in both]).astype(np.float32),
+            np.concatenate([e.act[t:] for e, t in both]).astype(np.float32),
+            np.array([len(e.act) - t for e, t in both]),
+            np.array([e.terminated for e, _ in both]),
+        )
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return its arrays by name, for storage."""
+        return dict(vars(self))
+
+    def returns(self, reward: Reward, gamma: float) -> Array:
+        """Return the discounted pay of each, (N,), above absorption. After a termination it is 0."""
+        before, after = np.ones((2, len(self.obs)), bool)
+        before[self._ends] = after[self._ends - self.lengths] = False
+        obs, act = self.obs.astype(np.float64), self.act.astype(np.float64)
+        paid = fast(reward)(obs[before], act, obs[after]) - reward.absorbing
+        first = np.cumsum(self.lengths) - self.lengths
+        age = np.arange(len(act)) - np.repeat(first, self.lengths)
+        return np.asarray(np.add.reduceat(paid * gamma**age, first))
+
+    @property
+    def last(self) -> Array:
+        """The observation at each end, (N, O)."""
+        return self.obs[self._ends].astype(np.float64)
+
+    @property
+    def _ends(self) -> NDArray[np.int64]:
+        return np.asarray(np.cumsum(self.lengths + 1) - 1)
 
 
 @dataclass(frozen=True)
@@ -152,3 +206,32 @@ def compare(own: Array, true: Array) -> Comparison:
     constant = np.ptp(a) == 0 or np.ptp(b) == 0
     rank = math.nan if constant else rank_correlation(a.round(9), b.round(9))
     return Comparison(distance, rank)
+
+
+@dataclass(frozen=True)
+class Ranked(Stretches):
+    """Episodes of P policies one after the other, equally many of each. `true`: mean true returns, (P,)."""
+
+    true: Array
+
+    def ranking(self, reward: Reward | None) -> float:
+        """Return Spearman's correlation of mean returns under the reward and the true one, in [-1, 1].
+
+        It is NaN where all returns under one of the two are equal. None is the true reward.
+        """
+        own = self.true if reward is None else self.returns(reward, 1.0).reshape(len(self.true), -1).mean(1)
+        if np.ptp(own) <= 1e-9 * np.abs(own).max() or np.ptp(self.true) == 0:
+            return math.nan
+        return rank_correlation(own, self.true)
+
+
+def ranked(
+    spec: EnvSpec, policies: Sequence[Policy], seeds: Sequence[int], rng: np.random.Generator
+) -> Ranked:
+    """Return episodes of `POLICIES` policies: the given ones with shares of random actions, from 0 on."""
+    shares = np.linspace(0, ROUGHEST, POLICIES // len(policies))
+    executed = [lambda obs, policy=policy: spec.executed(policy(obs)) for policy in policies]
+    rough = [roughened(policy, share, spec.random_actions, rng) for policy in executed for share in shares]
+    episodes = [episode for group in Simulator(spec).run_each(rough, seeds) for episode in group]
+    true = np.array([e.rewards.sum() for e in episodes]).reshape(len(rough), -1).mean(axis=1)
+    return Ranked(**vars(Stretches.of(episodes, [0] * len(episodes))), true=true)

@@ -15,7 +15,6 @@ MOST = 3
 """The largest ratio of steps at which two methods are compared like with like."""
 EPISODES = 10
 """Rollouts that any method may take beside RL's steps."""
-RL = "RL at this budget"
 
 
 def asked(method: Any, rl_steps: int) -> float:
@@ -52,36 +51,34 @@ def warnings(results: Sequence[CellResult], budget: str) -> list[str]:
     results; checks of checkpoints are included. A method that is like none, or like one that takes no steps,
     is compared with all built-in methods there, and with RL.
     """
-    rows: dict[tuple[str, str, str], list[Row]] = {}
+    rows: dict[tuple[str, str], dict[str, list[Row]]] = {}
     likes: dict[str, list[str]] = {}
     for result in results:
-        if not result.rows:
-            continue
-        cell, row = result.cell, result.rows[0]
-        if cell.dynamics == NOMINAL and cell.method not in (REFERENCE, *CONTROLS) and row.status == "ok":
-            rows.setdefault((cell.env, str(cell.shown), cell.method), []).append(row)
+        cell, row = result.cell, next(iter(result.rows), None)
+        counts = cell.dynamics == NOMINAL and cell.method not in (REFERENCE, *CONTROLS)
+        if row and row.status == "ok" and counts:
+            rows.setdefault((cell.env, str(cell.shown)), {}).setdefault(cell.method, []).append(row)
             if cell.method not in BUILT_IN["method"]:
                 likes[cell.method] = result.like
     lines = []
-    for env, shown, method in sorted(rows):
-        if method not in likes:
-            continue
-        known = [name for name in BUILT_IN["method"] if (env, shown, name) in rows]
-        alike = [name for name in known if name in likes[method]]
-        checks = any(_mean(rows[env, shown, name], True) for name in alike)
-        if likes[method] and not alike:
-            continue  # its own cells warn where its settings ask for more
-        others = {name: _mean(rows[env, shown, name], checks) for name in (alike if checks else known)}
-        if not checks and env in BUILT_IN["env"]:
-            others[RL] = SPECS[env].rl_steps[budget] + EPISODES * SPECS[env].horizon
-        took = _mean(rows[env, shown, method], checks)
-        most = max(others, key=others.__getitem__, default="")
-        if most and took > MOST * others[most] > 0:
-            which = f"{env}, {shown}" if shown else env
-            lines.append(
-                f"{method} in {which} took {took:,.0f} environment steps{' and checks' * checks}, more than "
-                f"{MOST} times the {others[most]:,.0f} of {most}: not compared like with like"
-            )
+    for (env, shown), methods in sorted(rows.items()):
+        for method in sorted(methods.keys() & likes.keys()):
+            known = [name for name in BUILT_IN["method"] if name in methods]
+            alike = [name for name in known if name in likes[method]]
+            checks = any(_mean(methods[name], True) for name in alike)
+            if likes[method] and not alike:
+                continue  # its own cells warn where its settings ask for more
+            others = {name: _mean(methods[name], checks) for name in (alike if checks else known)}
+            if not checks and env in BUILT_IN["env"]:
+                others["RL at this budget"] = SPECS[env].rl_steps[budget] + EPISODES * SPECS[env].horizon
+            took = _mean(methods[method], checks)
+            most = max(others, key=others.__getitem__, default="")
+            if most and took > MOST * others[most] > 0:
+                lines.append(
+                    f"{method} in {f'{env}, {shown}' if shown else env} took {took:,.0f} environment steps"
+                    f"{' and checks' * checks}, more than {MOST} times the {others[most]:,.0f} of {most}: "
+                    "not compared like with like"
+                )
     return lines
 
 

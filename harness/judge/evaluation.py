@@ -1,4 +1,4 @@
-"""Scoring a policy in the original environment by its true reward."""
+"""Scores of a policy in the original environment under its true reward, and the verdict on RL."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 
 from envs import EnvSpec
+from harness.registry.bounds import usable
 from harness.rl.simulator import Simulator, Trajectory
 from methods.base import Array, Policy, Reward
+
+SOLVED = 0.95
+"""Share of pi_star's gain over the random policy that RL must reach."""
+ROUNDING = 1e-9
+"""The largest relative difference of sums that are equal up to rounding."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths, (N,), of N episodes, the number of endings by their reason, and the first
-    one.
+    """True returns and lengths, (N,), of N episodes, the number of endings by reason, and the first episode.
 
     `own`: returns under another reward above absorption, (N,), if there is one.
     """
@@ -67,3 +72,15 @@ def totals(reward: Reward, episodes: Sequence[tuple[Array, Array]]) -> Array:
     paid = reward(before, np.concatenate(act), after) - reward.absorbing
     starts = np.cumsum([0, *map(len, act[:-1])])
     return np.asarray(np.add.reduceat(paid, starts))
+
+
+def is_solved(own: float, star: float, random: float) -> float:
+    """Return 1 where RL solved R*, 0 where it did not, and NaN where one of the returns is not known.
+
+    `own`, `star`, `random`: mean returns under R* of RL's policy, of pi_star, and of the random policy. Where
+    pi_star earns no more than the random policy, RL must earn as much as the random policy.
+    """
+    if not all(map(usable, (own, star, random))):
+        return math.nan
+    least = random + SOLVED * max(0.0, star - random)
+    return float(own >= least or math.isclose(own, least, rel_tol=ROUNDING, abs_tol=ROUNDING))

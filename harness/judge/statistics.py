@@ -1,13 +1,13 @@
-"""Statistics over seeds: means and interquartile means, with 95 % intervals."""
+"""Statistics over seeds: means, interquartile means, ranks and probabilities, with 95 % intervals."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit  # all of scipy.stats takes a second to import
 
 RESAMPLES = 10_000
 AT_ONCE = 500
@@ -20,40 +20,17 @@ NORMAL = 1.959964
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
     """Return the 95 % interval of the mean of independent values, by Student's t.
 
-    It covers the mean of normal values 95 times in 100, however few they are, and that of scores near a bound
-    less often. It is (NaN, NaN) for fewer than two values. For equal values it is that value, which does not
-    mean that they could not vary. Raises ValueError for values that are not finite.
+    It is (NaN, NaN) for fewer than two values, and that value for equal ones, which does not mean that they
+    could not vary. Raises ValueError for values that are not finite.
     """
-    if not np.isfinite(values).all():
-        raise ValueError(f"values must be finite, not {list(values)}")
-    if len(values) < 2:
+    ordered = np.sort(_finite(values))
+    if len(ordered) < 2:
         return math.nan, math.nan
-    ordered = np.sort(np.asarray(values, np.float64))
     if ordered[0] == ordered[-1]:
         return float(ordered[0]), float(ordered[0])
-    reach = _reach(len(ordered)) * float(ordered.std(ddof=1)) / math.sqrt(len(ordered))
+    errors = float(stdtrit(len(ordered) - 1, 0.5 + CONFIDENCE / 2))
+    reach = errors * float(ordered.std(ddof=1)) / math.sqrt(len(ordered))
     return float(ordered.mean()) - reach, float(ordered.mean()) + reach
-
-
-@functools.cache
-def _reach(count: int) -> float:
-    """Return half of Student's 95 % interval of the mean of `count` values, in standard errors."""
-    from scipy.special import stdtrit  # all of scipy.stats takes a second to import
-
-    return float(stdtrit(count - 1, 0.5 + CONFIDENCE / 2))
-
-
-def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return Spearman's correlation; equal values share their mean rank. It is NaN where a value is."""
-    if np.isnan(one).any() or np.isnan(other).any():
-        return math.nan
-    return float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
-
-
-def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: NDArray[np.float64] = (np.cumsum(counts) - (counts - 1) / 2)[place]
-    return ranks
 
 
 def normal_interval(mean: float, error: float) -> tuple[float, float]:
@@ -64,11 +41,7 @@ def normal_interval(mean: float, error: float) -> tuple[float, float]:
 def interquartile_mean(values: Sequence[float]) -> float:
     """Return the mean of the middle half: a quarter of the values, rounded down, is cut from either end
     (Agarwal et al. 2021). It is NaN without values. Raises ValueError for values that are not finite."""
-    if not np.isfinite(values).all():
-        raise ValueError(f"values must be finite, not {list(values)}")
-    if not len(values):
-        return math.nan
-    return float(_middle_means(np.asarray(values, np.float64)))
+    return float(_middle_means(_finite(values))) if len(values) else math.nan
 
 
 def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> tuple[float, float]:
@@ -77,12 +50,10 @@ def interquartile_interval(tasks: Sequence[Sequence[float]], seed: int = 0) -> t
 
     It is (NaN, NaN) where a task has fewer than two runs. Raises ValueError for values that are not finite.
     """
-    if not all(np.isfinite(runs).all() for runs in tasks):
-        raise ValueError("values must be finite")
-    if not tasks or min(len(runs) for runs in tasks) < 2:
+    ordered = [np.sort(_finite(runs)) for runs in tasks]
+    if min(map(len, ordered), default=0) < 2:
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
-    ordered = [np.sort(np.asarray(runs, np.float64)) for runs in tasks]
     # Values instead of places would take a gigabyte for 1,000 runs of 14 tasks.
     places = [
         rng.integers(0, len(runs), (RESAMPLES, len(runs))).astype(np.min_scalar_type(len(runs)))
@@ -105,6 +76,25 @@ def probability_of_improvement(values: Sequence[float], others: Sequence[float])
         return math.nan
     gaps = np.subtract.outer(np.asarray(values, np.float64), np.asarray(others, np.float64))
     return float(((gaps > 0) + 0.5 * (gaps == 0)).mean())
+
+
+def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return Spearman's correlation; equal values share their mean rank. It is NaN where a value is."""
+    if np.isnan(one).any() or np.isnan(other).any():
+        return math.nan
+    return float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
+
+
+def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: NDArray[np.float64] = (np.cumsum(counts) - (counts - 1) / 2)[place]
+    return ranks
+
+
+def _finite(values: Sequence[float]) -> NDArray[np.float64]:
+    if not np.isfinite(values).all():
+        raise ValueError(f"values must be finite, not {list(values)}")
+    return np.asarray(values, np.float64)
 
 
 def _middle_means(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,7 +61,6 @@ def rrd_file(
     stream = rr.RecordingStream(f"irl-bench-{task}", recording_id=identity, send_properties=False)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    # rerun writes only to paths in UTF-8, and writes nothing where RERUN=off is set.
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "episode.rrd"
         stream.save(file, blueprint, write_footer=False)

@@ -67,14 +67,6 @@ class Episode:
     maps: Maps | None = None
     facts: Mapping[str, str | float] = field(default_factory=dict)
 
-    def check(self) -> None:
-        """Raise ValueError where lengths disagree."""
-        arrays = (self.trajectory.rewards, self.learned, self.expert, self.f, self.precision)
-        lengths = {len(values) for values in arrays if values is not None}
-        lengths |= {self.scene.length} if self.scene else set()
-        if lengths != {len(self.trajectory.act)}:
-            raise ValueError(f"{len(self.trajectory.act)} steps need as many values, not {sorted(lengths)}")
-
 
 @dataclass(frozen=True)
 class Plot:
@@ -108,15 +100,19 @@ class Plot:
 def record(spec: EnvSpec, cell: Cell, policy: str, which: str, episode: Episode) -> bytes:
     """Return an episode as an .rrd file. Equal input gives equal content.
 
-    which: a word for the episode among the policy's. Raises ValueError where lengths disagree, OSError where
-    rerun writes nothing.
+    which: a word for the episode among the policy's. Raises OSError where rerun writes nothing.
     """
-    episode.check()
-    plots = _plots(spec, episode)
+    plots, played = _plots(spec, episode), episode.trajectory
+    facts = {
+        **{"env": cell.task, "method": cell.method, "seed": cell.seed, "policy": policy, "episode": which},
+        **{"return": round(float(played.rewards.sum()), 6), "length": len(played.act)},
+        **{"ending": played.ending, **episode.facts},
+    }
 
     def send(stream: rr.RecordingStream) -> None:
         stream.send_recording_name(f"{cell.method} {policy}, {which}")
-        _send_facts(stream, cell, policy, which, episode)
+        common.send_table(stream, "| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in facts.items()))
+        send_ending(stream, "ending", played)
         if episode.scene:
             episode.scene.send_fixed(stream)
             episode.scene.send_moving(stream, "policy")
@@ -138,16 +134,22 @@ def send_ending(stream: rr.RecordingStream, entity: str, trajectory: Trajectory,
 
 def _plots(spec: EnvSpec, episode: Episode) -> list[Plot]:
     played, learned, precision = episode.trajectory, episode.learned, episode.precision
-    plots = [
-        Plot("true", "True reward of a step", ["true reward"], played.rewards[:, None], [common.GREY]),
-        Plot("true_return", "True return so far", ["so far"], common.so_far(played.rewards), [common.GREY]),
-    ]
+    rewards = [("true", "True reward", "True return so far", played.rewards, common.GREY)]
     if learned is not None:
-        plots += [
-            Plot("learned", "R* of a step, above absorption", ["R*"], learned[:, None], [common.BLUE]),
-            Plot("learned_return", "R* so far", ["so far"], common.so_far(learned), [common.BLUE]),
-        ]
-    plots += _action_plots(spec, {"policy": played.act, "expert": episode.expert, "f(s)": episode.f})
+        rewards.append(("learned", "R* above absorption", "R* so far", learned, common.BLUE))
+    plots = []
+    for name, title, total, paid, colour in rewards:
+        plots.append(Plot(name, f"{title}, of a step", [title], paid[:, None], [colour]))
+        plots.append(Plot(f"{name}_return", total, ["so far"], common.so_far(paid), [colour]))
+    acts = {"policy": played.act, "expert": episode.expert, "f(s)": episode.f}
+    known = {actor: values for actor, values in acts.items() if values is not None}
+    names = [str(quantity) for quantity in spec.actions]
+    if len(names) > FEW:
+        for i, (actor, values) in enumerate(known.items()):
+            plots.append(Plot(f"action_{i}", f"Actions: {actor}", names, values))
+    else:
+        colours, entries = [_COLOURS[actor] for actor in known], np.stack([*known.values()], axis=2)
+        plots += [Plot(f"action_{i}", n, [*known], entries[:, i], colours) for i, n in enumerate(names)]
     if precision is not None:
         names = [f"eigenvalue {i + 1}" for i in range(precision.shape[1])]
         if len(names) > FEW:
@@ -155,17 +157,6 @@ def _plots(spec: EnvSpec, episode: Episode) -> list[Plot]:
         plots.append(Plot("precision", "Eigenvalues of L Lᵀ + I", names, precision))
     names = [str(quantity) for quantity in spec.observations]
     return [*plots, Plot("observation", "Observations", names, played.obs)]
-
-
-def _action_plots(spec: EnvSpec, acts: Mapping[str, Array | None]) -> list[Plot]:
-    """Return a plot of each entry of the actions (T, A) by actor, or of each actor of many entries."""
-    known = {actor: values for actor, values in acts.items() if values is not None}
-    names = [str(quantity) for quantity in spec.actions]
-    if len(names) > FEW:
-        plots = enumerate(known.items())
-        return [Plot(f"action_{i}", f"Actions: {actor}", names, values) for i, (actor, values) in plots]
-    colours, entries = [_COLOURS[actor] for actor in known], np.stack([*known.values()], axis=2)
-    return [Plot(f"action_{i}", name, [*known], entries[:, i], colours) for i, name in enumerate(names)]
 
 
 def _send_plots(stream: rr.RecordingStream, plots: Sequence[Plot]) -> None:
@@ -194,24 +185,6 @@ def _send_advantage(stream: rr.RecordingStream, advantage: Advantage) -> None:
     common.send_columns(stream, "advantage", advantage.steps, columns)
 
 
-def _send_facts(stream: rr.RecordingStream, cell: Cell, policy: str, which: str, episode: Episode) -> None:
-    played = episode.trajectory
-    facts = {
-        "env": cell.task,
-        "method": cell.method,
-        "seed": cell.seed,
-        "policy": policy,
-        "episode": which,
-        "return": round(float(played.rewards.sum()), 6),
-        "length": len(played.act),
-        "ending": played.ending,
-        **episode.facts,
-    }
-    rows = [f"| {name} | {value} |" for name, value in facts.items()]
-    common.send_table(stream, "| | |", "|---|---|", *rows)
-    send_ending(stream, "ending", played)
-
-
 def _layout(spec: EnvSpec, episode: Episode, plots: Sequence[Plot]) -> rrb.Blueprint:
     """Return the scene above the facts on the left, and the plots on the right."""
     facts = rrb.Horizontal(
@@ -228,6 +201,5 @@ def _layout(spec: EnvSpec, episode: Episode, plots: Sequence[Plot]) -> rrb.Bluep
     actions = [view for name, view in views.items() if name.startswith("action_")]
     grid = rrb.Grid(*actions, grid_columns=min(3, len(actions)))
     right = rrb.Vertical(*(rrb.Horizontal(*row) for row in rows if row), grid, views["observation"])
-    shares = [*[4] * len(left), 3]
-    sides = rrb.Horizontal(rrb.Vertical(*left, facts, row_shares=shares), right, column_shares=[5, 4])
-    return common.layout(spec, sides)
+    sides = rrb.Vertical(*left, facts, row_shares=[*[4] * len(left), 3])
+    return common.layout(spec, rrb.Horizontal(sides, right, column_shares=[5, 4]))

@@ -31,7 +31,6 @@ from harness.rl.simulator import Simulator, Trajectory
 from harness.store.files import write_atomic
 from harness.store.names import compared_in
 from harness.store.store import Store
-from methods.base import Policy
 
 SEED = 0
 """The run's seed whose first evaluation episode is played."""
@@ -58,30 +57,25 @@ def write_compared(run: Store, results: Iterable[CellResult]) -> list[Path]:
 
     A file of the same policies stays where it is as it was written. Return the paths of all files.
     """
-    files = []
-    for env, group in sorted(_by_env(results).items()):
-        file = run.path / "recordings" / compared_in(env)
-        digests = [result.learned for result in group]
-        identity = hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
-        if not (run.is_as_written(file) and identity_of(file) == identity):
-            if len(ghosts := _ghosts(run, env, group)) < 2:
-                continue
-            write_atomic(file, record(SPECS[env], identity, ghosts))
-        files.append(file)
-    return files
-
-
-def _by_env(results: Iterable[CellResult]) -> dict[str, list[CellResult]]:
-    """Return the results to compare by environment: first the reference's, then at least one method's."""
     learned: dict[str, list[CellResult]] = {}
     for result in sorted(results, key=lambda one: (one.cell.method != REFERENCE, one.cell.method)):
         cell = result.cell
         is_usual = (cell.seed, cell.dynamics, cell.shown) == (SEED, NOMINAL, ALL_SHOWN)
         if is_usual and result.learned and cell.env in KNOWN.entries["env"] and cell.method not in CONTROLS:
             learned.setdefault(cell.env, []).append(result)
-    return {
-        env: group for env, group in learned.items() if group[0].cell.method == REFERENCE and len(group) > 1
-    }
+    files = []
+    for env, group in sorted(learned.items()):
+        if group[0].cell.method != REFERENCE or len(group) < 2:
+            continue
+        file = run.path / "recordings" / compared_in(env)
+        digests = "\n".join(result.learned for result in group)
+        identity = hashlib.sha256(digests.encode()).hexdigest()[:16]
+        if not (run.is_as_written(file) and identity_of(file) == identity):
+            if len(ghosts := _ghosts(run, env, group)) < 2:
+                continue
+            write_atomic(file, record(SPECS[env], identity, ghosts))
+        files.append(file)
+    return files
 
 
 def identity_of(file: Path) -> str:
@@ -101,37 +95,36 @@ def record(spec: EnvSpec, identity: str, ghosts: Sequence[Ghost]) -> bytes:
         longest = max(ghosts, key=lambda ghost: len(ghost.trajectory.act))
         if longest.scene:
             longest.scene.send_fixed(stream)
+        table = ["| | | return | steps | ending |", "|---|---|---|---|---|"]
         for ghost in ghosts:
             if ghost.scene:
                 ghost.scene.send_moving(stream, ghost.name, _COLOURS[ghost.policy])
             _send_earned(stream, ghost)
-        heading = ["| | | return | steps | ending |", "|---|---|---|---|---|"]
-        common.send_table(stream, *heading, *map(_table_row, ghosts))
+            played = ghost.trajectory
+            numbers = f"{played.rewards.sum():.6g} | {len(played.act)} | {played.ending}"
+            table.append(f"| {ghost.method} | {_TITLES[ghost.policy]} | {numbers} |")
+        common.send_table(stream, *table)
 
     return common.rrd_file(spec.name, identity, _layout(spec, ghosts), send)
 
 
 def _ghosts(run: Store, env: str, results: Sequence[CellResult]) -> list[Ghost]:
-    """Return an episode of each policy that can be read."""
+    """Return an episode of each policy that can be read; `verify` reports the others."""
     spec, seed = SPECS[env], evaluation_seeds(SEED, 1)[0]
-    policies = [
-        ("" if name == "expert" else result.cell.method, name, policy)
-        for result in results
-        for name, policy in _policies(run, result)
-    ]
+    policies = []
+    for result in results:
+        try:
+            learned = run.read_learned(result)
+        except BadInput:
+            continue
+        for name in _TITLES:
+            if (policy := learned.get(name)) is not None:
+                policies.append(("" if name == "expert" else result.cell.method, name, policy))
     episodes = Simulator(spec, len(policies)).run_each([policy for *_, policy in policies], [seed])
     return [
         Ghost(method, name, trajectory, scene(spec, seed, trajectory.act))
         for (method, name, _), (trajectory,) in zip(policies, episodes, strict=True)
     ]
-
-
-def _policies(run: Store, result: CellResult) -> list[tuple[str, Policy]]:
-    try:
-        learned = run.read_learned(result)
-    except BadInput:  # `verify` reports the damage
-        return []
-    return [(name, learned[name]) for name in _TITLES if learned.get(name) is not None]
 
 
 def _send_earned(stream: rr.RecordingStream, ghost: Ghost) -> None:
@@ -141,12 +134,6 @@ def _send_earned(stream: rr.RecordingStream, ghost: Ghost) -> None:
     stream.log(entity, lines, static=True)
     common.send_columns(stream, entity, np.arange(len(earned)), rr.Scalars.columns(scalars=earned))
     send_ending(stream, f"ending/{ghost.name}", ghost.trajectory, f"{ghost.method} {ghost.policy}, ".lstrip())
-
-
-def _table_row(ghost: Ghost) -> str:
-    played = ghost.trajectory
-    numbers = f"{played.rewards.sum():.6g} | {len(played.act)} | {played.ending}"
-    return f"| {ghost.method} | {_TITLES[ghost.policy]} | {numbers} |"
 
 
 def _layout(spec: EnvSpec, ghosts: Sequence[Ghost]) -> rrb.Blueprint:

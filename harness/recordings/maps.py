@@ -5,16 +5,14 @@ The other axes of the state are 0, and the action is the policy's own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from envs import EnvSpec, gridworld, point_maze
-from envs.balancing import pendulum
 from envs.spec import Array
 from harness.recordings.common import GREY, WHITE, send_columns
 from harness.rl.exact import expected_rewards
@@ -71,6 +69,15 @@ class Maps:
         ]
 
 
+def _coloured(values: Array) -> Array:
+    """Return colours in bytes, (H, W, 3), from dark for the least to bright for the greatest."""
+    spread = np.ptp(values)
+    scaled = (values - values.min()) / spread if spread else np.full(values.shape, 0.5)
+    anchors = np.linspace(0, 1, len(_VIRIDIS))
+    channels = [np.interp(scaled, anchors, channel) for channel in _VIRIDIS.T]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
 def maps(spec: EnvSpec, policy: Policy, reward: Reward | None, obs: Array) -> Maps | None:
     """Return the maps of an episode with observations (T+1, O). None for a task without maps.
 
@@ -81,13 +88,13 @@ def maps(spec: EnvSpec, policy: Policy, reward: Reward | None, obs: Array) -> Ma
     axes = _AXES.get(spec.name.partition(".")[0])
     if axes is None or reward is None:
         return None
-    high = np.array(axes.high)
-    low = np.array(axes.low) if axes.low else -high
+    low, high = np.array(axes.low or np.negative(axes.high)), np.array(axes.high)
     middles = (np.arange(SIDE) + 0.5) / SIDE
     grid = np.meshgrid(*(low + middles[:, None] * (high - low)).T)
-    before, act, after, true = axes.step(spec, policy, np.stack([values.ravel() for values in grid]))
+    before, act, after, true = _steps(spec, policy, axes, np.stack([values.ravel() for values in grid]))
     learned = reward(before, act, after) - reward.absorbing
-    path = (np.stack(axes.place(obs.T), axis=1) - low) / (high - low) * SIDE
+    places = [obs[:, at] if isinstance(at, int) else np.arctan2(*obs[:, at].T) for at in axes.place]
+    path = (np.stack(places, axis=1) - low) / (high - low) * SIDE
     across, upwards = (
         f"{name}, {a:.3g} to {b:.3g}" for name, a, b in zip(axes.names, low, high, strict=True)
     )
@@ -108,38 +115,36 @@ def _cells(spec: EnvSpec, policy: Policy, reward: Reward | None, obs: Array) -> 
     return Maps(rewards, np.asarray(path, np.float64), ("x [cells]", "y [cells]"))
 
 
-def _coloured(values: Array) -> Array:
-    """Return colours in bytes, (H, W, 3), from dark for the least to bright for the greatest."""
-    spread = np.ptp(values)
-    scaled = (values - values.min()) / spread if spread else np.full(values.shape, 0.5)
-    anchors = np.linspace(0, 1, len(_VIRIDIS))
-    channels = [np.interp(scaled, anchors, channel) for channel in _VIRIDIS.T]
-    return np.stack(channels, axis=-1).round().astype(np.uint8)
-
-
-Steps = tuple[Array, Array, Array, Array]
-"""Observations (N, O), actions (N, A), next observations (N, O) and true rewards (N,)."""
-
-
 @dataclass(frozen=True)
 class Axes:
-    """Two axes of a task's state, by default from -high to high.
+    """Two axes of a task's state, from `low`, by default -`high`, to `high`.
 
-    place: the coordinates of observations (O, N). step: one step of a policy from coordinates (2, N).
+    `place`: for each axis the entry of observations, or the entries of an angle's sine and cosine.
+    `entries`: the entries of the state; None for the maze, where they are those of observations.
     """
 
     names: tuple[str, str]
     high: tuple[float, float]
-    place: Callable[[Array], Sequence[Array]]
-    step: Callable[[EnvSpec, Policy, Array], Steps]
+    place: Sequence[int | list[int]]
+    entries: tuple[int, int] | None
     low: tuple[float, float] | None = None
 
 
-def _advance(spec: EnvSpec, policy: Policy, coordinates: Array, entries: tuple[int, int]) -> Steps:
-    """Return steps of a task with dynamics. entries: the numbers of both axes in its state."""
+def _steps(
+    spec: EnvSpec, policy: Policy, axes: Axes, coordinates: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return observations, actions, next observations and true rewards of steps from coordinates (2, N).
+
+    In the maze they are those of a ball that stands still.
+    """
+    if axes.entries is None:
+        before = np.concatenate([coordinates, 0 * coordinates]).T
+        act = np.array(spec.executed(policy(before.copy("K"))))
+        distance = np.linalg.norm(before[:, :2] - point_maze.TARGET, axis=1)
+        return before, act, before, -distance - point_maze.ENERGY * np.square(act).sum(axis=1)
     physics = spec.kwargs["physics"]
     state = np.zeros((len(physics.start(np.random.default_rng(0))), coordinates.shape[1]))
-    state[list(entries)] = coordinates
+    state[list(axes.entries)] = coordinates
     before = np.asarray(physics.observe(state)).T
     act = np.array(spec.executed(policy(before.copy("K"))))
     forces = act.T.astype(np.float32)
@@ -148,54 +153,14 @@ def _advance(spec: EnvSpec, policy: Policy, coordinates: Array, entries: tuple[i
     return before, act, np.asarray(physics.observe(after)).T, true
 
 
-def _stay_upright(spec: EnvSpec, policy: Policy, coordinates: Array) -> Steps:
-    """Return steps of the pendulum as if it stood still."""
-    angle, position = coordinates
-    before = np.stack([position, angle, 0 * angle, 0 * angle], axis=1)
-    act = np.array(spec.executed(policy(before.copy("K"))))
-    return before, act, before, (np.abs(angle) <= pendulum.MAX_ANGLE).astype(np.float64)
-
-
-def _stay_in_place(spec: EnvSpec, policy: Policy, coordinates: Array) -> Steps:
-    """Return steps of the maze as if the ball stood still."""
-    before = np.concatenate([coordinates, 0 * coordinates]).T
-    act = np.array(spec.executed(policy(before.copy("K"))))
-    distance = np.linalg.norm(before[:, :2] - point_maze.TARGET, axis=1)
-    return before, act, before, -distance - point_maze.ENERGY * np.square(act).sum(axis=1)
-
-
 _POLE = ("pole angle [rad]", "cart position [m]")
-_CARTPOLE = Axes(_POLE, (0.25, 2.6), lambda obs: (obs[2], obs[0]), partial(_advance, entries=(2, 0)))
+_CARTPOLE = Axes(_POLE, (0.25, 2.6), (2, 0), (2, 0))
 _AXES = {
     "cartpole": _CARTPOLE,
     "cartpole_discrete": _CARTPOLE,
-    "cartpole_swingup": Axes(
-        _POLE,
-        (np.pi, 3.2),
-        lambda obs: (np.arctan2(obs[3], obs[2]), obs[0]),
-        partial(_advance, entries=(2, 0)),
-    ),
-    "swingup": Axes(
-        ("angle from upright [rad]", "rate [rad/s]"),
-        (np.pi, 8.0),
-        lambda obs: (np.arctan2(obs[1], obs[0]), obs[2]),
-        partial(_advance, entries=(0, 1)),
-    ),
-    "acrobot": Axes(
-        ("first angle [rad]", "second angle [rad]"),
-        (np.pi, np.pi),
-        lambda obs: (np.arctan2(obs[1], obs[0]), np.arctan2(obs[3], obs[2])),
-        partial(_advance, entries=(0, 1)),
-    ),
-    "pendulum": Axes(
-        _POLE, (1.25 * pendulum.MAX_ANGLE, pendulum.RAIL), lambda obs: (obs[1], obs[0]), _stay_upright
-    ),
-    "point_maze": Axes(
-        ("x [m]", "y [m]"),
-        (point_maze.HIGH, point_maze.HIGH),
-        lambda obs: (obs[0], obs[1]),
-        _stay_in_place,
-        low=(point_maze.LOW, point_maze.LOW),
-    ),
+    "cartpole_swingup": Axes(_POLE, (np.pi, 3.2), ([3, 2], 0), (2, 0)),
+    "swingup": Axes(("angle from upright [rad]", "rate [rad/s]"), (np.pi, 8.0), ([1, 0], 2), (0, 1)),
+    "acrobot": Axes(("first angle [rad]", "second angle [rad]"), (np.pi, np.pi), ([1, 0], [3, 2]), (0, 1)),
+    "point_maze": Axes(("x [m]", "y [m]"), (point_maze.HIGH,) * 2, (0, 1), None, low=(point_maze.LOW,) * 2),
 }
 """Axes of the tasks with maps, without the grid world."""

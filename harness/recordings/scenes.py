@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,8 +17,7 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from envs.point_maze import TARGET
 from envs.spec import Array, Shape
-from harness.recordings.common import WHITE, Colour, send_columns
-from harness.recordings.solid_scene import Solid
+from harness.recordings.common import GREEN, LONG, WHITE, Colour, send_columns
 from harness.rl.simulator import drawings
 
 _TARGETS = {"point_maze": (*TARGET, 0.0)}
@@ -25,6 +26,19 @@ _BOUNDS = {"highway": (-35.0, -20.0, 75.0, 12.0)}
 """Bounds of `Flat` for tasks whose drawings move with an actor."""
 _MARGIN = 0.08  # of the scene's larger side
 _WIDTH = -2.0  # of a line: negative, because it is in pixels at any zoom
+_POSE, _POSES = 28, 80_000  # bytes of a geometry's pose; of all poses of a long episode
+_FOLLOWED = 2.0  # m, path from which on a view follows what moves
+_SHOWN_GROUPS = 3  # MuJoCo's viewer hides geometries of groups from this on
+_GHOST = 0.35  # opacity of a ghost
+_LONG = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+_KINDS: dict[str, Any] = {
+    "capsule": rr.Capsules3D,
+    "cylinder": rr.Cylinders3D,
+    "box": rr.Boxes3D,
+    "sphere": rr.Ellipsoids3D,
+    "ellipsoid": rr.Ellipsoids3D,
+}
+"""rerun's shapes of MuJoCo's geometries. Meshes are not shown, and a floor is the viewer's grid."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +52,6 @@ class Flat:
     frames: Sequence[Mapping[str, Shape]]
     bounds: tuple[float, float, float, float] | None = None
 
-    def __post_init__(self) -> None:
-        if any(frame.keys() != self.frames[0].keys() for frame in self.frames):
-            raise ValueError("an episode's drawings must have the same names throughout")
-
     @property
     def length(self) -> int:
         return len(self.frames) - 1
@@ -49,11 +59,9 @@ class Flat:
     @property
     def fixed(self) -> list[str]:
         """Names of shapes that never change."""
-        return [
-            name
-            for name, shape in self.frames[0].items()
-            if all(np.array_equal(frame[name].points, shape.points) for frame in self.frames)
-        ]
+        first = self.frames[0].items()
+        same = {n for n, s in first if all(np.array_equal(f[n].points, s.points) for f in self.frames)}
+        return [name for name in self.frames[0] if name in same]
 
     @property
     def moving(self) -> list[str]:
@@ -80,20 +88,130 @@ class Flat:
 
     def view(self, name: str, actors: Sequence[str] = ("policy",)) -> rrb.Spatial2DView:
         """Return a view of these actors and of what is fixed."""
-        left, bottom, right, top = self.bounds or self._box()
+        points = np.concatenate([shape.points for frame in self.frames for shape in frame.values()])
+        margin = _MARGIN * float(np.ptp(points, axis=0).max())
+        box = (*(points.min(axis=0) - margin), *(points.max(axis=0) + margin))
+        left, bottom, right, top = self.bounds or box
         return rrb.Spatial2DView(
             origin="scene",
-            contents=["/scene/fixed/**", *(f"/scene/{actor}/**" for actor in actors)],
+            contents=_contents(actors),
             name=name,
             visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(-top, -bottom)),
             background=WHITE,
         )
 
-    def _box(self) -> tuple[float, float, float, float]:
-        points = np.concatenate([shape.points for frame in self.frames for shape in frame.values()])
-        margin = _MARGIN * float(np.ptp(points, axis=0).max())
-        (left, bottom), (right, top) = points.min(axis=0) - margin, points.max(axis=0) + margin
-        return left, bottom, right, top
+
+@dataclass(frozen=True)
+class Solid:
+    """An episode of T steps in MuJoCo.
+
+    `places`: (T+1, G, 3), the centre of each geometry [m]. `turns`: (T+1, G, 4), its quaternion, w first.
+    `target`: a place that the model does not show [m].
+    """
+
+    model: mujoco.MjModel
+    places: Array
+    turns: Array
+    target: tuple[float, float, float] | None = None
+
+    @property
+    def length(self) -> int:
+        return len(self.places) - 1
+
+    @property
+    def moving(self) -> dict[str, list[int]]:
+        """Visible geometries of bodies that can move, by kind."""
+        return self._geometries(movable=True)
+
+    def send_fixed(self, stream: rr.RecordingStream) -> None:
+        """Send what never moves, below scene/fixed."""
+        stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if self.target:
+            mark = rr.Ellipsoids3D(radii=[0.02], centers=[self.target], colors=GREEN, fill_mode="solid")
+            stream.log("scene/fixed/target", mark, static=True)
+        for kind, geoms in self._geometries(movable=False).items():
+            if kind != "plane":
+                self._send(stream, f"scene/fixed/{kind}", kind, geoms)
+
+    def send_moving(self, stream: rr.RecordingStream, actor: str, ghost: Colour | None = None) -> None:
+        """Send what moves, below scene/ACTOR. ghost: the colour of a ghost."""
+        size = (self.length + 1) * sum(map(len, self.moving.values())) * _POSE
+        every = max(2, math.ceil(size / _POSES)) if self.length > LONG else 1
+        steps = np.union1d(np.arange(0, self.length + 1, every), self.length)
+        for kind, geoms in self.moving.items():
+            self._send(stream, f"scene/{actor}/{kind}", kind, geoms, steps, ghost)
+
+    def view(self, name: str, actors: Sequence[str] = ("policy",)) -> rrb.Spatial3DView:
+        """Return a view of these actors. It follows the first one where the path is long."""
+        movable, fixed = self.moving, self._geometries(movable=False)
+        path = self.places[:, [geom for geoms in movable.values() for geom in geoms]].mean(axis=1)
+        follows = bool(np.ptp(path, axis=0).max() > _FOLLOWED)
+        visible = [g for part in (movable, fixed) for kind, gs in part.items() if kind != "plane" for g in gs]
+        steps = slice(1 if follows else None)
+        places, turns = self.places[steps, visible], self.turns[steps, visible]
+        radii, halves, _ = self.model.geom_size[visible].T[..., None]
+        is_long = np.isin(self.model.geom_type[visible, None], _LONG)
+        bounds = self.model.geom_rbound[visible, None]
+        reach = np.where(is_long, radii + halves * np.abs(_upwards(turns)), bounds)
+        low, high = (places - reach).min(axis=(0, 1)), (places + reach).max(axis=(0, 1))
+        size = float(np.linalg.norm(high - low))
+        eye = np.array([0.0, -0.35, 1.0] if high[2] - low[2] < 0.2 * size else [0.25, -1.0, 0.25])
+        middle = (low + high) / 2
+        return rrb.Spatial3DView(
+            origin="scene",
+            contents=_contents(actors),
+            name=name,
+            eye_controls=rrb.EyeControls3D(
+                kind=rrb.Eye3DKind.Orbital,
+                position=middle + 0.95 * size * eye / np.linalg.norm(eye),
+                look_target=middle,
+                eye_up=(0.0, 0.0, 1.0),
+                tracking_entity=f"/scene/{actors[0]}/{next(iter(movable))}" if follows else None,
+            ),
+            background=WHITE,
+            line_grid="plane" in fixed,
+        )
+
+    def _geometries(self, movable: bool) -> dict[str, list[int]]:
+        """Return the visible geometries whose bodies can move, or those whose bodies cannot, by kind."""
+        result: dict[str, list[int]] = {}
+        for i in range(self.model.ngeom):
+            geom = self.model.geom(i)
+            kind = mujoco.mjtGeom(int(geom.type[0])).name.removeprefix("mjGEOM_").lower()
+            is_visible = geom.group[0] < _SHOWN_GROUPS and geom.rgba[3] > 0 and kind in {*_KINDS, "plane"}
+            if is_visible and movable == (self.model.body_weldid[geom.bodyid[0]] != 0):
+                result.setdefault(kind, []).append(i)
+        return result
+
+    def _send(
+        self,
+        stream: rr.RecordingStream,
+        entity: str,
+        kind: str,
+        geoms: list[int],
+        steps: NDArray[np.int64] | None = None,
+        ghost: Colour | None = None,
+    ) -> None:
+        """Send geometries of a kind: their shapes once, and their poses at these steps, or once."""
+        at = np.array([0]) if steps is None else steps
+        turns, places = self.turns[at][:, geoms], self.places[at][:, geoms]
+        sizes = self.model.geom_size[geoms]
+        colours = np.round(255 * self.model.geom_rgba[geoms]).astype(np.uint8)
+        if ghost:
+            colours[:] = [*ghost, round(255 * _GHOST)]
+        shape = {"half_sizes": np.repeat(sizes[:, :1], 3, axis=1) if kind == "sphere" else sizes}
+        if kind in ("capsule", "cylinder"):
+            shape = {"lengths": 2 * sizes[:, 1], "radii": sizes[:, 0]}
+        field = "centers"
+        if kind == "capsule":  # rerun's place of a capsule is its lower end
+            field, places = "translations", places - _upwards(turns) * sizes[:, 1:2]
+        shapes = _KINDS[kind].from_fields(**shape, colors=colours, fill_mode="solid")
+        stream.log(entity, shapes, static=True)
+        flat = {field: places.reshape(-1, 3), "quaternions": turns[..., [1, 2, 3, 0]].reshape(-1, 4)}
+        poses = {name: values.astype(np.float32) for name, values in flat.items()}
+        columns = _KINDS[kind].columns(**poses).partition([len(geoms)] * len(at))
+        times = [] if steps is None else [rr.TimeColumn("step", sequence=steps)]
+        stream.send_columns(entity, times, columns)
 
 
 Scene = Solid | Flat
@@ -119,6 +237,16 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
     return solid if solid.moving else None
 
 
+def _contents(actors: Sequence[str]) -> list[str]:
+    return ["/scene/fixed/**", *(f"/scene/{actor}/**" for actor in actors)]
+
+
 def _mirrored(points: Array) -> NDArray[np.float32]:
     """Return points (P, 2) with y negated, because 2D views point y downwards."""
     return (points * [1.0, -1.0]).astype(np.float32)
+
+
+def _upwards(turns: Array) -> Array:
+    """Return the third axis, (..., 3), after turns by quaternions (..., 4), w first."""
+    w, x, y, z = np.moveaxis(turns, -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)

@@ -102,27 +102,21 @@ class _Silent(http.server.SimpleHTTPRequestHandler):
 
 
 def _has_display() -> bool:
-    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return bool(display) or not sys.platform.startswith("linux")
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _environment(home: Path) -> dict[str, str]:
     """Return the environment of a viewer that writes into `home` alone, and sends and asks nothing."""
-    config, data = home / "config", home / "data"
-    for folder in (config / "rerun", data / "rerun"):
-        folder.mkdir(parents=True)
     analytics = {
-        "analytics_enabled": False,
-        "analytics_id": "",
-        "metadata": {},
-        "config_file_path": str(config / "rerun" / "analytics.json"),
-        "data_dir_path": str(data / "rerun" / "analytics"),
+        **{"analytics_enabled": False, "analytics_id": "", "metadata": {}},
+        **{"config_file_path": str(home / "rerun/analytics.json"), "data_dir_path": str(home / "sent")},
     }
-    (config / "rerun" / "analytics.json").write_text(json.dumps(analytics), encoding="utf-8")
     options = {"app": "(app_options:(check_for_updates_on_startup:false))"}
-    (data / "rerun" / "app.ron").write_text(json.dumps(options), encoding="utf-8")
-    folders = {"XDG_CONFIG_HOME": config, "XDG_DATA_HOME": data, "XDG_CACHE_HOME": home / "cache"}
-    return {**os.environ, "CI": "1", **{name: str(folder) for name, folder in folders.items()}}
+    (home / "rerun").mkdir()
+    (home / "rerun/analytics.json").write_text(json.dumps(analytics), encoding="utf-8")
+    (home / "rerun/app.ron").write_text(json.dumps(options), encoding="utf-8")
+    homes = dict.fromkeys(("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(home))
+    return {**os.environ, "CI": "1", **homes}
 
 
 def _parts() -> Path:

@@ -10,23 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator
 
-from harness.judge.comparisons import front
 from harness.judge.leaderboard import Entry
-from harness.records import CONTROLS, NOMINAL, REFERENCE, Row, Shown
-from harness.report import figures
-from harness.report.columns import (
-    DEMONSTRATIONS,
-    DISTANCE,
-    METHOD,
-    NAMES,
-    POLICY,
-    RANK,
-    SCORE,
-    SECONDS,
-    SOLVES,
-    STEPS,
-    score,
-)
+from harness.records import CONTROLS, NOMINAL, REFERENCE, Shown
+from harness.report import columns, figures
+from harness.report.columns import METHOD, NAMES, POLICY, SCORE, score
 from harness.report.facts import NO_RESULT
 from harness.report.figures import BLUE, GREEN, GREY, GROUND, ORANGE, Chart, Plot, around, rules, spans
 from harness.report.model import Board
@@ -51,7 +38,7 @@ def scores(board: Board) -> Chart | None:
     if not known:
         return None
     said = f"Normalized scores in {board.name}: {_listed(known)}."
-    plot = Plot(said, label="normalized score", rows=_rows(board))
+    plot = Plot.of(said, label="normalized score", rows=_rows(board))
     _draw_scores(plot.axes, board, plot.points)
     return Chart(board.name, [plot.svg()], table=Table(f"scores {board.name}", (METHOD, POLICY, SCORE), mine))
 
@@ -78,7 +65,7 @@ def _rows(board: Board) -> list[str]:
     return [method for method in board.methods if method != REFERENCE]
 
 
-def _draw_scores(axes: Axes, board: Board, points: Callable[..., None]) -> None:
+def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> None:
     """Draw dots for seeds, markers for means and bars for intervals; controls on grey.
 
     points: a function that draws markers at x and y, with colour, marker and tooltips.
@@ -90,7 +77,10 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., None]) -> None:
     rules(axes, True, 0.0, 1.0)
     for entry in board.scored("expert") if not board.is_nominal else ():
         axes.axvline(entry.score_mean, color=GREEN, linewidth=1.2, linestyle=":", zorder=0)
-    dots = _by_policy(board.rows)
+    dots: dict[tuple[str, str], list[float]] = {}
+    for row in board.rows:
+        if math.isfinite(row.normalized_score):
+            dots.setdefault((row.method, row.policy), []).append(row.normalized_score)
     both = {e.method for e in board.scored("pi_star")} & {e.method for e in board.scored("pi_R")}
     for policy, (colour, marker) in LOOKS.items():
         mine = board.scored(policy)
@@ -106,60 +96,63 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., None]) -> None:
     axes.set_xlim(around(every, least=(0.0, 1.0)))
 
 
-def _by_policy(rows: Sequence[Row]) -> dict[tuple[str, str], list[float]]:
-    """Return the scores of all seeds by method and policy."""
-    scores: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        if math.isfinite(row.normalized_score):
-            scores.setdefault((row.method, row.policy), []).append(row.normalized_score)
-    return scores
-
-
 def _listed(entries: Sequence[Entry]) -> str:
     return "; ".join(f"{e.method} {NAMES[e.policy]} {score(e)}" for e in entries)
 
 
 def costs(board: Board) -> Chart | None:
-    """Return scores against costs, with the Pareto front; None where nothing costs anything."""
-    points = {name: _costs(board, unit) for unit, name in UNITS.items()}
-    plots = [
-        _cost_plot(board.name, name, its).svg()
-        for name, its in points.items()
-        if any(cost > 0 for cost, _ in its)
-    ]
-    columns = (METHOD, POLICY, SCORE, SECONDS, STEPS, SOLVES)
+    """Return scores against costs, with the Pareto front; None where nothing costs anything.
+
+    The cost of pi_R is that of the fit and of RL on R*.
+    """
+    plots, fronts = [], []
     methods = [entry for entry in board.entries if entry.role == "method"]
-    return Chart(board.name, plots, table=Table(f"cost {board.name}", columns, methods)) if plots else None
+    for field, unit in UNITS.items():
+        stars = {e.method: getattr(e, field) for e in methods if e.policy == "pi_star"}
+        points = [
+            (getattr(e, field) + (stars.get(e.method, math.nan) if e.policy == "pi_R" else 0), e)
+            for e in methods
+        ]
+        points = [(cost, e) for cost, e in points if math.isfinite(cost + e.score_mean)]
+        if any(cost > 0 for cost, _ in points):
+            front = _front(points)
+            fronts.append(f"{unit}: {', '.join(f'{e.method} {NAMES[e.policy]}' for _, e in front)}")
+            plots.append(_cost_plot(board.name, unit, points, front).svg())
+    shown = (METHOD, POLICY, SCORE, columns.SECONDS, columns.STEPS, columns.SOLVES)
+    table = Table(f"cost {board.name}", shown, methods)
+    return Chart(board.name, plots, f"On the front by {'; by '.join(fronts)}.", (), table) if plots else None
 
 
-def _costs(board: Board, unit: str) -> list[tuple[float, Entry]]:
-    """Return the methods' policies with their costs. The cost of pi_R is that of the fit and of RL on R*."""
-    stars = {e.method: getattr(e, unit) for e in board.entries if e.policy == "pi_star"}
-    points = []
-    for entry in board.entries:
-        cost = getattr(entry, unit) + (stars.get(entry.method, math.nan) if entry.policy == "pi_R" else 0)
-        if entry.role == "method" and math.isfinite(entry.score_mean + cost):
-            points.append((cost, entry))
-    return points
+def _front(points: Sequence[tuple[float, Entry]]) -> list[tuple[float, Entry]]:
+    """Return the points that no other one beats, by cost."""
+    front: list[tuple[float, Entry]] = []
+    for cost, entry in sorted(points, key=lambda point: (point[0], -point[1].score_mean)):
+        if not front or entry.score_mean > front[-1][1].score_mean:
+            front.append((cost, entry))
+    return front
 
 
-def _cost_plot(board: str, unit: str, points: Sequence[tuple[float, Entry]]) -> Plot:
-    places = [(cost, entry.score_mean) for cost, entry in points]
-    best = [points[at] for at in front(places)]
-    said = f"Scores in {board} against {unit}. On the Pareto front: {_listed([entry for _, entry in best])}."
-    plot = Plot(said, f"score against {unit}", f"{unit} (log)")
-    _scale_costs(plot.axes, [cost for cost, _ in points])
-    plot.axes.set_ylim(around([value for _, value in places], least=(0.0, 1.0)))
-    rules(plot.axes, False, 0.0, 1.0)
-    end = (plot.axes.get_xlim()[1], best[-1][1].score_mean)
-    corners = [*((cost, entry.score_mean) for cost, entry in best), end]
-    plot.axes.step(*zip(*corners, strict=True), where="post", color=GREY, linewidth=1.2)
+def _cost_plot(
+    board: str, unit: str, points: Sequence[tuple[float, Entry]], front: Sequence[tuple[float, Entry]]
+) -> Plot:
+    said = f"Scores in {board} against {unit}. On the Pareto front: {_listed([e for _, e in front])}."
+    plot = Plot.of(said, f"score against {unit}", f"{unit} (log)")
+    axes = plot.axes
+    _scale_costs(axes, [cost for cost, _ in points])
+    _scale_scores(axes, [entry for _, entry in points])
+    corners = [(cost, entry.score_mean) for cost, entry in front]
+    corners.append((axes.get_xlim()[1], corners[-1][1]))
+    axes.step(*zip(*corners, strict=True), where="post", color=GREY, linewidth=1.2)
     for policy, (colour, marker) in LOOKS.items():
         mine = [(cost, entry) for cost, entry in points if entry.policy == policy]
         tips = [f"{_listed([e])}, {number(cost, ',.0f' if cost >= 10 else '.2g')} {unit}" for cost, e in mine]
         plot.points([(cost, entry.score_mean) for cost, entry in mine], colour, marker, tips)
-    plot.names([(cost, entry.score_mean, entry.method) for cost, entry in best], places)
     return plot
+
+
+def _scale_scores(axes: Axes, entries: Sequence[Entry]) -> None:
+    axes.set_ylim(around([entry.score_mean for entry in entries], least=(0.0, 1.0)))
+    rules(axes, False, 0.0, 1.0)
 
 
 def _scale_costs(axes: Axes, costs: Sequence[float]) -> None:
@@ -180,22 +173,24 @@ def distances(board: Board) -> Chart | None:
     known = [e for e in board.scored("pi_R") if math.isfinite(e.reward_distance)]
     if len(known) < 2:
         return None
-    texts = [f"{e.method} {e.reward_distance:.2f}, {score(e)}" for e in known]
-    said = f"Distances of rewards and scores of π_R in {board.name}: {'; '.join(texts)}."
-    plot = Plot(said, "score of π_R", "distance of R* from the true reward")
+    tips = {e.method: f"{e.method}: distance {e.reward_distance:.2f}, score {score(e)}" for e in known}
+    said = f"Distances of rewards and scores of π_R in {board.name}: {'; '.join(tips.values())}."
+    plot = Plot.of(said, "score of π_R", "distance of R* from the true reward")
     plot.axes.set_xlim(-0.03, 1.03)
-    plot.axes.set_ylim(around([e.score_mean for e in known], least=(0.0, 1.0)))
-    rules(plot.axes, False, 0.0, 1.0)
-    for controls, colour, marker in ((False, ORANGE, "D"), (True, GREY, "s")):
-        mine = [e for e in known if (e.method in CONTROLS) == controls]
+    _scale_scores(plot.axes, known)
+    for is_control, colour, marker in ((False, ORANGE, "D"), (True, GREY, "s")):
+        mine = [e for e in known if (e.method in CONTROLS) == is_control]
         ends = [((e.reward_distance, e.score_low), (e.reward_distance, e.score_high)) for e in mine]
         spans(plot.axes, ends, colour)
-        tips = [f"{e.method}: distance {e.reward_distance:.2f}, score {score(e)}" for e in mine]
-        plot.points([(e.reward_distance, e.score_mean) for e in mine], colour, marker, tips)
-    names = [(e.reward_distance, e.score_mean, e.method.removeprefix("control_")) for e in known]
-    plot.names(names, [(e.reward_distance, e.score_mean) for e in known])
-    table = Table(f"distances {board.name}", (METHOD, DISTANCE, RANK, SCORE), known)
-    return Chart(board.name, [plot.svg()], table=table)
+        places = [(e.reward_distance, e.score_mean) for e in mine]
+        plot.points(places, colour, marker, [tips[e.method] for e in mine])
+        for e in mine:
+            near = [o for o in known if abs(o.reward_distance - e.reward_distance) < 0.25]
+            if sum(abs(o.score_mean - e.score_mean) < 0.08 for o in near) == 1:
+                name, place = e.method.removeprefix("control_"), (e.reward_distance, e.score_mean)
+                plot.axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
+    shown = (METHOD, columns.DISTANCE, columns.RANK, SCORE)
+    return Chart(board.name, [plot.svg()], table=Table(f"distances {board.name}", shown, known))
 
 
 def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
@@ -210,50 +205,35 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
     counts = sorted({e.demos for e in mine})
     if len(counts) < 2:
         return None
-    kinds = list(dict.fromkeys((e.method, _way(e)) for e in mine))
-    drawn = kinds[:MOST_LINES]
-    limits = around([e.score_mean for e in mine], least=(0.0, 1.0))
+    lines: dict[tuple[str, Shown], list[Entry]] = {}
+    for e in mine:
+        lines.setdefault((e.method, Shown(0, e.every, e.demonstrator)), []).append(e)
+    drawn = list(lines)[:MOST_LINES]
     plots = []
     for policy, name in NAMES.items():
-        of_policy = [e for e in mine if e.policy == policy]
-        if of_policy:
-            plot = _demonstrations_plot(env, name, of_policy, drawn, counts)
-            plot.axes.set_ylim(limits)
-            plots.append(plot.svg())
+        texts = [f"{e.method} with {e.demos}: {score(e)}" for e in mine if e.policy == policy]
+        said = f"Scores of {name} in {env} by demonstrations: {'; '.join(texts)}."
+        plot = Plot.of(said, f"{name}: score", "demonstrations (log)")
+        plot.axes.set_xscale("log")
+        plot.axes.set_xlim(0.8 * counts[0], 1.25 * counts[-1])
+        plot.axes.set_xticks(counts, [str(count) for count in counts])
+        plot.axes.minorticks_off()
+        _scale_scores(plot.axes, mine)
+        for place, line in enumerate(drawn):
+            _draw_line(plot, [e for e in lines[line] if e.policy == policy], *figures.look(place))
+        plots += [plot.svg()] if texts else []
     legend = [
-        figures.sign(at, f"{method}, {way}" if str(way) else method) for at, (method, way) in enumerate(drawn)
+        figures.sign(place, f"{method}, {way}" if str(way) else method)
+        for place, (method, way) in enumerate(drawn)
     ]
-    left = f" The first {len(drawn)} of {len(kinds)} lines; the table has all." if kinds[MOST_LINES:] else ""
-    table = Table(f"demonstrations {env}", (METHOD, POLICY, DEMONSTRATIONS, SCORE), mine)
+    left = f" The first {len(drawn)} of {len(lines)} lines; the table has all." * (len(lines) > len(drawn))
+    table = Table(f"demonstrations {env}", (METHOD, POLICY, columns.DEMONSTRATIONS, SCORE), mine)
     return Chart(env, plots, f"Bars: 95 % intervals.{left}", legend, table)
 
 
-def _demonstrations_plot(
-    env: str,
-    name: str,
-    entries: Sequence[Entry],
-    drawn: Sequence[tuple[str, Shown]],
-    counts: Sequence[int],
-) -> Plot:
-    texts = [f"{e.method} with {e.demos}: {score(e)}" for e in entries]
-    said = f"Scores of {name} in {env} by demonstrations: {'; '.join(texts)}."
-    plot = Plot(said, f"{name}: score", "demonstrations (log)")
-    plot.axes.set_xscale("log")
-    plot.axes.set_xlim(0.8 * counts[0], 1.25 * counts[-1])
-    plot.axes.set_xticks(counts, [str(count) for count in counts])
-    plot.axes.minorticks_off()
-    rules(plot.axes, False, 0.0, 1.0)
-    for at, kind in enumerate(drawn):
-        colour, style, marker = figures.look(at)
-        line = [e for e in entries if (e.method, _way(e)) == kind]
-        places = [(e.demos, e.score_mean) for e in line]
-        plot.axes.plot(*zip(*places, strict=True) if places else ([], []), color=colour, linestyle=style)
-        spans(plot.axes, [((e.demos, e.score_low), (e.demos, e.score_high)) for e in line], colour)
-        tips = [f"{e.method}, {e.demos} demonstrations: {score(e)}" for e in line]
-        plot.points(places, colour, marker, tips)
-    return plot
-
-
-def _way(entry: Entry) -> Shown:
-    """Return how demonstrations are shown, apart from their number."""
-    return Shown(0, entry.every, entry.demonstrator)
+def _draw_line(plot: Plot, entries: Sequence[Entry], colour: str, style: str, marker: str) -> None:
+    places = [(e.demos, e.score_mean) for e in entries]
+    plot.axes.plot(*zip(*places, strict=True) if places else ([], []), color=colour, linestyle=style)
+    spans(plot.axes, [((e.demos, e.score_low), (e.demos, e.score_high)) for e in entries], colour)
+    tips = [f"{e.method}, {e.demos} demonstrations: {score(e)}" for e in entries]
+    plot.points(places, colour, marker, tips)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from operator import attrgetter
+from typing import Any
 
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.roles import ASKS
-from harness.report.tables import Column, Value, interval, number
+from harness.judge.rows import ASKS
+from harness.report.tables import Column, Kind, Value, interval, number
 
 NO_SCORE = "no score: the return that would score 1 is missing, or no better than random"
 INCOMPARABLE = "no seed in common"
@@ -17,11 +19,53 @@ LONGEST_NOTE = 5000
 """Characters of a note in a table."""
 NAMES = {"pi_star": "π*", "pi_R": "π_R"}
 """Policies that methods are compared by, as pages name them."""
+MEANINGS = {
+    "env": "The environment. In a variant its dynamics differ.",
+    "dynamics": "Those of the task as it is (nominal), or the variant of it.",
+    "method": "Who learned. control_… are rewards or policies for comparison; reference is expert and random "
+    "policy.",
+    "policy": "π* (pi_star): the policy that the method returned. π_R (pi_R): the policy that RL finds from "
+    "scratch under the method's learned reward alone.",
+    "score": "Normalized return under the true reward: 0 random, 1 the expert, or RL on the true reward in a "
+    "variant. Brackets: 95 % interval of the mean over seeds (Student's t); with one seed over its episodes.",
+    "behind": "Difference to the score of the best method's policy of the same name, paired by seed. 'tied': "
+    "the interval holds 0, or the difference is under 0.005. 'no seed in common': not compared. The best has "
+    "the highest mean that no method with as many seeds beats on the seeds that both have.",
+    "above_best_lower_control": "Difference to the best control whose reward lacks information, over seeds "
+    "that all have. A learned reward has to be above 0 here.",
+    "seeds": "Seeds that finished without failure, and seeds that were asked for.",
+    "demonstrations": "The part of the expert's demonstrations that methods see.",
+    "note": "The line's origin; seeds without a score, and why.",
+    "remarks": "The role, and all of the note.",
+    "role": "Methods are compared with each other. A lower control's reward has no information, the upper "
+    "control's is the true one.",
+    "return": "Undiscounted return under the true reward, mean over seeds.",
+    "discounted_mean": "Return, discounted with the task's gamma.",
+    "reward_distance": "Distance from the true reward by the advantages that it gives to actions: 0 the same "
+    "up to scale, 1 the opposite. The floor is its distance from a shaped copy of itself: smaller "
+    "differences say nothing.",
+    "reward_rank": "Spearman's correlation of advantages under the learned and the true reward.",
+    "policy_ranking": "Spearman's correlation of twenty policies' returns under the learned and the true "
+    "reward.",
+    "share_of_true": "Score as a share of the score that RL reaches on the true reward in one solve.",
+    "solved": "Share of seeds on which π_R earns, under R*, 95 % of the gain of π* over a random policy. "
+    "Elsewhere its score says nothing about the reward, only about RL.",
+    "own_return": "Return under R*, less the absorbing state's pay.",
+    "own_return_shown": "The demonstrations' own return.",
+    "fit_seconds": "Wall time of the fit for π*, of RL for π_R.",
+    "env_steps": "Environment steps of rollouts and of RL.",
+    "check_steps": "Environment steps that judge checkpoints of RL.",
+    "rl_solves": "Number of RL runs.",
+}
 
 
 def score(entry: Entry) -> Value:
     """Return the normalized score with its interval."""
     return interval(entry.score_mean, entry.score_low, entry.score_high)
+
+
+def _returned(entry: Entry) -> Value:
+    return interval(entry.return_mean, entry.return_low, entry.return_high, ".1f")
 
 
 def _behind(entry: Entry) -> Value:
@@ -39,8 +83,8 @@ def _distance(entry: Entry) -> Value:
     return Value(as_text(distance, "z.2f") + floor, distance) if entry.policy == "pi_R" else Value("")
 
 
-def _unsolved(entry: Entry) -> str:
-    return f"R* solved on {as_text(entry.solved, '.0%')} of seeds" if entry.unsolved else ""
+def _seeds(entry: Entry) -> Value:
+    return Value(f"{entry.seeds_ok} of {entry.seeds}", entry.seeds_ok)
 
 
 def _note(entry: Entry) -> str:
@@ -56,152 +100,80 @@ def _remarks(entry: Entry) -> str:
     return _joined(role, seeds, _unsolved(entry), entry.note)
 
 
+def _unsolved(entry: Entry) -> str:
+    return f"R* solved on {as_text(entry.solved, '.0%')} of seeds" if entry.unsolved else ""
+
+
 def _joined(*parts: str) -> str:
     return " ".join("; ".join(filter(None, parts)).split())
 
 
-def _text(title: str, field: str, meaning: str, places: str) -> Column:
-    return Column(field, title, meaning, attrgetter(field), "choice", places)
+def _column(
+    title: str,
+    key: str,
+    read: str | Callable[[Any], str | Value],
+    places: str = "",
+    kind: Kind = "number",
+    of_reward: bool = False,
+) -> Column:
+    """Return a column. `read`: a function, or the format of the entry's number of that key. `of_reward`: True
+    for numbers that entries of pi_R alone have."""
+
+    def numbered(entry: Entry) -> Value:
+        is_known = entry.policy == "pi_R" or not of_reward
+        return number(getattr(entry, key), str(read)) if is_known else Value("")
+
+    return Column(key, title, MEANINGS[key], numbered if isinstance(read, str) else read, kind, places)
 
 
-def _number(title: str, field: str, spec: str, meaning: str, places: str = "") -> Column:
-    return Column(field, title, meaning, lambda entry: number(getattr(entry, field), spec), places=places)
-
-
-def _of_reward(title: str, field: str, meaning: str, places: str = "rewards", spec: str = "z.2f") -> Column:
-    """Return a column of numbers that entries of pi_R alone have."""
-
-    def read(entry: Entry) -> Value:
-        return number(getattr(entry, field), spec) if entry.policy == "pi_R" else Value("")
-
-    return Column(field, title, meaning, read, places=places)
-
-
-METHOD = _text(
-    "Method",
-    "method",
-    "Who learned. control_… are rewards or policies for comparison; reference is expert and random policy.",
-    "first terminal scores rewards costs",
+METHOD = _column(
+    "Method", "method", attrgetter("method"), "first terminal scores rewards costs", kind="choice"
 )
-POLICY = Column(
-    "policy",
+POLICY = _column(
     "Policy",
-    "π* (pi_star): the policy that the method returned. π_R (pi_R): the policy that RL finds from scratch "
-    "under the method's learned reward alone.",
+    "policy",
     lambda item: NAMES.get(item.policy, item.policy),
-    "choice",
     "first terminal scores costs",
+    kind="choice",
 )
-SCORE = Column(
-    "score",
-    "Score",
-    "Normalized return under the true reward: 0 random, 1 the expert, or RL on the true reward in a variant. "
-    "Brackets: 95 % interval of the mean over seeds (Student's t); with one seed over its episodes.",
-    score,
-    "interval",
-    "first terminal scores",
-)
-DEMONSTRATIONS = Column(
-    "demonstrations",
+SCORE = _column("Score", "score", score, "first terminal scores", kind="interval")
+DEMONSTRATIONS = _column(
     "Demonstrations",
-    "The part of the expert's demonstrations that methods see.",
-    lambda item: str(item.shown) or "as the budget says",
-    "choice",
+    "demonstrations",
+    lambda entry: str(entry.shown) or "as the budget says",
     "first",
+    kind="choice",
 )
-DISTANCE = Column(
-    "reward_distance",
-    "Reward: distance (floor)",
-    "Distance from the true reward by the advantages that it gives to actions: 0 the same up to scale, 1 the "
-    "opposite. The floor is its distance from a shaped copy of itself: smaller differences say nothing.",
-    _distance,
-    places="rewards",
-)
-RANK = _of_reward(
-    "Reward: rank",
-    "reward_rank",
-    "Spearman's correlation of advantages under the learned and the true reward.",
-)
-SECONDS = _number("Seconds", "fit_seconds", ".1f", "Wall time of the fit for π*, of RL for π_R.", "costs")
-STEPS = _number("Env steps", "env_steps", ",.0f", "Environment steps of rollouts and of RL.", "costs")
-SOLVES = _number("RL solves", "rl_solves", ".0f", "Number of RL runs.", "costs")
+DISTANCE = _column("Reward: distance (floor)", "reward_distance", _distance, "rewards")
+RANK = _column("Reward: rank", "reward_rank", "z.2f", "rewards", of_reward=True)
+SECONDS = _column("Seconds", "fit_seconds", ".1f", "costs")
+STEPS = _column("Env steps", "env_steps", ",.0f", "costs")
+SOLVES = _column("RL solves", "rl_solves", ".0f", "costs")
 ENTRY = (
-    _text("Task", "env", "The environment. In a variant its dynamics differ.", "first"),
-    _text("Dynamics", "dynamics", "Those of the task as it is (nominal), or the variant of it.", "first"),
+    _column("Task", "env", attrgetter("env"), "first", kind="choice"),
+    _column("Dynamics", "dynamics", attrgetter("dynamics"), "first", kind="choice"),
     METHOD,
     POLICY,
     SCORE,
-    Column(
-        "behind",
-        "Behind the best",
-        "Difference to the score of the best method's policy of the same name, paired by seed. 'tied': the "
-        "interval holds 0, or the difference is under 0.005. 'no seed in common': not compared. The best has "
-        "the highest mean that no method with as many seeds beats on the seeds that both have.",
-        _behind,
-        "interval",
-        "first terminal scores",
-    ),
-    _of_reward(
-        "Above best lower control",
-        "above_best_lower_control",
-        "Difference to the best control whose reward lacks information, over seeds that all have. A learned "
-        "reward has to be above 0 here.",
-        "first scores",
-        "+z.2f",
-    ),
-    Column(
-        "seeds",
-        "Seeds ok",
-        "Seeds that finished without failure, and seeds that were asked for.",
-        lambda item: Value(f"{item.seeds_ok} of {item.seeds}", item.seeds_ok),
-        places="first scores",
-    ),
+    _column("Behind the best", "behind", _behind, "first terminal scores", kind="interval"),
+    _column("Above best lower control", "above_best_lower_control", "+z.2f", "first scores", of_reward=True),
+    _column("Seeds ok", "seeds", _seeds, "first scores"),
     DEMONSTRATIONS,
-    Column(
-        "note", "Note", "The line's origin; seeds without a score, and why.", _note, "note", "first scores"
-    ),
-    Column("remarks", "Note", "The role, and all of the note.", _remarks, "note", "terminal"),
-    Column(
-        "role",
-        "Role",
-        "Methods are compared with each other. A lower control's reward has no information, the upper "
-        "control's is the true one.",
-        attrgetter("role"),
-        "text",
-    ),
-    Column(
-        "return",
-        "Return",
-        "Undiscounted return under the true reward, mean over seeds.",
-        lambda item: interval(item.return_mean, item.return_low, item.return_high, ".1f"),
-        "interval",
-        "costs",
-    ),
-    _number("Discounted return", "discounted_mean", "z.2f", "Return, discounted with the task's gamma."),
+    _column("Note", "note", _note, "first scores", kind="note"),
+    _column("Note", "remarks", _remarks, "terminal", kind="note"),
+    _column("Role", "role", attrgetter("role"), kind="text"),
+    _column("Return", "return", _returned, "costs", kind="interval"),
+    _column("Discounted return", "discounted_mean", "z.2f"),
     DISTANCE,
     RANK,
-    _of_reward(
-        "Policies: rank",
-        "policy_ranking",
-        "Spearman's correlation of twenty policies' returns under the learned and the true reward.",
-    ),
-    _of_reward(
-        "Share of control_true",
-        "share_of_true",
-        "Score as a share of the score that RL reaches on the true reward in one solve.",
-    ),
-    _of_reward(
-        "Solved",
-        "solved",
-        "Share of seeds on which π_R earns, under R*, 95 % of the gain of π* over a random policy. Elsewhere "
-        "its score says nothing about the reward, only about RL.",
-        spec=".0%",
-    ),
-    _number("Own return", "own_return", ".1f", "Return under R*, less the absorbing state's pay.", "rewards"),
-    _number("Of demonstrations", "own_return_shown", ".1f", "The demonstrations' own return.", "rewards"),
+    _column("Policies: rank", "policy_ranking", "z.2f", "rewards", of_reward=True),
+    _column("Share of control_true", "share_of_true", "z.2f", "rewards", of_reward=True),
+    _column("Solved", "solved", ".0%", "rewards", of_reward=True),
+    _column("Own return", "own_return", ".1f", "rewards"),
+    _column("Of demonstrations", "own_return_shown", ".1f", "rewards"),
     SECONDS,
     STEPS,
-    _number("Check steps", "check_steps", ",.0f", "Environment steps that judge checkpoints of RL.", "costs"),
+    _column("Check steps", "check_steps", ",.0f", "costs"),
     SOLVES,
 )
 """Columns in the order of the leaderboard."""
@@ -210,8 +182,3 @@ ENTRY = (
 def visible(place: str) -> list[Column]:
     """Return the columns of the leaderboard that are visible at a place of `Column.places`."""
     return [column for column in ENTRY if place in column.places.split()]
-
-
-def of_page() -> list[Column]:
-    """Return all columns of the page's leaderboard."""
-    return [column for column in ENTRY if column.places != "terminal"]

@@ -7,11 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from harness.judge.leaderboard import Entry, is_on, leaderboard, scored_rows
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.rows import is_on, scores_of
 from harness.judge.statistics import mean_interval, probability_of_improvement
 from harness.records import REFERENCE, CellResult, Conditions, Row
-from harness.report.columns import METHOD
-from harness.report.tables import Column, Table, interval, number
+from harness.report.columns import MEANINGS
+from harness.report.tables import Table, at, interval, number
 
 
 @dataclass(frozen=True)
@@ -23,41 +24,15 @@ class Run:
     results: Sequence[CellResult]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A policy of a method in two runs, over the seeds that both have.
-
-    `low`, `high`: 95 % interval of the mean of the paired differences, NaN with one seed.
-    `better`: the probability that a seed there scores more than one here (Agarwal et al. 2021).
-    """
-
-    board: str
-    method: str
-    policy: str
-    seeds: int
-    here: float
-    there: float
-    difference: float
-    low: float
-    high: float
-    better: float
-
-
 COLUMNS = (
-    Column("board", "Task", "The board.", lambda d: d.board, "text"),
-    METHOD,
-    Column("policy", "Policy", "The policy.", lambda d: d.policy, "text"),
-    Column("seeds", "Seeds", "Seeds that both runs have.", lambda d: str(d.seeds)),
-    Column("here", "Score", "Mean score in the first run.", lambda d: number(d.here, "z.2f")),
-    Column("there", "Score there", "Mean score in the other run.", lambda d: number(d.there, "z.2f")),
-    Column(
-        "difference",
-        "Difference",
-        "Mean of the differences, paired by seed.",
-        lambda d: interval(d.difference, d.low, d.high, "+.2f"),
-        "interval",
-    ),
-    Column("better", "P(better there)", "Probability of a higher score.", lambda d: number(d.better, ".2f")),
+    at(0, "board", "Task", "The board.", "text"),
+    at(1, "method", "Method", MEANINGS["method"], "choice"),
+    at(2, "policy", "Policy", "The policy.", "text"),
+    at(3, "seeds", "Seeds", "Seeds that both runs have."),
+    at(4, "here", "Score", "Mean score in the first run."),
+    at(5, "there", "Score there", "Mean score in the other run."),
+    at(6, "difference", "Difference", "Mean of the differences, paired by seed.", "interval"),
+    at(7, "better", "P(better there)", "Probability of a higher score (Agarwal et al. 2021)."),
 )
 
 
@@ -75,7 +50,10 @@ def differing(one: Run, other: Run) -> list[str]:
         mine, others = ({getattr(result.cell, name) for result in run.results} for run in (one, other))
         for where, extra in (("here", mine - others), ("there", others - mine)):
             lines += [f"{title} only {where}: {', '.join(sorted(extra))}"] if extra else []
-    sources, other_sources = _sources(one), _sources(other)
+    sources, other_sources = (
+        {(r.cell.method, r.cell.task, r.cell.shown): r.key.partition(":")[2] for r in run.results}
+        for run in (one, other)
+    )
     for key in sorted(sources.keys() & other_sources.keys()):
         if sources[key] != other_sources[key]:
             lines.append(f"{key[0]} in {key[1]}: the source or the settings of the method")
@@ -89,11 +67,6 @@ def _origins(run: Run) -> dict[str, set[str]]:
         for name, value in result.origin.items():
             origins.setdefault(name, set()).add(value)
     return origins
-
-
-def _sources(run: Run) -> dict[tuple[str, str, object], str]:
-    """Return the digest of each method's source and settings, by method, task and demonstrations."""
-    return {(r.cell.method, r.cell.task, r.cell.shown): r.key.partition(":")[2] for r in run.results}
 
 
 def other_versions(one: Run, other: Run) -> list[str]:
@@ -115,59 +88,30 @@ def is_other_scale(one: Run, other: Run) -> bool:
 
 
 def differences(one: Run, other: Run) -> Table:
-    """Return the differences of the policies that both runs have, in the order of the first's leaderboard.
-
-    It is empty where scores are of different scales.
-    """
-    lines: list[Difference] = []
-    if is_other_scale(one, other):
-        return Table("differences", COLUMNS, lines)
-    apart = other_versions(one, other)
-    here, there = (scored_rows(run.results) for run in (one, other))
-    mine, theirs = _grouped(here), _grouped(there)
-    for entry in leaderboard(here):
-        a, b = _scores(mine, entry), _scores(theirs, entry)
-        seeds = sorted(a.keys() & b.keys())
+    """Return the differences of the policies that both runs have, over the seeds that both have, in the order
+    of the first's leaderboard. It is empty where scores are of different scales."""
+    groups: list[dict[tuple[str, ...], list[Row]]] = [{}, {}]
+    rows = [scored_rows(run.results) for run in (one, other)]
+    for mine, by_policy in zip(rows, groups, strict=True):
+        for row in mine:
+            by_policy.setdefault(_policy(row), []).append(row)
+    apart, lines = other_versions(one, other), []
+    for entry in leaderboard(rows[0]) if not is_other_scale(one, other) else ():
+        own, theirs = (
+            scores_of([row for row in by_policy.get(_policy(entry), ()) if is_on(row, entry.shown)])
+            for by_policy in groups
+        )
+        seeds = sorted(own.keys() & theirs.keys())
         if seeds and entry.env not in apart and entry.method != REFERENCE:
-            lines.append(_difference(entry, [a[seed] for seed in seeds], [b[seed] for seed in seeds]))
+            here, there = ([scores[seed] for seed in seeds] for scores in (own, theirs))
+            gained = [b - a for a, b in zip(here, there, strict=True)]
+            means = (number(math.fsum(scores) / len(seeds), "z.2f") for scores in (here, there))
+            difference = interval(math.fsum(gained) / len(seeds), *mean_interval(gained), "+.2f")
+            better = number(probability_of_improvement(there, here), ".2f")
+            who = entry.board, entry.method, entry.policy, number(len(seeds), ".0f")
+            lines.append((*who, *means, difference, better))
     return Table("differences", COLUMNS, lines)
 
 
-def _difference(entry: Entry, here: Sequence[float], there: Sequence[float]) -> Difference:
-    gained = [b - a for a, b in zip(here, there, strict=True)]
-    low, high = mean_interval(gained)
-    return Difference(
-        board=entry.board,
-        method=entry.method,
-        policy=entry.policy,
-        seeds=len(here),
-        here=math.fsum(here) / len(here),
-        there=math.fsum(there) / len(there),
-        difference=math.fsum(gained) / len(gained),
-        low=low,
-        high=high,
-        better=probability_of_improvement(there, here),
-    )
-
-
-Group = tuple[str, str, str, str, str]
-
-
-def _group(item: Row | Entry) -> Group:
+def _policy(item: Row | Entry) -> tuple[str, ...]:
     return item.env, item.dynamics, item.method, item.policy, item.protocol
-
-
-def _grouped(rows: Sequence[Row]) -> dict[Group, list[Row]]:
-    groups: dict[Group, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(_group(row), []).append(row)
-    return groups
-
-
-def _scores(groups: dict[Group, list[Row]], entry: Entry) -> dict[int, float]:
-    """Return the scores of the entry's rows by seed."""
-    return {
-        row.seed: row.normalized_score
-        for row in groups.get(_group(entry), ())
-        if is_on(row, entry.shown) and math.isfinite(row.normalized_score)
-    }

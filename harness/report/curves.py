@@ -1,14 +1,15 @@
-"""Curves of RL on R*, as in the thesis's figure 5.3, and of the methods' own training: small plots in one
-figure, which take as long to draw as one."""
+"""Curves of RL on R*, as in the thesis's figure 5.3, and of the methods' own training: a panel for each."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy.typing import NDArray
 
@@ -26,8 +27,6 @@ OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
 """Curves of RL; others are those of a method's fit."""
 COLUMNS, WIDTH, HEIGHT = 4, 260.0, 150.0
 """Panels in a row, and the size of each in pixels."""
-LEFT, RIGHT, TOP, BOTTOM = 44.0, 34.0, 18.0, 20.0
-"""Margins of a panel in pixels."""
 SIGNS = (
     (1, "━", "true return of RL on R*, with the range over seeds"),
     (1, "○", "the checkpoint that counts, a ring for each seed"),
@@ -37,32 +36,30 @@ SIGNS = (
 )
 Limits = tuple[float, float]
 Array = NDArray[np.float64]
+Summaries = Mapping[tuple[str, str], Array]
+"""Summaries of curves by method and name."""
 
 
 class Panels(Plot):
-    """Small plots in one pair of axes, whose units are pixels from the top left."""
+    """Small plots in one pair of axes, whose units are pixels from the top left. They take as long as one."""
 
     def __init__(self, said: str, count: int) -> None:
-        super().__init__(said)
         width, height = COLUMNS * WIDTH, -(-count // COLUMNS) * HEIGHT
-        self.figure.set_size_inches(width / 72, height / 72)
-        self.axes.set_position((0, 0, 1, 1))
-        self.axes.set_axis_off()
-        self.axes.set(xlim=(0, width), ylim=(height, 0))
-        self._lines: dict[tuple[str, str, float], list[Array]] = {}
-        self._bands: dict[str, list[Array]] = {}
+        figure = Figure(figsize=(width / 72, height / 72))
+        figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0)).set_axis_off()
+        super().__init__(said, figure)
 
     def begin(self, number: int, title: str, x: Limits, y: Limits) -> None:
         """Begin the panel of this number, with its title and the limits of its axes."""
-        self._left, self._top = number % COLUMNS * WIDTH + LEFT, number // COLUMNS * HEIGHT + TOP
-        self._right, self._bottom = self._left + WIDTH - LEFT - RIGHT, self._top + HEIGHT - TOP - BOTTOM
+        self._left, self._top = number % COLUMNS * WIDTH + 44, number // COLUMNS * HEIGHT + 18
+        self._right, self._bottom = self._left + WIDTH - 78, self._top + HEIGHT - 38
         self._x = x
-        corners = [(self._left, self._top), (self._left, self._bottom), (self._right, self._bottom)]
-        self._lines.setdefault((GREY, "-", 0.8), []).append(np.array(corners))
+        frame = [self._left, self._left, self._right], [self._top, self._bottom, self._bottom]
+        self.axes.add_artist(Line2D(*frame, color=GREY, linewidth=0.8))
         short = title if len(title) <= 32 else title[:31] + "…"
         self.axes.text(self._left - 36, self._top - 6, short, weight="bold")
         for value, text in _ticks(x):
-            across = self._places(np.array([(value, 0.0)]), (0.0, 1.0))[0, 0]
+            across = self.places(np.array([(value, 0.0)]), (0.0, 1.0))[0, 0]
             self.axes.text(across, self._bottom + 12, text, ha="center", color=GREY, fontsize=9)
         self.scale(y)
 
@@ -70,40 +67,24 @@ class Panels(Plot):
         """Write the ticks of an upright axis, on the left, or in a colour on the right."""
         place, side = (self._right + 4, "left") if right else (self._left - 4, "right")
         for value, text in _ticks(y):
-            down = self._places(np.array([(self._x[0], value)]), y)[0, 1]
+            down = self.places(np.array([(self._x[0], value)]), y)[0, 1]
             self.axes.text(place, down + 3, text, ha=side, color=right or GREY, fontsize=9)
 
     def line(self, points: Array | None, y: Limits, colour: str, style: str = "-") -> None:
         """Draw a line through points (N, 2 or more): x and y, where all are finite."""
         if points is not None and np.isfinite(points).all():
-            self._lines.setdefault((colour, style, 1.6), []).append(self._places(points[:, :2], y))
+            line = Line2D(*self.places(points[:, :2], y).T, color=colour)
+            line.set(linestyle=style)
+            self.axes.add_artist(line)
 
     def curve(self, summary: Array | None, y: Limits, colour: str) -> None:
         """Draw a summary: its mean, in a band from the lowest to the highest."""
         if summary is not None:
             ends = np.concatenate([summary[:, [0, 2]], summary[::-1, [0, 3]]])
-            self._bands.setdefault(colour, []).append(self._places(ends, y))
+            self.axes.add_artist(Polygon(self.places(ends, y), color=colour, alpha=0.16, linewidth=0))
             self.line(summary, y, colour)
 
-    def rings(self, name: str, points: Sequence[tuple[float, float]], y: Limits) -> None:
-        """Draw rings at checkpoints, each with a tooltip."""
-        if points:
-            xs, ys = self._places(np.array(points), y).T
-            look = {"marker": "o", "markersize": 5.5, "markerfacecolor": "none", "linestyle": "none"}
-            (drawn,) = self.axes.plot(xs, ys, color=ORANGE, zorder=5)
-            drawn.set(**look, gid=f"tips-{len(self.tips)}")
-            self.tips.append([f"{name}, steps {x:,.0f}: true return {as_text(v, '.1f')}" for x, v in points])
-
-    def finish(self) -> None:
-        """Draw the lines and bands of all panels."""
-        for colour, shapes in self._bands.items():
-            filled = PolyCollection(shapes, facecolors=colour, alpha=0.16, linewidths=0)
-            self.axes.add_collection(filled, autolim=False)
-        for (colour, style, width), lines in self._lines.items():
-            drawn = LineCollection(lines, colors=colour, linestyles=style, linewidths=width)
-            self.axes.add_collection(drawn, autolim=False)
-
-    def _places(self, points: Array, y: Limits) -> Array:
+    def places(self, points: Array, y: Limits) -> Array:
         """Return points in pixels, (N, 2); those beyond the panel lie on its edge."""
         shares = (points - (self._x[0], y[0])) / (self._x[1] - self._x[0], y[1] - y[0])
         span = self._right - self._left, self._top - self._bottom
@@ -113,11 +94,9 @@ class Panels(Plot):
 def _ticks(limits: Limits) -> list[tuple[float, str]]:
     """Return values within the limits, and their texts."""
     low, high = limits
-    values = [
-        float(v) for v in MaxNLocator(2, steps=[1, 2, 5, 10]).tick_values(low, high) if low <= v <= high
-    ]
+    values = [float(v) for v in MaxNLocator(2, steps=[1, 2, 5, 10]).tick_values(low, high)]
     text = EngFormatter(sep="") if max(abs(low), abs(high)) >= 1000 else lambda value: f"{value:.6g}"
-    return [(value, text(value).replace("-", "\N{MINUS SIGN}")) for value in values]
+    return [(v, text(v).replace("-", "\N{MINUS SIGN}")) for v in values if low <= v <= high]
 
 
 def learning(board: Board, most: int) -> Chart | None:
@@ -138,27 +117,23 @@ def learning(board: Board, most: int) -> Chart | None:
         return None
     stars = {e.method: e.return_mean for e in board.entries if e.policy == "pi_star"}
     y = around([value for summary in true for value in summary[:, 2:].flat] + list(stars.values()))
-    longest = max(summary[-1, 0] for (_, name), summary in means.items() if name != "expert")
+    longest = max(1.0, *(summary[-1, 0] for (_, name), summary in means.items() if name != "expert"))
     said = f"RL on rewards in {board.name}: true return and return under R* by steps, for {', '.join(drawn)}."
     panels = Panels(said, len(drawn))
     for number, method in enumerate(drawn):
-        panels.begin(number, method, (0.0, max(1.0, longest)), y)
+        panels.begin(number, method, (0.0, longest), y)
         if method != "control_true":
             panels.line(means.get(("control_true", "pi_R_true")), y, BLUE, "--")
-        panels.line(
-            np.array([(0.0, stars.get(method, math.nan)), (longest, stars.get(method, math.nan))]),
-            y,
-            GREEN,
-            ":",
-        )
+        star = stars.get(method, math.nan)
+        panels.line(np.array([(0.0, star), (longest, star)]), y, GREEN, ":")
         under = around([*means[method, "pi_R"][:, 1]])
         panels.line(means[method, "pi_R"], under, PINK, "-.")
         panels.scale(under, PINK)
         panels.curve(means.get((method, "pi_R_true")), y, ORANGE)
-        panels.rings(method, list(filter(None, map(_chosen, by_method[method][:MOST_SEEDS]))), y)
-    panels.finish()
-    note = _left_out(board, len(methods), most)
-    return Chart(board.name, [panels.svg()], note, data=_data(board.name, means))
+        rings = list(filter(None, map(_chosen, by_method[method][:MOST_SEEDS])))
+        tips = [f"{method}, steps {x:,.0f}: true return {as_text(v, '.1f')}" for x, v in rings]
+        panels.points(panels.places(np.array(rings).reshape(-1, 2), y).tolist(), ORANGE, "o", tips)
+    return Chart(board.name, [panels.svg()], _left_out(board, len(methods), most), data=_data(board, means))
 
 
 def training(board: Board, most: int) -> Chart | None:
@@ -177,9 +152,8 @@ def training(board: Board, most: int) -> Chart | None:
         first, last, y = summary[0, 0], summary[-1, 0], around([*summary[:, 2:].flat])
         panels.begin(number, ": ".join(key), (first, max(first + 1.0, last)), y)
         panels.curve(summary, y, BLUE)
-    panels.finish()
     note = _left_out(board, len(curves), most)
-    return Chart(board.name, [panels.svg()], note, data=_data(board.name, summaries))
+    return Chart(board.name, [panels.svg()], note, data=_data(board, summaries))
 
 
 def _left_out(board: Board, panels: int, most: int) -> str:
@@ -213,7 +187,7 @@ def _chosen(result: CellResult) -> tuple[float, float] | None:
     return marked[0][0], true[marked[0][0]]
 
 
-def _data(board: str, summaries: dict[tuple[str, str], Array]) -> pd.DataFrame:
+def _data(board: Board, summaries: Summaries) -> pd.DataFrame:
     """Return a line for each point that is drawn."""
-    lines = [(board, *key, *line) for key, summary in summaries.items() for line in summary.tolist()]
+    lines = [(board.name, *key, *line) for key, summary in summaries.items() for line in summary.tolist()]
     return pd.DataFrame(lines, columns=["board", "method", "curve", "x", "mean", "low", "high"])

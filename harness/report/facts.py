@@ -4,50 +4,42 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from harness.judge import effort
 from harness.records import PROGRAM_NAME, CellResult, Row
-from harness.report.columns import METHOD, NAMES, POLICY
-from harness.report.tables import Column, Table, Value, number
+from harness.report.columns import MEANINGS, NAMES, NO_SCORE
+from harness.report.tables import Table, Value, at, number
 from harness.store.command_line import as_seeds, command_of
 from harness.store.names import compared_in
 from harness.store.request import Request
 
 NO_RESULT = "NOT A RESULT"
+METHOD = at(0, "method", "Method", MEANINGS["method"], "choice")
 DETAILS = (
-    METHOD.at(0),
-    Column("detail", "Detail of its fit", "The number's name in the method.", str, "text").at(1),
-    Column("detail_mean", "Mean over seeds", "The mean over the seeds that report it.", str).at(2),
+    METHOD,
+    at(1, "detail", "Detail of its fit", "The number's name in the method.", "text"),
+    at(2, "detail_mean", "Mean over seeds", "The mean over the seeds that report it."),
 )
 ENDINGS = (
-    METHOD.at(0),
-    POLICY.at(1),
-    Column("endings", "Episodes by ending", "Evaluation episodes of all seeds, by ending.", str, "note").at(
-        2
-    ),
+    METHOD,
+    at(1, "policy", "Policy", MEANINGS["policy"], "choice"),
+    at(2, "endings", "Episodes by ending", "Evaluation episodes of all seeds, by ending.", "note"),
 )
 STAGES = (
-    Column(
-        "stage", "Stage of a cell", "Stages in turn; 'start' is the process's other time.", str, "text"
-    ).at(0),
-    Column("stage_seconds", "Seconds, all cells", "Wall time, summed over all cells.", str).at(1),
-    Column("stage_share", "Share", "Share of the time of all stages.", str).at(2),
+    at(0, "stage", "Stage of a cell", "Stages in turn; 'start' is the process's other time.", "text"),
+    at(1, "stage_seconds", "Seconds, all cells", "Wall time, summed over all cells."),
+    at(2, "stage_share", "Share", "Share of the time of all stages."),
 )
 RECORDINGS = (
-    Column("recording", "Recording", "The file in recordings/.", str, "text").at(0),
-    Column("recorded_score", "Score", "Mean score of all episodes of the policy.", str).at(1),
-    Column(
-        "ended", "How all episodes ended", "Evaluation episodes of the policy, by ending.", str, "note"
-    ).at(2),
-    Column("play", "Play", "The command that plays it, to be run in this page's folder.", str, "text").at(3),
+    at(0, "recording", "Recording", "The file in recordings/.", "text"),
+    at(1, "play", "Play", "The command that plays it, to be run in this page's folder.", "text"),
 )
 
 
-def made(request: Request, results: Sequence[CellResult]) -> list[str]:
-    """Return what was asked for and what computed it, a line each; the last is the command."""
-    conditions = request.conditions
-    asked = {*request.cells}
+def conditions(request: Request, results: Sequence[CellResult]) -> list[str]:
+    """Return what was asked for and what computed it, a line each."""
+    asked, its = {*request.cells}, request.conditions
     done = sum(result.cell in asked for result in results)
     experts = {row.expert.partition(":")[0] for r in results for row in r.rows if row.expert}
     commits = sorted({r.origin[PROGRAM_NAME] for r in results if PROGRAM_NAME in r.origin})
@@ -55,18 +47,22 @@ def made(request: Request, results: Sequence[CellResult]) -> list[str]:
     others = sorted({r.cell.seed for r in results if any(row.source for row in r.rows)})
     seeds = _seeds(request.seeds) + (f" (of the baseline: {_seeds(others)})" if others else "")
     source = ", ".join(sorted(experts)) or "unknown"
-    if conditions.experts == "none":
+    if its.experts == "none":
         source = "a score of 1 is the mean return of the demonstrations"
-    return [
-        *([f"not complete: {done} of the {len(asked)} cells asked for"] if done < len(asked) else []),
-        f"budget {conditions.budget}, protocol {conditions.protocol}, {seeds}, RL library {conditions.rl}, "
-        f"instructions {'fixed' if conditions.deterministic else 'of the machine'}",
-        f"experts {conditions.experts}: {source}",
-        *([f"demonstrations of a file, {conditions.demonstrations}"] if conditions.demonstrations else []),
-        f"computed {' to '.join(dict.fromkeys([*days[:1], *days[-1:]])) or 'once'} by irl-bench "
-        f"{', '.join(commits) or 'of an unknown commit'}",
-        f"command: {command_of(request, bool(others))}",
+    lines = [f"not complete: {done} of the {len(asked)} cells asked for"] if done < len(asked) else []
+    lines += [
+        f"budget {its.budget}, protocol {its.protocol}, {seeds}, RL library {its.rl}, "
+        f"instructions {'fixed' if its.deterministic else 'of the machine'}",
+        f"experts {its.experts}: {source}",
     ]
+    lines += [f"demonstrations of a file, {its.demonstrations}"] if its.demonstrations else []
+    when = " to ".join(dict.fromkeys([*days[:1], *days[-1:]])) or "once"
+    return [*lines, f"computed {when} by irl-bench {', '.join(commits) or 'of an unknown commit'}"]
+
+
+def command(request: Request, results: Sequence[CellResult]) -> str:
+    """Return the command that asks for it."""
+    return f"command: {command_of(request, any(row.source for r in results for row in r.rows))}"
 
 
 def _seeds(seeds: Sequence[int]) -> str:
@@ -91,10 +87,7 @@ def warnings(results: Sequence[CellResult], rows: Sequence[Row], budget: str) ->
     if len(machines) > 1:
         lines.append("the cells were computed on different machines or with different versions, see the end")
     unscored = {(r.task, r.seed) for r in rows if r.status == "ok" and math.isnan(r.normalized_score)}
-    return lines + [
-        f"{task}, seed {seed}: no scores: the return that would score 1 is missing, or no better than random"
-        for task, seed in sorted(unscored)
-    ]
+    return lines + [f"{task}, seed {seed}: {NO_SCORE}" for task, seed in sorted(unscored)]
 
 
 def details(name: str, results: Sequence[CellResult]) -> Table:
@@ -113,12 +106,11 @@ def endings(name: str, results: Sequence[CellResult]) -> Table:
     counts: dict[tuple[str, str], Counter[str]] = {}
     for result in results:
         for policy, mine in sorted(result.endings.items()):
-            key = result.cell.method, NAMES.get(policy, policy)
-            counts.setdefault(key, Counter()).update(mine)
-    return Table(name, ENDINGS, [(*key, _in_words(counter)) for key, counter in counts.items()])
+            counts.setdefault((result.cell.method, NAMES.get(policy, policy)), Counter()).update(mine)
+    return Table(name, ENDINGS, [(*key, _in_words(mine)) for key, mine in counts.items()])
 
 
-def _in_words(counts: dict[str, int]) -> str:
+def _in_words(counts: Mapping[str, int]) -> str:
     ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{reason} {count}" for reason, count in ordered)
 
@@ -140,27 +132,15 @@ def origins(results: Sequence[CellResult]) -> list[str]:
     return [f"{count} cells: {line}" for line, count in sorted(Counter(lines).items())]
 
 
-def recordings(
-    request: Request, results: Sequence[CellResult], rows: Sequence[Row], recorded: Collection[str]
-) -> Table:
+def recordings(request: Request, results: Sequence[CellResult], recorded: Collection[str]) -> Table:
     """Return the recordings that exist: all methods on one episode, then each policy, methods first."""
     exist, play = {*recorded}, "irl-bench view . --env"
-    scores: dict[tuple[object, ...], float] = {}
-    for row in rows if exist else ():
-        scores[row.task, row.method, row.seed, row.shown, row.policy] = row.normalized_score
-    lines = []
-    for result in results:
-        cell = result.cell
-        for name in sorted(result.recordings.keys() & exist):
-            policy = next((p for p in result.endings if name.startswith(f"{cell.name}__{p}.")), None)
-            score = scores.get((cell.task, cell.method, cell.seed, cell.shown, policy), math.nan)
-            ended = _in_words(result.endings[policy]) if policy else ""
-            command = f"{play} {cell.env} --method {cell.method}"
-            lines.append((name, number(score, "z.2f"), ended, command))
-    lines.sort(key=lambda line: (line[0].split("__")[0], "__control_" in line[0]))
-    compared = [
-        (compared_in(env), Value(""), "all methods on one episode", f"{play} {env} --compare")
-        for env in request.envs
-        if compared_in(env) in exist
+    names = [compared_in(env) for env in request.envs]
+    lines = [(n, f"{play} {env} --compare") for n, env in zip(names, request.envs, strict=True) if n in exist]
+    own = [
+        (name, f"{play} {result.cell.env} --method {result.cell.method}")
+        for result in results
+        for name in sorted(result.recordings.keys() & exist)
     ]
-    return Table("recordings", RECORDINGS, [*compared, *lines])
+    own.sort(key=lambda line: (line[0].split("__")[0], "__control_" in line[0]))
+    return Table("recordings", RECORDINGS, lines + own)

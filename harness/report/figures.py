@@ -16,7 +16,7 @@ import pandas as pd
 from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
@@ -43,14 +43,10 @@ LETTER = 6.4
 _STYLE: dict[Any, Any] = {
     **{"svg.fonttype": "none", "text.parse_math": False, "font.family": "DejaVu Sans", "font.size": 11},
     **{"axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.linewidth": 0.8},
-    **{
-        "axes.titlesize": 12,
-        "axes.titleweight": "bold",
-        "axes.titlelocation": "left",
-        "axes.axisbelow": True,
-    },
+    **{"axes.titlesize": 12, "axes.titleweight": "bold", "axes.titlelocation": "left"},
     **{"axes.labelcolor": GREY, "xtick.color": GREY, "ytick.color": GREY, "ytick.labelcolor": INK},
-    **{"text.color": INK, "lines.linewidth": 1.6, "savefig.dpi": 200, "figure.dpi": 72},
+    **{"axes.axisbelow": True, "text.color": INK, "lines.linewidth": 1.6},
+    **{"savefig.dpi": 200, "figure.dpi": 72},
 }
 
 
@@ -81,47 +77,37 @@ def styled() -> Iterator[None]:
 
 
 class Plot:
-    """A plot: a figure with one pair of axes, and the tooltips of its points.
+    """A figure of one pair of axes, and the tooltips of its points. `said`: it in words."""
 
-    `said`: the plot in words. `rows`: names along the y axis, from the top, instead of numbers.
-    """
-
-    def __init__(self, said: str, title: str = "", label: str = "", rows: Sequence[str] = ()) -> None:
+    def __init__(self, said: str, figure: Figure) -> None:
         self.said = said
         self.tips: list[Sequence[str]] = []
+        self.figure = figure
+
+    @classmethod
+    def of(cls, said: str, title: str = "", label: str = "", rows: Sequence[str] = ()) -> Plot:
+        """Return a plot of one pair of axes. `rows`: names along the y axis, from the top, for numbers."""
         width, height = 340.0, 46 + (max(3, len(rows)) * 18 if rows else 190)
-        self.figure = Figure(figsize=(width / 72, height / 72))
         left = 12 + LETTER * max((min(len(row), 24) for row in rows), default=5)
         top = 22 if title else 8
-        box = (left / width, 34 / height, 1 - (left + 12) / width, 1 - (34 + top) / height)
-        self.axes = self.figure.add_axes(box)
-        self.axes.set_title(title)
-        self.axes.set_xlabel(label)
+        figure = Figure(figsize=(width / 72, height / 72))
+        axes = figure.add_axes((left / width, 34 / height, 1 - (left + 12) / width, 1 - (34 + top) / height))
+        axes.set(title=title, xlabel=label)
         if rows:
-            label_rows(self.axes, rows)
+            label_rows(axes, rows)
+        return cls(said, figure)
+
+    @property
+    def axes(self) -> Axes:
+        """The pair of axes."""
+        return self.figure.axes[0]
 
     def points(
-        self, places: Sequence[tuple[float, float]], colour: str, marker: str, tips: Sequence[str] = ()
+        self, places: Sequence[Sequence[float]], colour: str, marker: str, tips: Sequence[str] = ()
     ) -> None:
         """Draw markers. `tips`: a text for each, which the pointer brings up."""
-        scatter(self.axes, places, colour, marker, tips, gid=f"tips-{len(self.tips)}")
+        scatter(self.axes, places, colour, marker).set_gid(f"tips-{len(self.tips)}")
         self.tips.append(tips)
-
-    def names(self, points: Sequence[tuple[float, float, str]], avoid: Sequence[tuple[float, float]]) -> None:
-        """Write names beside points, where they overlap nothing, or leave them out."""
-        to_pixels = self.axes.transData.transform
-        boxes = [(x - 4, y - 4, x + 4, y + 4) for x, y in (to_pixels(point) for point in avoid)]
-        frame = self.axes.bbox
-        for x, y, name in points:
-            across, up = to_pixels((x, y))
-            long = LETTER * len(name)
-            for dx, dy in ((7, -4), (-7 - long, -4), (-long / 2, 7), (-long / 2, -15)):
-                box = (across + dx, up + dy, across + dx + long, up + dy + 10)
-                inside = box[0] >= frame.x0 and box[2] <= frame.x1 + 12 and box[1] >= frame.y0
-                if inside and not any(_overlap(box, other) for other in boxes):
-                    boxes.append(box)
-                    self.axes.annotate(name, (x, y), (dx, dy), textcoords="offset points", fontsize=9)
-                    break
 
     def svg(self) -> Markup:
         """Return the plot for a page. Its colours are variables of the page's style, its text is text."""
@@ -135,7 +121,7 @@ class Plot:
         drawn = re.sub(r'<g id="tips-(\d+)">(.*?)</g>', self._with_tips, drawn)
         drawn = re.sub(r'<g id="[^"]*"', "<g", drawn).replace("xlink:href", "href")
         drawn = re.sub(r' style="([^"]*)"', _as_attributes, drawn)
-        drawn = re.sub(r' (?:d|x|y|transform)="[^"]*"', _rounded, drawn)
+        drawn = re.sub(r' (?:d|x|y|transform)="[^"]*"', lambda m: re.sub(r"(\.\d)\d+", r"\1", m[0]), drawn)
         drawn = re.sub(r"#[0-9a-f]{6}\b", lambda match: VARIABLES.get(match[0], match[0]), drawn)
         width, height = (72 * side for side in self.figure.get_size_inches())
         said = self.said if len(self.said) <= LONGEST_ALT else self.said[:LONGEST_ALT] + "…"
@@ -152,14 +138,6 @@ def _as_attributes(match: re.Match[str]) -> str:
     pairs = [part.split(": ", 1) for part in match[1].split("; ")]
     kept = [f' {name}="{value}"' for name, value in pairs if name not in ("font-family", "stroke-dashoffset")]
     return "".join(kept)
-
-
-def _rounded(match: re.Match[str]) -> str:
-    return re.sub(r"(\.\d)\d+", r"\1", match[0])
-
-
-def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def look(number: int) -> tuple[str, str, str]:
@@ -190,17 +168,12 @@ def label_rows(axes: Axes, rows: Sequence[str]) -> None:
 
 
 def scatter(
-    axes: Axes,
-    places: Sequence[tuple[float, float]],
-    colour: str,
-    marker: str,
-    tips: Sequence[str] = (),
-    gid: str | None = None,
-) -> None:
+    axes: Axes, places: Sequence[Sequence[float]], colour: str, marker: str, tips: Sequence[str] = ()
+) -> PathCollection:
     """Draw markers with a thin rim. `tips`: for a page alone."""
     xs, ys = zip(*places, strict=True) if places else ([], [])
-    drawn = axes.scatter(xs, ys, 26 if marker == "D" else 34, color=colour, marker=marker, zorder=4)
-    drawn.set(edgecolors=PAPER, linewidths=0.8, gid=gid)
+    size = 26 if marker == "D" else 34
+    return axes.scatter(xs, ys, size, colour, marker=marker, zorder=4, edgecolors=PAPER, linewidths=0.8)
 
 
 def spans(axes: Axes, ends: Sequence[tuple[tuple[float, float], tuple[float, float]]], colour: str) -> None:

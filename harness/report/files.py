@@ -10,14 +10,11 @@ from pathlib import Path
 from harness.judge.leaderboard import Entry
 from harness.records import COLUMNS, PROGRAM_NAME, Cell
 from harness.registry import choose
-from harness.report import charts, html
+from harness.report import charts, facts, html
 from harness.report.columns import visible
 from harness.report.figures import as_file, styled
-from harness.report.latex import as_latex
-from harness.report.markdown import as_markdown, leaderboard_md
 from harness.report.model import Board, Report
-from harness.report.spreadsheet import as_csv, frame_of
-from harness.report.tables import Table
+from harness.report.tables import Table, as_csv, escaped, frame_of
 from harness.store.files import write_atomic
 
 ENTRY_FIELDS = [field.name for field in dataclasses.fields(Entry)]
@@ -41,7 +38,7 @@ def report_files(report: Report) -> dict[str, str]:
     return {
         "scores.csv": _scores_csv(report),
         "leaderboard.csv": as_csv(frame_of(report.entries, ENTRY_FIELDS)),
-        "leaderboard.md": leaderboard_md(report),
+        "leaderboard.md": _leaderboard_md(report),
         "report.html": html.render(report),
     }
 
@@ -73,8 +70,8 @@ def table(report: Report, kind: str, env: str | None = None) -> str:
         return as_csv(frame_of([entry for board in boards for entry in board.entries], ENTRY_FIELDS))
     tables = [Table(board.name, visible("scores"), board.entries) for board in boards]
     if kind == "tex":
-        return as_latex(tables)
-    return "\n".join(f"## {one.name}\n\n{as_markdown(one)}" for one in tables)
+        return "% \\usepackage{booktabs}\n" + "\n".join(one.as_latex() for one in tables)
+    return "\n".join(f"## {one.name}\n\n{one.as_markdown()}" for one in tables)
 
 
 def _boards(report: Report, env: str | None) -> Sequence[Board]:
@@ -93,3 +90,28 @@ def _scores_csv(report: Report) -> str:
     frame["program"] = [result.origin.get(PROGRAM_NAME, "") for result in mine]
     frame["finished"] = [result.finished for result in mine]
     return as_csv(frame)
+
+
+def _leaderboard_md(report: Report) -> str:
+    """Return scores, rewards and costs of each board, in tables as wide as GitHub shows."""
+    parts = [f"# {report.title}Leaderboard\n", _listed([*report.facts, report.command])]
+    across = report.across
+    if across.table.items or across.notes:
+        parts.append(f"## Across environments\n\n{_listed(across.notes)}\n{across.table.as_markdown()}")
+    for board in report.shown:
+        parts.append(f"## {board.name}{f': {facts.NO_RESULT}, {board.flag}' if board.flag else ''}\n")
+        tables = [
+            Table("scores", visible("scores"), board.entries),
+            Table("rewards", visible("rewards"), board.scored("pi_R")),
+            Table("costs", visible("costs"), board.entries),
+            facts.details("fits", board.results),
+        ]
+        parts += [one.as_markdown() for one in tables if one.items]
+    if report.spent.items:
+        parts.append(f"## Where the time went\n\n{report.spent.as_markdown()}")
+    parts.append("## Computed with\n\n" + _listed(report.origins))
+    return "\n".join(parts)
+
+
+def _listed(lines: Sequence[str]) -> str:
+    return "".join(f"- {escaped(line)}\n" for line in lines)

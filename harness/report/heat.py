@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.roles import ASKS
-from harness.records import NOMINAL, REFERENCE
+from harness.judge.rows import ASKS
+from harness.records import REFERENCE
 from harness.report.columns import INCOMPARABLE, NAMES, NO_SCORE, score
 from harness.report.model import Board
 
@@ -17,7 +17,6 @@ MOST_COLUMNS = 16
 """Boards of each group."""
 MOST_METHODS = 60
 SHADES = 10
-BEST, TIED, UNSOLVED = "★", "≈", "†"
 LONGEST_REASON = 300
 """Characters of the reason for a missing score."""
 
@@ -36,56 +35,55 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Group:
-    """Columns of one policy in tasks or in variants. cautions: pairs of a word and a sentence, by column.
-    tiles: by column, one for each method of the map."""
+class Head:
+    """The head of a column: a board, its short name, and a word and a sentence for each caution."""
 
-    title: str
-    boards: Sequence[Board]
-    names: Sequence[str]
-    cautions: Sequence[Sequence[tuple[str, str]]]
-    tiles: Sequence[Sequence[Tile]]
+    board: Board
+    name: str
+    cautions: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Methods by boards. roles: by method, in order. boards_left, methods_left: numbers of those left out."""
+    """Methods by boards. `roles`: by method, in order. `left_out`: what is not on it, in words.
 
-    roles: dict[str, str]
-    groups: Sequence[Group]
-    boards_left: int
-    methods_left: int
+    `groups`: heads with a tile for each method, by title.
+    """
+
+    roles: Mapping[str, str]
+    groups: Mapping[str, Sequence[tuple[Head, Sequence[Tile]]]]
+    left_out: str
 
 
 def heat_map(boards: Sequence[Board]) -> HeatMap:
     """Return the map of these boards. Rows are methods by their mean pi_R, those without one by their mean
     pi_star after them, then controls."""
-    entries = {(b.name, e.method, e.policy): e for b in boards for e in b.entries if e.method != REFERENCE}
-    roles = _ordered(list(entries.values()))
+    roles = _ordered(boards)
     methods = list(roles)[:MOST_METHODS]
-    tasks, variants = [b for b in boards if b.is_nominal], [b for b in boards if not b.is_nominal]
-    names = _short_names(boards)
-    groups = []
-    for beginning, mine in (("", tasks), ("Transfer: ", variants)):
+    kinds = {"": [b for b in boards if b.is_nominal], "Transfer: ": [b for b in boards if not b.is_nominal]}
+    groups: dict[str, list[tuple[Head, list[Tile]]]] = {}
+    for beginning, mine in kinds.items():
         for policy, title in NAMES.items():
-            drawn = [b for b in mine[:MOST_COLUMNS] if any((b.name, m, policy) in entries for m in methods)]
-            tiles = [[_tile(entries.get((b.name, method, policy))) for method in methods] for b in drawn]
-            cautions = [_cautions(b, policy) for b in drawn]
-            if drawn:
-                groups.append(
-                    Group(beginning + title, drawn, [names[b.name] for b in drawn], cautions, tiles)
-                )
-    left = sum(max(0, len(mine) - MOST_COLUMNS) for mine in (tasks, variants))
-    return HeatMap({m: roles[m] for m in methods}, groups, left, len(roles) - len(methods))
+            for board in mine[:MOST_COLUMNS]:
+                entries = {e.method: e for e in board.entries if e.policy == policy}
+                if entries.keys() & {*methods}:
+                    head = Head(board, _short_name(board, boards), _cautions(board, policy))
+                    tiles = [_tile(entries.get(method)) for method in methods]
+                    groups.setdefault(beginning + title, []).append((head, tiles))
+    boards_left = sum(max(0, len(mine) - MOST_COLUMNS) for mine in kinds.values())
+    methods_left = len(roles) - len(methods)
+    left_out = f"{boards_left} more boards and {methods_left} more methods are in the leaderboard."
+    return HeatMap({m: roles[m] for m in methods}, groups, left_out * bool(boards_left or methods_left))
 
 
-def _ordered(entries: Sequence[Entry]) -> dict[str, str]:
+def _ordered(boards: Sequence[Board]) -> dict[str, str]:
     """Return the role of each method, in the order of the map's rows."""
-    roles = {entry.method: entry.role for entry in entries}
+    roles = {e.method: e.role for board in boards for e in board.entries if e.method != REFERENCE}
     scores: dict[tuple[str, str], list[float]] = {}
-    for entry in entries:
-        if entry.dynamics == NOMINAL and math.isfinite(entry.score_mean):
-            scores.setdefault((entry.method, entry.policy), []).append(entry.score_mean)
+    for board in (board for board in boards if board.is_nominal):
+        for entry in board.entries:
+            if math.isfinite(entry.score_mean):
+                scores.setdefault((entry.method, entry.policy), []).append(entry.score_mean)
 
     def place(method: str) -> tuple[int | float | str, ...]:
         section = {"method": 0, ASKS: 1}.get(roles[method], 2)
@@ -95,21 +93,14 @@ def _ordered(entries: Sequence[Entry]) -> dict[str, str]:
     return {method: roles[method] for method in sorted(roles, key=place)}
 
 
-def anchor(board: str) -> str:
-    """Return the id of a board's part of the page."""
-    return "board-" + board.replace(" ", "_")
-
-
-def _short_names(boards: Sequence[Board]) -> dict[str, str]:
-    """Return the boards' names without the parts that all of them share."""
-    same_demos = len({b.shown for b in boards}) == 1
-    one_env = len({b.env for b in boards}) == 1
-    names = {}
-    for board in boards:
-        first = board.entries[0]
-        task = first.dynamics if one_env and not board.is_nominal else first.task
-        names[board.name] = task if same_demos or not str(board.shown) else f"{task}, {board.shown}"
-    return names
+def _short_name(board: Board, boards: Sequence[Board]) -> str:
+    """Return the board's name without the parts that all boards share."""
+    first = board.entries[0]
+    task = first.task
+    if not board.is_nominal and all(other.env == board.env for other in boards):
+        task = first.dynamics
+    same = all(other.entries[0].shown == first.shown for other in boards)
+    return task if same or not str(first.shown) else f"{task}, {first.shown}"
 
 
 def _tile(entry: Entry | None) -> Tile:
@@ -121,11 +112,13 @@ def _tile(entry: Entry | None) -> Tile:
         return Tile("failed" if entry.status == "failed" else "none", tip=name + reason)
     parts = [f"{score(entry)}, {entry.seeds_ok} of {entry.seeds} seeds"]
     parts += ["interval over episodes"] * (entry.varies == "episodes")
-    mark = BEST if entry.best else TIED if entry.tied else ""
-    parts += [{BEST: "the best", TIED: "not significantly worse than the best"}[mark]] if mark else []
     parts += [f"{INCOMPARABLE} with the best"] * entry.incomparable
+    mark = ""
+    if entry.best or entry.tied:
+        mark = "★" if entry.best else "≈"
+        parts.append("the best" if entry.best else "not significantly worse than the best")
     if entry.unsolved:
-        mark += UNSOLVED
+        mark += "†"
         parts.append(f"RL solved R* on {as_text(entry.solved, '.0%')} of seeds")
     shade = round(SHADES * min(1.0, max(0.0, entry.score_mean)))
     return Tile(as_text(entry.score_mean, "z.2f"), mark, shade, name + "; ".join(parts))
@@ -138,25 +131,9 @@ def _cautions(board: Board, policy: str) -> list[tuple[str, str]]:
         over = "One seed: intervals are over its episodes, and say nothing of another seed."
         cautions.append(("one seed", over))
     if policy == "pi_R" and board.tie:
-        says = (
-            f"An uninformed control does as well: {board.tie}. This cannot show whether a reward was learned."
-        )
-        cautions.append(("controls tie", says))
+        says = "This cannot show whether a reward was learned."
+        cautions.append(("controls tie", f"An uninformed control does as well: {board.tie}. {says}"))
     failed = [e.method for e in board.entries if e.policy == policy and e.status == "failed"]
     if failed:
         cautions.append((f"{len(failed)} failed", f"Seeds failed of {', '.join(dict.fromkeys(failed))}."))
     return cautions
-
-
-def winners(board: Board) -> str:
-    """Return which methods are best on a board, in a sentence; an empty text where none has a score."""
-    parts = []
-    for policy, name in NAMES.items():
-        standing = board.standing(policy)
-        if standing.best:
-            tied, apart = len(standing.tied), len(standing.apart)
-            counts = [f"{tied} other{'s' * (tied > 1)} not significantly worse"] * bool(tied)
-            counts += [f"{apart} with {INCOMPARABLE}"] * bool(apart)
-            others = f" ({', '.join(counts)})" if counts else ""
-            parts.append(f"best {name} {standing.best.method} {score(standing.best)}{others}")
-    return f"{board.name}: {'; '.join(parts)}" if parts else ""

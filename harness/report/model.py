@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 from harness.judge.across_tasks import indistinct, overall
-from harness.judge.leaderboard import Entry, by_shown, is_on, leaderboard, scored_rows, shown_in
-from harness.judge.roles import ASKS, UNINFORMED
-from harness.records import NOMINAL, CellResult, Row, Shown
+from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.rows import ASKS, UNINFORMED, by_shown, is_on, shown_in
+from harness.records import NOMINAL, CellResult, Row
 from harness.report import facts
-from harness.report.columns import METHOD, POLICY
+from harness.report.columns import INCOMPARABLE, METHOD, POLICY, score
 from harness.report.tables import Column, Table, Value, interval, number
 from harness.store.request import Request
 
@@ -24,6 +24,8 @@ MOST_DRAWN, MOST_DRAWN_OF_MANY = 100, 6
 """Boards that have figures."""
 MOST_PANELS, MOST_PANELS_OF_MANY = 60, 12
 """Panels in the curves of a board."""
+FEW_NAMES = 4
+"""Names of a list in a sentence."""
 OVERALL = (
     METHOD,
     POLICY,
@@ -38,20 +40,6 @@ OVERALL = (
     ),
     Column("below", "Runs below 0.95", "Share of the runs.", lambda x: Value(f"{x.below:.0%}", x.below)),
 )
-
-
-@dataclass(frozen=True)
-class Standing:
-    """The order of methods on a board by one policy.
-
-    `ranked`: methods with a score, best first. `best`: the method that others are compared with.
-    `tied`: methods that are not significantly worse. `apart`: methods that share no seed with the best.
-    """
-
-    ranked: Sequence[Entry]
-    best: Entry | None
-    tied: Sequence[Entry]
-    apart: Sequence[Entry]
 
 
 @dataclass(frozen=True)
@@ -74,11 +62,6 @@ class Board:
     def is_nominal(self) -> bool:
         """True where the dynamics are the environment's own."""
         return self.entries[0].dynamics == NOMINAL
-
-    @property
-    def shown(self) -> Shown:
-        """The demonstrations that its methods see."""
-        return self.entries[0].shown
 
     @property
     def methods(self) -> list[str]:
@@ -105,20 +88,36 @@ class Board:
         """Return the entries of this policy that have a score."""
         return [e for e in self.entries if e.policy == policy and math.isfinite(e.score_mean)]
 
-    def standing(self, policy: str) -> Standing:
-        """Return how methods stand by this policy."""
-        mine = [e for e in self.entries if e.policy == policy]
-        ranked = sorted((e for e in self.scored(policy) if e.role == "method"), key=lambda e: -e.score_mean)
-        best = next((e for e in mine if e.best), None)
-        return Standing(ranked, best, [e for e in mine if e.tied], [e for e in mine if e.incomparable])
+    def ranked(self, policy: str) -> list[Entry]:
+        """Return the scored methods by this policy, best first."""
+        return sorted((e for e in self.scored(policy) if e.role == "method"), key=lambda e: -e.score_mean)
+
+    def best(self, policy: str) -> Entry | None:
+        """Return the method that others are compared with by this policy."""
+        return next((e for e in self.entries if e.policy == policy and e.best), None)
+
+    def tied(self, policy: str) -> list[str]:
+        """Return the methods that are not significantly worse than the best."""
+        return [e.method for e in self.entries if e.policy == policy and e.tied]
+
+    def winner(self, policy: str) -> str:
+        """Return which methods are best by this policy, in words; an empty text where none has a score."""
+        best = self.best(policy)
+        if best is None:
+            return ""
+        most = max(e.seeds_ok for e in self.entries)
+        seeds = f" ({best.seeds_ok} of {most} seeds)" if best.seeds_ok < most else ""
+        apart = [e.method for e in self.entries if e.policy == policy and e.incomparable]
+        lists = {"not significantly worse": self.tied(policy), INCOMPARABLE: apart}
+        others = [f", {title}: {some(names)}" for title, names in lists.items() if names]
+        return f"{best.method} {score(best)}{seeds}{''.join(others)}"
 
 
 @dataclass(frozen=True)
 class Across:
-    """Comparison over environments. `rows`: those that are compared. `without`: reasons to leave environments
-    out. `notes`: lines on the choice. `table`: a policy each, best first."""
+    """Comparison over environments. `without`: reasons to leave environments out. `notes`: lines on the
+    choice. `table`: a policy each, best first."""
 
-    rows: Sequence[Row]
     without: Mapping[str, str]
     notes: Sequence[str]
     table: Table
@@ -165,10 +164,16 @@ def build(request: Request, results: Sequence[CellResult], recorded: Collection[
     rows = scored_rows(results)
     entries = leaderboard(rows)
     boards = _boards(entries, rows, results, request)
-    shown = _first(boards)
+    lines = accumulate(len(board.entries) for board in boards)
+    shown = boards[: max(1, sum(count <= MOST_LINES for count in lines))]
     many = len(rows) > MANY_ROWS
     drawn = shown[: MOST_DRAWN_OF_MANY if many else MOST_DRAWN]
-    *lines, command = facts.made(request, results)
+    left_out = []
+    if len(shown) < len(boards):
+        files = "leaderboard.csv has the lines of all, scores.csv their rows"
+        left_out.append(f"the first {len(shown):,} of {len(boards):,} boards are shown; {files}")
+    if len(drawn) < len(shown):
+        left_out.append(f"figures are of the first {len(drawn):,} boards")
     return Report(
         request=request,
         results=results,
@@ -179,12 +184,12 @@ def build(request: Request, results: Sequence[CellResult], recorded: Collection[
         drawn=drawn,
         panels=MOST_PANELS_OF_MANY if many else MOST_PANELS,
         across=_across(rows, entries),
-        facts=lines + _left_out(len(boards), len(shown), len(drawn)),
-        command=command,
+        facts=facts.conditions(request, results) + left_out,
+        command=facts.command(request, results),
         warnings=facts.warnings(results, rows, request.conditions.budget),
         origins=facts.origins(results),
         spent=facts.spent(results),
-        recordings=facts.recordings(request, results, rows, recorded),
+        recordings=facts.recordings(request, results, recorded),
     )
 
 
@@ -192,36 +197,24 @@ def _boards(
     entries: Sequence[Entry], rows: Sequence[Row], results: Sequence[CellResult], request: Request
 ) -> list[Board]:
     by_board: dict[str, list[Entry]] = {}
-    by_task: dict[str, tuple[list[Row], list[CellResult]]] = {}
+    rows_of: dict[str, list[Row]] = {}
+    results_of: dict[str, list[CellResult]] = {}
     for entry in entries:
         by_board.setdefault(entry.board, []).append(entry)
     for row in rows:
-        by_task.setdefault(row.task, ([], []))[0].append(row)
+        rows_of.setdefault(row.task, []).append(row)
     for result in results:
-        by_task[result.cell.task][1].append(result)
-    by_shown_rows = {task: by_shown(mine, lambda row: row) for task, (mine, _) in by_task.items()}
-    by_shown_results = {task: by_shown(mine, lambda r: r.rows[0]) for task, (_, mine) in by_task.items()}
+        results_of.setdefault(result.cell.task, []).append(result)
+    all_rows = {task: by_shown(mine, lambda row: row) for task, mine in rows_of.items()}
+    all_results = {task: by_shown(results_of[task], lambda result: result.rows[0]) for task in rows_of}
     flags = {env: facts.why_no_result(env, request, results) for env in {entry.env for entry in entries}}
     boards = []
     for name, mine in by_board.items():
         task, shown = mine[0].task, mine[0].shown
         place = {method: at for at, method in enumerate(dict.fromkeys(e.method for e in mine))}
-        ordered = sorted(by_shown_results[task][shown], key=lambda result: place[result.cell.method])
-        boards.append(Board(name, mine, by_shown_rows[task][shown], ordered, flags[mine[0].env]))
+        ordered = sorted(all_results[task][shown], key=lambda result: place[result.cell.method])
+        boards.append(Board(name, mine, all_rows[task][shown], ordered, flags[mine[0].env]))
     return boards
-
-
-def _first(boards: Sequence[Board]) -> Sequence[Board]:
-    """Return the first boards that have at most `MOST_LINES` lines together, and one at least."""
-    lines = accumulate(len(board.entries) for board in boards)
-    return boards[: max(1, sum(count <= MOST_LINES for count in lines))]
-
-
-def _left_out(every: int, shown: int, drawn: int) -> list[str]:
-    """Return lines on boards that are not shown, or not drawn."""
-    files = "leaderboard.csv has the lines of all, scores.csv their rows"
-    lines = [f"the first {shown:,} of {every:,} boards are shown; {files}"] if shown < every else []
-    return lines + ([f"figures are of the first {drawn:,} boards"] if drawn < shown else [])
 
 
 def _across(rows: Sequence[Row], entries: Sequence[Entry]) -> Across:
@@ -234,4 +227,10 @@ def _across(rows: Sequence[Row], entries: Sequence[Entry]) -> Across:
     if len({row.env for row in compared}) > 1:
         notes = [f"{env} is left out: {why}" for env, why in without.items()]
         notes += [f"of boards with {shown}"] * bool(str(shown))
-    return Across(compared, without, notes, Table("across", OVERALL, overall(compared, tuple(without))))
+    return Across(without, notes, Table("across", OVERALL, overall(compared, tuple(without))))
+
+
+def some(names: Sequence[str], between: str = ", ") -> str:
+    """Return the first names, and how many more there are."""
+    more = f" and {len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else ""
+    return between.join(names[:FEW_NAMES]) + more

@@ -23,31 +23,13 @@ function tell(target) {
 
 document.addEventListener("pointerover", (event) => tell(event.target));
 document.addEventListener("focusin", (event) => tell(event.target));
-document.addEventListener("scroll", () => tell(document.body), { capture: true, passive: true });
+const scrolled = () => {
+  const at = described;
+  tell(document.body);
+  if (at && at === document.activeElement) tell(at);
+};
+document.addEventListener("scroll", scrolled, { capture: true, passive: true });
 document.addEventListener("keydown", (event) => event.key === "Escape" && tell(document.body));
-
-for (const map of document.querySelectorAll(".heat")) {
-  const first = map.querySelector("td[data-tip]");
-  if (first) first.tabIndex = 0;
-  map.addEventListener("keydown", (event) => {
-    const [down, right] =
-      { ArrowDown: [1, 0], ArrowUp: [-1, 0], ArrowRight: [0, 1], ArrowLeft: [0, -1] }[event.key] ?? [0, 0];
-    const cell = event.target.closest("td[data-tip]");
-    if (!cell || !(down || right)) return;
-    event.preventDefault();
-    let row = cell.parentElement.rowIndex;
-    let column = cell.cellIndex;
-    for (;;) {
-      const next = map.rows[(row += down)]?.cells[(column += right)];
-      if (!next || next.tagName === "TH") return;
-      if (!next.dataset.tip) continue;
-      cell.tabIndex = -1;
-      next.tabIndex = 0;
-      next.focus();
-      return;
-    }
-  });
-}
 
 function sort(button) {
   const head = button.closest("th");
@@ -96,7 +78,7 @@ const visible = (table) => [...table.tBodies[0].rows].filter((row) => !row.hidde
 
 function csv(table) {
   const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  // A spreadsheet would compute a text that begins like this (spreadsheet.py).
+  // A spreadsheet would compute a text that begins like this (tables.py).
   const plain = (text) => (/^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(text) ? `'${text}` : text);
   const rows = visible(table);
   const heads = [...table.tHead.rows[0].cells];
@@ -112,20 +94,6 @@ function csv(table) {
     }),
   );
   return [head, ...lines].map((line) => line.map(quoted).join(",") + "\n").join("");
-}
-
-function tex(table) {
-  const special = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}" };
-  const names = { "π*": "$\\pi^*$", π_R: "$\\pi_R$", "\u2212": "$-$" };
-  const safe = (text) => text.replace(/π\*|π_R|[\\~^&%$#_{}\u2212]/g, (c) => names[c] ?? special[c] ?? `\\${c}`);
-  const cells = (row) => [...row.cells].filter((cell) => getComputedStyle(cell).display !== "none");
-  const line = (row) => cells(row).map((cell) => safe(cell.textContent)).join(" & ") + " \\\\\n";
-  const head = table.tHead.rows[0];
-  const kinds = cells(head).map((cell) => (cell.classList.contains("n") ? "r" : "l")).join("");
-  return (
-    `% \\usepackage{booktabs}\n\\begin{tabular}{${kinds}}\n\\toprule\n${line(head)}\\midrule\n` +
-    `${visible(table).map(line).join("")}\\bottomrule\n\\end{tabular}\n`
-  );
 }
 
 function save(name, content) {
@@ -148,8 +116,7 @@ document.addEventListener("click", async (event) => {
     const files = JSON.parse(document.getElementById("files").textContent);
     save(`${button.dataset.file}.csv`, await unpack(files[button.dataset.file]));
   } else if (button?.dataset.save) {
-    const text = { csv, tex }[button.dataset.save](within.querySelector("table"));
-    save(`${within.dataset.name}.${button.dataset.save}`, new Blob([text], { type: "text/plain" }));
+    save(`${within.dataset.name}.csv`, new Blob([csv(within.querySelector("table"))], { type: "text/plain" }));
   } else if (within && button.closest("thead")) sort(button);
 });
 

@@ -1,19 +1,30 @@
-"""Tables: values, columns that read them from items, and where each column is visible."""
+"""Tables: values, columns that read them from items, and what is written of them for people and programs."""
 
 from __future__ import annotations
 
-import dataclasses
+import csv
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
-from typing import Any, Literal
+from operator import attrgetter, itemgetter
+from typing import Any, BinaryIO, Literal
+
+import pandas as pd
 
 from harness.judge.numbers import as_text
 
 Kind = Literal["choice", "text", "note", "number", "interval"]
 """Types of columns: few texts to filter by, other texts, long texts, numbers, numbers with an interval."""
+FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+"""The beginning of a text that a spreadsheet would compute, with any apostrophes before it.
+`page.js` has the same."""
+LATEX = {
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+    **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+    **{"π*": r"$\pi^*$", "π_R": r"$\pi_R$", "\N{MINUS SIGN}": "$-$", "…": r"\dots{}"},
+}
+"""Texts that LaTeX would take for something else, and how they are written."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +67,6 @@ class Column:
         """True for a column of numbers."""
         return self.kind in ("number", "interval")
 
-    def at(self, place: int) -> Column:
-        """Return the column for items that are sequences of values. `place`: the value that it shows."""
-        return dataclasses.replace(self, read=itemgetter(place))
-
 
 @dataclass(frozen=True)
 class Table:
@@ -69,14 +76,36 @@ class Table:
     columns: Sequence[Column]
     items: Sequence[Any]
 
-    @property
-    def headings(self) -> list[str]:
-        """The columns' titles."""
-        return [column.heading for column in self.columns]
-
     def lines(self) -> list[list[str | Value]]:
         """Return the items' values in the order of the columns."""
         return [[column.read(item) for column in self.columns] for item in self.items]
+
+    def as_markdown(self) -> str:
+        """Return it in Markdown; an empty text where it has no line."""
+        if not self.items:
+            return ""
+        texts = [[escaped(str(value)) for value in line] for line in self.lines()]
+        lines = [[column.heading for column in self.columns], ["---"] * len(self.columns), *texts]
+        return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+    def as_latex(self) -> str:
+        """Return it in LaTeX, with rules of booktabs, and its name in a comment."""
+        special = re.compile("|".join(map(re.escape, sorted(LATEX, key=len, reverse=True))))
+
+        def line(items: Sequence[object]) -> str:
+            texts = (special.sub(lambda match: LATEX[match[0]], str(item)) for item in items)
+            return " & ".join(texts) + " \\\\\n"
+
+        kinds = "".join("r" if column.is_number else "l" for column in self.columns)
+        head = f"% {self.name}\n\\begin{{tabular}}{{{kinds}}}\n\\toprule\n"
+        titles = line([column.heading for column in self.columns])
+        body = "".join(map(line, self.lines()))
+        return f"{head}{titles}\\midrule\n{body}\\bottomrule\n\\end{{tabular}}\n"
+
+
+def at(place: int, key: str, title: str, meaning: str, kind: Kind = "number") -> Column:
+    """Return a column of items that are sequences of values. `place`: the value that it shows."""
+    return Column(key, title, meaning, itemgetter(place), kind)
 
 
 def number(value: float, spec: str) -> Value:
@@ -94,3 +123,41 @@ def interval(mean: float, low: float, high: float, spec: str = "z.2f") -> Value:
 def without_interval(text: str) -> str:
     """Return the text of a value without its interval."""
     return re.sub(r" \[[^]]*\]", "", text)
+
+
+def escaped(text: str) -> str:
+    """Return the text for Markdown, where it is neither table nor HTML nor link nor emphasis."""
+    return re.sub(r"([\\|<>&`*]|(?<=\])\()", r"\\\1", text)
+
+
+def frame_of(items: Iterable[Any], fields: Sequence[str]) -> pd.DataFrame:
+    """Return a table of these fields of the items, a line each."""
+    return pd.DataFrame(map(attrgetter(*fields), items), columns=list(fields))
+
+
+def as_csv(table: pd.DataFrame, **options: Any) -> str:
+    """Return the table as CSV that a spreadsheet shows as it is: texts that look like formulas are marked."""
+    marked = _changed(table, lambda text: f"'{text}" if FORMULA.match(text) else text)
+    text = str(marked.to_csv(index=False, lineterminator="\n", **options))
+    if "\r" in text:  # which only quotation marks keep from ending a line
+        text = str(marked.to_csv(index=False, lineterminator="\n", quoting=csv.QUOTE_NONNUMERIC, **options))
+    return text
+
+
+def read_csv(file: BinaryIO, texts: Mapping[str, type]) -> pd.DataFrame:
+    """Return the table that `as_csv` wrote. texts: `str` for each column of texts, whatever they look like.
+
+    A method may be called null or NA, and only what is empty is nothing.
+    """
+    table = pd.read_csv(file, keep_default_na=False, na_values=[""], dtype=dict(texts))
+    return _changed(table, lambda text: text[1:] if text[:1] == "'" and FORMULA.match(text) else text)
+
+
+def _changed(table: pd.DataFrame, change: Callable[[str], str]) -> pd.DataFrame:
+    names = [name for name in table if not pd.api.types.is_numeric_dtype(table[name])]
+    return table.assign(
+        **{
+            str(name): table[name].map(lambda item: change(item) if isinstance(item, str) else item)
+            for name in names
+        }
+    )

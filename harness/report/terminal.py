@@ -11,25 +11,24 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import rich.table
 from rich import box
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from harness.judge.across_tasks import GOOD, NO_BETTER
 from harness.judge.leaderboard import Entry
-from harness.judge.roles import ASKS
-from harness.records import CellResult
+from harness.judge.rows import ASKS
 from harness.registry import BUILT_IN
-from harness.report.columns import INCOMPARABLE, score, visible
+from harness.report.columns import score, visible
 from harness.report.facts import NO_RESULT
-from harness.report.model import Board, Report
+from harness.report.model import Board, Report, some
 from harness.report.tables import without_interval
 
 NAMES = {"pi_star": "pi*", "pi_R": "pi_R"}
 """Policies that methods are compared by, in any encoding."""
-FEW_BOARDS, FEW_NAMES = 3, 4
-"""Boards that are named one by one, and names of each list."""
+FEW_BOARDS = 3
+"""Boards that are named one by one."""
 LABEL = 10
 """Columns of the word that begins a line."""
 UNWRAPPED = 100
@@ -43,12 +42,18 @@ ONE_SEED = "one seed ranks no methods"
 def closing(report: Report, directory: Path) -> list[str]:
     """Return what was computed, the best methods, where methods of plug-ins stand, what the controls say, and
     where to look. directory: the run's."""
+    where = shlex.quote(str(directory))
+    places = [f"{directory / 'report.html'}, and scores.csv there"]
+    places.append(f"tables: irl-bench report --print {where}")
+    if any(result.recordings for result in report.results):
+        places.append(f"recordings: irl-bench view {where}")
+    plugins = [method for method in report.request.methods if method not in BUILT_IN["method"]]
     lines = {
         "cells": "; ".join([*_counts(report, directory), *_cautions(report)]),
         **{name: _best(report.boards, policy) for policy, name in NAMES.items()},
-        "yours": "; ".join(_placed(m, report.boards) for m in _plugins(report)),
+        "yours": "; ".join(_placed(method, report.boards) for method in plugins),
         "controls": _controls(report.boards),
-        "look at": _places(report, directory),
+        "look at": "; ".join(places),
     }
     return [f"{label:{LABEL}}{line}" for label, line in lines.items() if line]
 
@@ -57,8 +62,7 @@ def wrapped(line: str) -> str:
     """Return a line of `closing` within a terminal's width; outside a terminal, the line itself."""
     if not sys.stdout.isatty():
         return line
-    width = max(2 * LABEL, shutil.get_terminal_size().columns)
-    indent = " " * LABEL
+    width, indent = max(2 * LABEL, shutil.get_terminal_size().columns), " " * LABEL
     return textwrap.fill(
         line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -74,34 +78,34 @@ def tables(report: Report) -> list[str]:
             console.print("; ".join([board.name, *flags]), markup=False)
             console.print(_table(board.entries, width >= WITH_INTERVALS))
         there = "; in other dynamics 1 is RL on the true reward" if report.request.variants else ""
-        meaning = f"Score: 0 is a random policy, 1 {report.top}{there}."
-        note = (
-            "tied: not significantly worse than the best. Where RL did not solve R*, pi_R says nothing of R*."
+        console.print(
+            f"Score: 0 is a random policy, 1 {report.top}{there}. tied: not significantly worse than the "
+            "best. Where RL did not solve R*, pi_R says nothing of R*.",
+            markup=False,
         )
-        console.print(meaning, note, markup=False)
     return [line.rstrip() for line in capture.get().splitlines()]
 
 
-def _table(entries: Sequence[Entry], intervals: bool) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+def _table(entries: Sequence[Entry], intervals: bool) -> rich.table.Table:
+    table = rich.table.Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     columns = visible("terminal")
-    with_intervals = [intervals and column.key == "score" for column in columns]
-    for column, whole in zip(columns, with_intervals, strict=True):
-        is_note = column.kind == "note"
-        title = column.heading if whole else column.title
+    for column in columns:
+        is_note, is_whole = column.kind == "note", intervals and column.key == "score"
+        title = column.heading if is_whole else column.title
         table.add_column(title, no_wrap=not is_note, overflow="fold" if is_note else "ellipsis")
     for entry in entries:
-        texts = [str(column.read(entry)).replace("π", "pi") for column in columns]
-        short = [t if whole else without_interval(t) for t, whole in zip(texts, with_intervals, strict=True)]
-        short[-1] = textwrap.shorten(texts[-1], LONGEST_NOTE, placeholder=" …")
-        table.add_row(*map(Text, short))
+        texts = {column.key: str(column.read(entry)).replace("π", "pi") for column in columns}
+        note = textwrap.shorten(texts.pop("remarks"), LONGEST_NOTE, placeholder=" …")
+        short = [t if intervals and key == "score" else without_interval(t) for key, t in texts.items()]
+        table.add_row(*map(Text, [*short, note]))
     return table
 
 
 def _counts(report: Report, directory: Path) -> list[str]:
     """Return how many cells came out how, and under which conditions."""
     own = [result for result in report.results if not any(row.source for row in result.rows)]
-    statuses = Counter(map(_status, own))
+    of_cells = [{row.status for row in result.rows} for result in own]
+    statuses = Counter(next(s for s in ("failed", "ok", "skipped") if s in of_cell) for of_cell in of_cells)
     missing = len({*report.request.cells} - {result.cell for result in report.results})
     counts = [f"{statuses[name]} {name}" for name in ("ok", "skipped", "failed") if statuses[name]]
     counts += [f"{missing} missing"] if missing else []
@@ -114,53 +118,30 @@ def _counts(report: Report, directory: Path) -> list[str]:
     return lines
 
 
-def _status(result: CellResult) -> str:
-    statuses = {row.status for row in result.rows}
-    return next(status for status in ("failed", "ok", "skipped") if status in statuses)
-
-
 def _cautions(report: Report) -> list[str]:
     """Return why the numbers are not to be quoted, or methods not to be ranked."""
-    flagged: dict[str, str] = {board.env: board.flag for board in report.boards if board.flag}
+    flagged = {board.env: board.flag for board in report.boards if board.flag}
     if report.request.conditions.budget == "smoke":
         return [f"{NO_RESULT}: budget smoke only shows that everything runs"]
-    lines = [f"{NO_RESULT} on {_some([*flagged])}: an expert misses its bar"] if flagged else []
+    lines = [f"{NO_RESULT} on {some([*flagged])}: an expert misses its bar"] if flagged else []
     return lines + [ONE_SEED] * all(board.has_one_seed for board in report.boards)
 
 
 def _best(boards: Sequence[Board], policy: str) -> str:
     """Return which methods are best by this policy, and which are not significantly worse."""
-    standings = {board.name: board.standing(policy) for board in boards}
-    known = {name: standing for name, standing in standings.items() if standing.best}
+    known = [(board, best) for board in boards if (best := board.best(policy))]
+    lines = [f"{board.name}: {board.winner(policy)}" for board, _ in known]
     if len(known) > FEW_BOARDS:
-        counts = Counter(e.method for s in known.values() for e in (s.best, *s.tied) if e)
+        counts = Counter(method for board, best in known for method in (best.method, *board.tied(policy)))
         often = [f"{method} on {count}" for method, count in counts.most_common()]
-        lines = [f"best, or not significantly worse, of {len(known)} boards: {_some(often)}"]
-    else:
-        lines = [_winner(board, policy) for board in boards if board.name in known]
+        lines = [f"best, or not significantly worse, of {len(known)} boards: {some(often)}"]
     mine = [(board.name, e) for board in boards for e in board.entries if e.policy == policy]
     asking = dict.fromkeys(e.method for _, e in mine if e.role == ASKS and e.seeds_ok)
     lines += [f"{method} {ASKS} and is not ranked" for method in sorted(asking)]
-    unsolved = [f"{e.method} on {name}" for name, e in mine if e.unsolved]
-    says = "RL did not solve R* on every seed, so the score says nothing about the reward"
-    lines += [f"{says}: {_some(unsolved)}"] * bool(unsolved)
+    if unsolved := [f"{e.method} on {name}" for name, e in mine if e.unsolved]:
+        says = "RL did not solve R* on every seed, so the score says nothing about the reward"
+        lines.append(f"{says}: {some(unsolved)}")
     return "; ".join(lines) or "no method has a score"
-
-
-def _winner(board: Board, policy: str) -> str:
-    standing = board.standing(policy)
-    best = standing.best
-    assert best is not None
-    most = max(e.seeds_ok for e in board.entries)
-    seeds = f" ({best.seeds_ok} of {most} seeds)" if best.seeds_ok < most else ""
-    lists = {"not significantly worse": standing.tied, INCOMPARABLE: standing.apart}
-    others = [f", {title}: {_some([e.method for e in its])}" for title, its in lists.items() if its]
-    return f"{board.name}: {best.method} {score(best)}{seeds}{''.join(others)}"
-
-
-def _plugins(report: Report) -> list[str]:
-    """Return the methods that are not built in."""
-    return [method for method in report.request.methods if method not in BUILT_IN["method"]]
 
 
 def _placed(method: str, boards: Sequence[Board]) -> str:
@@ -169,52 +150,33 @@ def _placed(method: str, boards: Sequence[Board]) -> str:
     for board in boards:
         parts = []
         for policy, name in NAMES.items():
-            ranked = board.standing(policy).ranked
-            mine = next((e for e in ranked if e.method == method), None)
-            if mine:
+            ranked = board.ranked(policy)
+            for mine in (e for e in ranked if e.method == method):
                 rank = 1 + sum(other.score_mean > mine.score_mean for other in ranked)
                 parts.append(f"its {name} scores {score(mine)} and ranks {rank} of {len(ranked)}")
         if method in board.methods:
             places.append(f"on {board.name} {', '.join(parts) or 'it has no score'}")
-    return f"{method}: {_some(places, '; ') or 'no cell of it is finished'}"
+    return f"{method}: {some(places, '; ') or 'no cell of it is finished'}"
 
 
 def _controls(boards: Sequence[Board]) -> str:
     """Return whether uninformed rewards do as well as the best method's, and whether RL is up to the task."""
-    highest = [(board, top) for board in boards if (top := board.uninformed) and board.standing("pi_R").best]
+    highest = [(board, top) for board in boards if (top := board.uninformed) and board.best("pi_R")]
     if not highest:
         return "no pi_R to compare with that of an uninformed reward"
-    ties = [f"{board.name} ({top.method} {_mean(top)})" for board, top in highest if board.tie]
     board, top = max(highest, key=lambda pair: pair[1].score_mean)
-    lines = [
-        f"no uninformed reward comes within {NO_BETTER} of the best method's; "
-        f"the highest: {top.method} {_mean(top)} on {board.name}"
-    ]
-    if ties:
-        lines = [f"WARNING: an uninformed reward does as well as the best method's on {_some(ties)}"]
+    line = f"no uninformed reward comes within {NO_BETTER} of the best method's; "
+    line += f"the highest: {top.method} {_mean(top)} on {board.name}"
+    if ties := [f"{board.name} ({top.method} {_mean(top)})" for board, top in highest if board.tie]:
+        line = f"WARNING: an uninformed reward does as well as the best method's on {some(ties)}"
     short = [
         f"{_mean(e)} on {board.name}"
         for board in boards
         for e in board.scored("pi_R")
         if e.role == "upper control" and e.score_mean < GOOD and board.is_nominal
     ]
-    return "; ".join([*lines, *([f"RL on the true reward falls short: {_some(short)}"] if short else [])])
-
-
-def _places(report: Report, directory: Path) -> str:
-    """Return where all results are."""
-    where = shlex.quote(str(directory))
-    places = [f"{directory / 'report.html'}, and scores.csv there"]
-    places.append(f"tables: irl-bench report --print {where}")
-    if any(result.recordings for result in report.results):
-        places.append(f"recordings: irl-bench view {where}")
-    return "; ".join(places)
+    return f"{line}; RL on the true reward falls short: {some(short)}" if short else line
 
 
 def _mean(entry: Entry) -> str:
     return without_interval(str(score(entry)))
-
-
-def _some(names: Sequence[str], between: str = ", ") -> str:
-    more = f" and {len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else ""
-    return between.join(names[:FEW_NAMES]) + more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -81,3 +82,11 @@ def make_row(env: str, method: str, seed: int, policy: str, **values: object) ->
 
 def entry_of(results: list[CellResult], method: str, policy: str) -> Entry:
     return next(e for e in leaderboard(scored_rows(results)) if (e.method, e.policy) == (method, policy))
+
+
+def changed(results: list[CellResult], method: str, **values: object) -> list[CellResult]:
+    """Put these values into all rows of the method."""
+    for result in results:
+        if result.cell.method == method:
+            result.rows[:] = [dataclasses.replace(row, **values) for row in result.rows]  # type: ignore[arg-type]
+    return results

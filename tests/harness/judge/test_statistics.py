@@ -19,27 +19,12 @@ from harness.judge.statistics import (
 )
 
 
-@pytest.mark.parametrize("count", [2, 3, 5, 20])
-def test_the_interval_covers_the_mean_of_normal_values_as_often_as_it_says(count: int) -> None:
-    draws = np.random.default_rng(1).normal(3.0, 2.0, (4000, count))
-    covered = np.mean([low <= 3.0 <= high for low, high in map(mean_interval, draws.tolist())])
-    assert covered == pytest.approx(0.95, abs=3 * math.sqrt(0.05 * 0.95 / 4000))
-
-
-def test_the_interval_is_students() -> None:
+def test_the_interval_is_students_whatever_the_order() -> None:
     values = [1.0, 2.0, 4.0, 4.5]
     expected = t.interval(0.95, 3, loc=np.mean(values), scale=sem(values))
     assert mean_interval(values) == pytest.approx(expected)
+    assert mean_interval(values[::-1]) == mean_interval(values)
     assert normal_interval(3.0, 0.5) == pytest.approx(norm.interval(0.95, 3.0, 0.5))
-
-
-def test_interval_reproduces_whatever_the_order_and_the_global_generator() -> None:
-    first = mean_interval([3.0, 1.0, 2.0])
-    np.random.seed(7)  # noqa: NPY002
-    assert mean_interval([1.0, 2.0, 3.0]) == first
-
-
-def test_one_value_has_no_interval_and_equal_values_have_an_empty_one() -> None:
     assert all(math.isnan(bound) for bound in (*mean_interval([4.0]), *mean_interval([])))
     assert mean_interval([4.0, 4.0, 4.0]) == (4.0, 4.0)
 
@@ -54,27 +39,7 @@ def test_interquartile_mean_ignores_the_outer_quarters() -> None:
 def test_interquartile_interval_resamples_within_tasks_only() -> None:
     """Runs that do not vary within their task leave nothing to resample, however far tasks lie apart."""
     assert interquartile_interval([[0.0, 0.0], [1.0, 1.0]]) == (0.5, 0.5)
-    low, high = interquartile_interval([[0.0, 0.2, 0.1], [0.9, 1.0, 1.1]])
-    assert low < interquartile_mean([0.0, 0.2, 0.1, 0.9, 1.0, 1.1]) < high
     assert all(math.isnan(bound) for bound in interquartile_interval([[1.0, 2.0], [3.0]]))
-
-
-def test_interquartile_interval_of_a_large_task_is_a_little_wider_than_that_of_the_mean() -> None:
-    """Of normal values the middle half's mean has 1 / 0.837 of the mean's variance."""
-    ratios = []
-    for runs in np.random.default_rng(0).normal(size=(20, 200)).tolist():
-        (low, high), (its_low, its_high) = interquartile_interval([runs]), mean_interval(runs)
-        ratios.append((high - low) / (its_high - its_low))
-    assert np.mean(ratios) == pytest.approx(0.837**-0.5, rel=0.04)
-
-
-@pytest.mark.parametrize("function", [mean_interval, interquartile_mean])
-def test_values_that_are_not_finite_are_refused(function) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ValueError, match="finite"):
-        function([1.0, math.nan])
-
-
-def test_interquartile_interval_is_of_whole_resamples_however_few_are_held_at_a_time() -> None:
     rng = np.random.default_rng(3)
     tasks = [rng.normal(size=count).tolist() for count in (2, 7, 300)]
     draws = np.random.default_rng(5)
@@ -82,6 +47,12 @@ def test_interquartile_interval_is_of_whole_resamples_however_few_are_held_at_a_
     middle = np.sort(np.concatenate(drawn, axis=1))[:, 77 : 309 - 77].mean(axis=1)
     expected = np.quantile(middle, [(1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2])
     assert interquartile_interval(tasks, seed=5) == tuple(expected)
+
+
+def test_values_that_are_not_finite_are_refused() -> None:
+    for function in (mean_interval, interquartile_mean):
+        with pytest.raises(ValueError, match="finite"):
+            function([1.0, math.nan])
 
 
 def test_ranks_correlate_as_scipy_has_it() -> None:

@@ -1,7 +1,7 @@
+"""Recordings hold every number of their episodes, and are small."""
+
 from __future__ import annotations
 
-import os
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -15,8 +15,7 @@ from envs.spec import Array
 from harness.recordings import ghosts
 from harness.recordings.common import LONG
 from harness.recordings.episode import Advantage, Episode, record
-from harness.recordings.scenes import Flat, scene
-from harness.recordings.solid_scene import Solid
+from harness.recordings.scenes import Flat, Solid, scene
 from harness.records import Cell
 from harness.registry import SPECS
 from harness.rl.simulator import Simulator, Trajectory
@@ -123,7 +122,7 @@ def test_shapes_stand_upright_where_they_were_drawn(episode: Episode, columns: C
     assert np.array(track) == pytest.approx(drawn.frames[0]["track"].points * [1, -1], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "reacher", "point_maze"])
+@pytest.mark.parametrize("name", ["double_pendulum", "point_maze"])
 def test_mujocos_bodies_are_where_the_simulator_has_them(tmp_path: Path, name: str) -> None:
     spec, rng = SPECS[name], np.random.default_rng(0)
     (played,) = Simulator(spec, 1).run(lambda obs: spec.random_actions(len(obs), rng), [0], most=30)
@@ -156,8 +155,8 @@ def test_mujocos_bodies_are_where_the_simulator_has_them(tmp_path: Path, name: s
     assert seen.moving
 
 
-@pytest.mark.parametrize("name", ["halfcheetah", "walker2d", "hopper", "pendulum"])
-def test_the_longest_episodes_with_all_that_can_be_told_are_small(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["halfcheetah", "pendulum"])
+def test_the_longest_episodes_with_everything_are_small(tmp_path: Path, name: str) -> None:
     spec, rng = SPECS[name], np.random.default_rng(0)
     steps = spec.horizon
     model = spec.make().unwrapped.model  # type: ignore[attr-defined]
@@ -173,14 +172,6 @@ def test_the_longest_episodes_with_all_that_can_be_told_are_small(tmp_path: Path
     signal = read(tmp_path / "a.rrd", recording)["/signal"]
     assert values(signal["signal:true"]).tobytes() == rewards.tobytes()
     assert values(signal["signal:observation"]).tobytes() == obs.astype(np.float32).tobytes()
-
-
-def test_a_task_that_draws_nothing_is_recorded_without_a_scene(tmp_path: Path, episode: Episode) -> None:
-    recording = record(SPEC, CELL, "pi_R", "median", Episode(episode.trajectory))
-    columns = read(tmp_path / "a.rrd", recording)
-    assert np.array_equal(values(columns["/signal"]["signal:true"]), episode.trajectory.rewards)
-    assert "signal:learned" not in columns["/signal"]
-    assert not any(name.startswith("/scene") for name in columns)
 
 
 def test_the_ending_and_the_facts_are_in_the_recording(
@@ -216,33 +207,14 @@ def test_all_methods_on_one_episode(tmp_path: Path) -> None:
         assert columns[f"/ending/{name}"]["step"].to_pylist() == [len(played.act)]
 
 
-def test_any_path_will_do(tmp_path: Path, file: Path) -> None:
-    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9 \n"))
-    folder.mkdir()
-    write_atomic(folder / "a.rrd", file.read_bytes())
-    assert (folder / "a.rrd").read_bytes() == file.read_bytes()
-
-
-def test_where_rerun_writes_nothing_there_is_no_recording(
-    episode: Episode, monkeypatch: pytest.MonkeyPatch
+def test_equal_episodes_give_equal_content_and_where_rerun_writes_nothing_there_is_no_recording(
+    tmp_path: Path, episode: Episode, columns: Columns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert read(tmp_path / "b.rrd", record(SPEC, CELL, "pi_R", "worst", episode)) == columns
+    bare = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "median", Episode(episode.trajectory)))
+    assert np.array_equal(values(bare["/signal"]["signal:true"]), episode.trajectory.rewards)
+    assert "signal:learned" not in bare["/signal"]
+    assert not any(name.startswith("/scene") for name in bare)
     monkeypatch.setenv("RERUN", "off")
     with pytest.raises(OSError, match="rerun wrote nothing"):
         record(SPEC, CELL, "pi_R", "median", episode)
-
-
-def test_equal_episodes_give_recordings_of_equal_content(
-    tmp_path: Path, episode: Episode, columns: Columns
-) -> None:
-    assert read(tmp_path / "b.rrd", record(SPEC, CELL, "pi_R", "worst", episode)) == columns
-
-
-def test_what_does_not_fit_together_is_refused(episode: Episode) -> None:
-    drawn, played = episode.scene, episode.trajectory
-    assert isinstance(drawn, Flat)
-    with pytest.raises(ValueError, match="same names"):
-        Flat([{}, *drawn.frames[1:]])
-    wrong = {"scene": Flat(drawn.frames[:-1]), "learned": played.rewards[1:], "expert": played.act[1:]}
-    for name, value in wrong.items():
-        with pytest.raises(ValueError, match="steps need"):
-            record(SPEC, CELL, "pi_R", "median", replace(episode, **{name: value}))

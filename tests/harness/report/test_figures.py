@@ -1,29 +1,40 @@
-"""Figures over what is shown and over dynamics say what the lines say."""
+"""Figures and tables say what the lines say, on pages and in files for papers."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
 from harness.benchmarks import scale
+from harness.cli.main import main
 from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.report import charts
+from harness.registry import BadInput
+from harness.report import charts, curves
 from harness.report.figures import Chart, look, styled
+from harness.report.files import figure, table
 from harness.report.model import Board, build
-from tests.harness.made_results import REQUEST
+from tests.harness.made_results import ENVS, REQUEST, make_results
+from tests.harness.small_runs import run
+
+__all__ = ["run"]
 
 
 def results(demos: tuple[int, ...], dynamics: tuple[str, ...]) -> list[CellResult]:
-    def made(cell: Cell, **returns: float) -> CellResult:
+    def scored(cell: Cell, **returns: float) -> CellResult:
         rows = [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()]  # type: ignore[arg-type]
         return CellResult(cell, rows)
 
-    found = []
+    cells = []
     for place in dynamics:
-        found += [made(Cell("swingup", REFERENCE, 0, dynamics=place), expert=100.0, random=0.0)]
-        found += [made(Cell("swingup", "control_true", 0, dynamics=place), pi_R=100.0)]
+        cells += [scored(Cell("swingup", REFERENCE, 0, dynamics=place), expert=100.0, random=0.0)]
+        cells += [scored(Cell("swingup", "control_true", 0, dynamics=place), pi_R=100.0)]
         for count in demos:
             for method in ("shaped", "maxent"):
                 cell = Cell("swingup", method, 0, Shown(count), place)
-                found += [made(cell, pi_star=2.0 * count + len(method), pi_R=float(count))]
-    return found
+                cells += [scored(cell, pi_star=2.0 * count + len(method), pi_R=float(count))]
+    return cells
 
 
 def drawn(results: list[CellResult]) -> tuple[list[Board], Chart | None]:
@@ -38,35 +49,14 @@ def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> No
     assert chart is not None
     star, trained = chart.plots
     assert "shaped with 5: 0.16" in star
-    assert "maxent with 20: 0.20" in trained
     assert 'data-tip="maxent, 20 demonstrations: 0.20"' in trained
     for few in ((0,), (5,)):
         assert drawn(results(few, (NOMINAL,)))[1] is None
 
 
-def test_lines_differ_in_colour_style_and_marker_together() -> None:
-    assert len({look(number) for number in range(24)}) == 24
-
-
-def test_transfer_shows_policies_carried_over_and_the_expert() -> None:
-    boards, _ = drawn(results((5, 20), (NOMINAL, "flipped", "heavy")))
-    variants = [board for board in boards if not board.is_nominal]
-    assert [board.name for board in variants] == [
-        f"swingup.{name}, {count} demonstrations" for name in ("flipped", "heavy") for count in (5, 20)
-    ]
-    with styled():
-        plots = [plot for board in variants if (chart := charts.scores(board)) for plot in chart.plots]
-        again = charts.scores(variants[0])
-    assert "shaped π* 0.16" in plots[0]
-    assert "0.46" not in plots[0], "of 20 demonstrations"
-    assert plots[0].count("var(--c2)") == 1, "the expert's level"
-    assert again is not None
-    assert again.plots == plots[:1]
-
-
 def test_a_figure_has_as_many_lines_as_can_be_distinguished_and_its_table_has_all() -> None:
-    _, many = scale.made_up((1, 20, 2, 1))
-    _, chart = drawn(many)
+    assert len({look(number) for number in range(24)}) == 24
+    _, chart = drawn(scale.made_up((1, 20, 2, 1))[1])
     assert chart is not None
     assert "The first 14 of 20 lines" in chart.note
     assert chart.table is not None
@@ -74,11 +64,108 @@ def test_a_figure_has_as_many_lines_as_can_be_distinguished_and_its_table_has_al
     assert len(chart.legend) == 14
 
 
-def test_a_page_has_no_style_attributes_and_colours_of_its_own() -> None:
-    boards, _ = drawn(results((5,), (NOMINAL,)))
+def test_transfer_shows_policies_carried_over_and_the_expert_in_the_pages_colours() -> None:
+    boards, _ = drawn(results((5, 20), (NOMINAL, "flipped", "heavy")))
+    variants = [board for board in boards if not board.is_nominal]
+    assert [board.name for board in variants] == [
+        f"swingup.{name}, {count} demonstrations" for name in ("flipped", "heavy") for count in (5, 20)
+    ]
     with styled():
-        chart = charts.scores(boards[0])
+        chart, again = charts.scores(variants[0]), charts.scores(variants[0])
     assert chart is not None
+    assert again is not None
+    assert again.plots == chart.plots
     (plot,) = chart.plots
+    assert "shaped π* 0.16" in plot
+    assert "0.46" not in plot, "of 20 demonstrations"
+    assert plot.count("var(--c2)") == 1, "the expert's level"
     assert "style=" not in plot
     assert "#" not in plot.replace('href="#', "").replace("url(#", "")
+
+
+def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if "pi_R" in result.curves:
+            result.curves["pi_R_chosen"] = [result.curves["pi_R"][9]]
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        chart, few = curves.learning(board, 60), curves.learning(board, 2)
+    assert chart is not None
+    assert few is not None
+    (plot,) = chart.plots
+    assert plot.count('font-weight="700"') == 7, "control_true and the other controls, shaped, maxmargin"
+    chosen = [dict(r.curves["pi_R_true"])[9000.0] for r in results if r.cell.method == "shaped"]
+    for value in chosen:
+        assert f'data-tip="shaped, steps 9,000: true return {value:.1f}"' in plot
+    assert few.note == "The first 2 of 7 panels."
+    assert few.data is not None
+    # control_true is the last in each of the two panels.
+    assert {*few.data["method"]} - {"reference"} == {"maxmargin", "shaped", "control_true"}
+
+
+@pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_figures_for_papers_are_equal_for_equal_results_and_mark_what_is_no_result(
+    kind: str, begins: bytes
+) -> None:
+    report = build(REQUEST, make_results(seeds=1))
+    file = figure(report, kind, "cartpole")
+    assert file.startswith(begins)
+    assert file == figure(report, kind, "cartpole")
+    below = [replace(r, below_bar=r.cell.method == "reference") for r in report.results]
+    assert file != figure(build(REQUEST, below), kind, "cartpole")
+    if kind == "svg":
+        assert b">control_survival<" in file
+        assert b">pendulum<" in figure(report, kind)
+
+
+def test_tables_for_papers_have_the_boards_scores() -> None:
+    report = build(REQUEST, make_results())
+    tex, md, text = (table(report, kind, "cartpole") for kind in ("tex", "md", "csv"))
+    assert tex.count(r"\begin{tabular}{llrrrrl}") == tex.count(r"\bottomrule") == 1
+    assert r"shaped & $\pi_R$ & 0.86 [0.84, 0.89] & the best &" in tex
+    assert md.startswith("## cartpole\n\n| Method | Policy | Score [95 %] |")
+    assert text.count("\ncartpole,") == sum(entry.env == "cartpole" for entry in report.entries)
+    assert table(report, "tex").count(r"\begin{tabular}") == len(ENVS)
+    with pytest.raises(BadInput, match="no env of this run named 'cartpol'"):
+        table(report, "tex", "cartpol")
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "begins"),
+    [
+        ("figure", "a.svg", b"<?xml"),
+        ("table", "a.tex", b"% \\usepackage"),
+        ("table", "a.csv", b"env,dynamics"),
+    ],
+)
+def test_a_file_for_a_paper_is_written(
+    run: Path, tmp_path: Path, command: str, name: str, begins: bytes
+) -> None:
+    assert main([command, str(run), "--to", str(tmp_path / name), "--env", "cartpole"]) == 0
+    assert (tmp_path / name).read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        (["--to", "a.docx"], "--to must end in .pdf, .svg, .png, not 'a.docx'"),
+        (["--to", "{run}/report.svg"], "lies in the run"),
+        (["--to", "a.svg", "--env", "pendulm"], "no env of this run named 'pendulm'"),
+    ],
+)
+def test_bad_input_is_a_line_and_writes_nothing(
+    run: Path,
+    tmp_path: Path,
+    more: list[str],
+    why: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = {*tmp_path.rglob("*")}
+    assert main(["figure", str(run), *(word.format(run=run) for word in more)]) == 2
+    err = capsys.readouterr().err
+    assert why in err
+    assert err.count("\n") == 1
+    assert {*tmp_path.rglob("*")} == before

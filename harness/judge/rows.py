@@ -1,0 +1,139 @@
+"""Rows of results: roles of their methods, the boards that they are on, and methods seed by seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
+
+from harness.judge.statistics import mean_interval, normal_interval
+from harness.records import ALL_SHOWN, LOWER_CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Row, Shown
+from harness.registry import ASKING
+
+T = TypeVar("T")
+
+LOWER, SURVIVAL, ASKS = "lower control", "survival control", "asks the expert"
+_ROLES = {
+    REFERENCE: "reference",
+    "control_true": "upper control",
+    "control_survival": SURVIVAL,
+    "control_shuffled": "shuffled control",
+    "control_clone": "clone control",
+    **dict.fromkeys(LOWER_CONTROLS, LOWER),
+    **dict.fromkeys(ASKING, ASKS),
+}
+UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
+"""Roles of controls without information about the task."""
+Scales = Mapping[tuple[str, int], tuple[float, float]]
+"""The random policy's return, and the expert's return above it, by task and seed."""
+
+
+def role_of(method: str, protocol: str) -> str:
+    """Return the role under a protocol; 'method' for those that are compared with each other.
+
+    Under the protocols native and state an end pays nothing. There control_plus1 means "stay alive", and
+    control_survival pays 0 everywhere; under the others it is the reverse (docs/termination.md).
+    """
+    if protocol in ("native", "state"):
+        swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER}.get(method)
+        return swapped or _ROLES.get(method, "method")
+    return _ROLES.get(method, "method")
+
+
+def is_rival(method: str) -> bool:
+    """Return whether the method competes with others, unlike controls and the reference."""
+    return method not in _ROLES
+
+
+def scales_of(rows: Sequence[Row]) -> Scales:
+    """Return the scales of all tasks and seeds whose policies that score 0 and 1 are known."""
+    known: dict[tuple[str, int, str, str], float] = {
+        (row.task, row.seed, row.method, row.policy): row.return_mean
+        for row in rows
+        if row.method in (REFERENCE, "control_true") and row.status == "ok"
+    }
+    scales = {}
+    for task, seed, dynamics in {(row.task, row.seed, row.dynamics) for row in rows}:
+        tops = [(REFERENCE, "expert"), (REFERENCE, "demonstrations")]
+        if dynamics != NOMINAL:
+            tops = [("control_true", "pi_R")]
+        low = known.get((task, seed, REFERENCE, "random"), math.nan)
+        scale = next((known[task, seed, *top] for top in tops if (task, seed, *top) in known), math.nan) - low
+        if scale > 0:
+            scales[task, seed] = low, scale
+    return scales
+
+
+def by_shown(items: Sequence[T], row: Callable[[T], Row]) -> dict[Shown, list[T]]:
+    """Return a task's items by the demonstrations of each board. `row`: gives an item's row."""
+    boards: dict[Shown, list[T]] = {shown: [] for shown in shown_in([row(item) for item in items])}
+    for item in items:
+        one = row(item)
+        for board in boards.values() if one.method in UNSHOWN else (boards[one.shown],):
+            board.append(item)
+    return boards
+
+
+def shown_in(rows: Sequence[Row]) -> list[Shown]:
+    """Return the demonstrations of all boards; the budget's own number comes first."""
+    return sorted({row.shown for row in rows if row.method not in UNSHOWN}) or [ALL_SHOWN]
+
+
+def is_on(row: Row, shown: Shown) -> bool:
+    """Return whether the row is on the board of these demonstrations."""
+    return row.method in UNSHOWN or row.shown == shown
+
+
+def mean(values: Sequence[float]) -> float:
+    """Return the mean of the finite values, NaN where there are none."""
+    known = [value for value in values if math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
+def scores_of(rows: Sequence[Row]) -> dict[int, float]:
+    """Return the scores that are known, by seed."""
+    return {row.seed: row.normalized_score for row in rows if math.isfinite(row.normalized_score)}
+
+
+def best_of(ordered: Sequence[list[Row]]) -> list[Row]:
+    """Return the rows of the first method that no method with as many seeds beats where both have a score.
+
+    `ordered`: rows of each method, by falling mean score. A mean over easy seeds alone is not the best.
+    """
+    unbeaten = (rows for rows in ordered if not any(_beats(other, rows) for other in ordered))
+    return next(unbeaten, ordered[0] if ordered else [])
+
+
+def _beats(rows: list[Row], others: list[Row]) -> bool:
+    """Return whether it has at least as many seeds and a higher score on the shared ones, or more seeds where
+    none are shared."""
+    mine, theirs = scores_of(rows), scores_of(others)
+    if mine.keys() == theirs.keys() or len(mine) < len(theirs):
+        return False
+    shared = mine.keys() & theirs.keys()
+    if not shared:
+        return len(mine) > len(theirs)
+    return math.fsum(mine[seed] - theirs[seed] for seed in shared) > 0
+
+
+def behind(rows: Sequence[Row], best: Sequence[Row], scales: Scales) -> tuple[float, float, float]:
+    """Return the mean gap of scored rows to the best method's over the seeds that both have, and its 95 %
+    interval. With one such seed, the interval is over episodes, as if they were not paired."""
+    theirs = {row.seed: row for row in best if math.isfinite(row.normalized_score)}
+    pairs = [(theirs[row.seed], row) for row in rows if row.seed in theirs]
+    gaps = [one.normalized_score - other.normalized_score for one, other in pairs]
+    if not pairs or best[0].method == rows[0].method:
+        return math.nan, math.nan, math.nan
+    if len(pairs) > 1:
+        return mean(gaps), *mean_interval(gaps)
+    errors = [standard_error(row, scales) for row in pairs[0]]
+    return gaps[0], *normal_interval(gaps[0], math.hypot(*errors))
+
+
+def standard_error(row: Row, scales: Scales) -> float:
+    """Return the standard error of its mean score over evaluation episodes, or, without scales, of its
+    return."""
+    if row.episodes < 2:
+        return math.nan
+    error = row.return_std / math.sqrt(row.episodes)
+    return error / scales[row.task, row.seed][1] if scales else error
