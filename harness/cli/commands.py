@@ -17,7 +17,6 @@ from harness.cell.given import store
 from harness.cli import outcome
 from harness.engines import scratch
 from harness.engines.jobs import Engine
-from harness.engines.server import suspend_workers_too
 from harness.process.environment import cache_folder, can_fix_instructions, numeric
 from harness.process.signals import stop_cleanly
 from harness.records import Cell, CellResult, Conditions, Shown, failed_rows
@@ -26,7 +25,6 @@ from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import GYMNASIUM_NAME, KNOWN
 from harness.schedule.progress import progress_for, say, tell
 from harness.store import baseline
-from harness.store.cells import LOG
 from harness.store.files import can_write
 from harness.store.opening import (
     holds_run,
@@ -37,7 +35,7 @@ from harness.store.opening import (
     open_to_verify,
 )
 from harness.store.request import Request
-from harness.store.store import Store
+from harness.store.store import LOG, Store
 
 if TYPE_CHECKING:
     from harness.demonstrations.reading import Demonstrations
@@ -377,7 +375,6 @@ def cores() -> int:
 
 
 def handle_signals() -> None:
-    """Whatever stops a run stops it cleanly, and Ctrl-Z suspends all of it."""
+    """Whatever stops a run stops it cleanly."""
     if threading.current_thread() is threading.main_thread():
         stop_cleanly()
-        suspend_workers_too()

@@ -46,7 +46,6 @@ def report(
     from harness.report.model import build
     from harness.schedule.events import Reported, write
 
-    forgotten = run.forgotten()
     damaged = run.damaged_files(results)
     beside, unusable = run.beside()
     shown = [*results, *beside]
@@ -74,9 +73,7 @@ def report(
     if absent := [cell.name for cell in run.request.cells if cell not in there]:
         say(f"not computed yet, or gone: {absent[0]}{_and_more(absent)}")
     tell_unusable(damaged | unusable, "damaged")
-    if forgotten:
-        tell(f"stored once and gone, left out: {forgotten[0]}{_and_more(forgotten)}")
-    return not (forgotten or damaged or unusable)
+    return not (damaged or unusable)
 
 
 def _and_more(names: Sequence[str]) -> str:
