@@ -97,6 +97,8 @@ DOES: dict[str, Callable[[], object]] = {
     "mute": lambda: _raise(Mute()),
     "surrogate": lambda: _raise(ValueError("caf\udce9 \x1b[2J")),
     "exit": lambda: sys.exit("gave up"),
+    "generator": lambda: _raise(GeneratorExit("left")),
+    "keyboard": lambda: _raise(KeyboardInterrupt()),
     "vanish": lambda: os._exit(0),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "group": lambda: (os.kill(0, signal.SIGTERM), time.sleep(60)),
