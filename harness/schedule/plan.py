@@ -29,7 +29,6 @@ class Simulated:
     """An engine in simulated time.
 
     `does`: a function from a job to its seconds and its outcome. `now`: seconds since the beginning.
-    `busy`: the seconds of all jobs so far.
     """
 
     def __init__(
@@ -39,14 +38,13 @@ class Simulated:
         variables: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.workers, self.variables = workers, variables
-        self.now = self.busy = 0.0
+        self.now = 0.0
         self._does = does
         self._started = 0
         self._running: list[tuple[float, int, Job, Outcome]] = []
 
     def submit(self, job: Job) -> None:
         seconds, outcome = self._does(job)
-        self.busy += seconds
         self._started += 1
         heapq.heappush(self._running, (self.now + seconds, self._started, job, outcome))
 

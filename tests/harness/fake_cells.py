@@ -44,10 +44,6 @@ class Mute(Exception):
         raise RuntimeError("no words")
 
 
-def _raise(error: BaseException, *_: object) -> None:
-    raise error
-
-
 HERE = str(Path(__file__).parent)
 PRELOAD = "fake_preload"
 FOLDER = "IRL_BENCH_FAKES"
@@ -91,14 +87,16 @@ def _change_the_process() -> None:
     os.environ["OMP_NUM_THREADS"] = "7"
 
 
+RAISES = {
+    "raise": ValueError("two\nlines"),
+    "panic": Panic("index out of bounds"),
+    "mute": Mute(),
+    "surrogate": ValueError("caf\udce9 \x1b[2J"),
+    "exit": SystemExit("gave up"),
+    "generator": GeneratorExit("left"),
+    "keyboard": KeyboardInterrupt(),
+}
 DOES: dict[str, Callable[[], object]] = {
-    "raise": lambda: _raise(ValueError("two\nlines")),
-    "panic": lambda: _raise(Panic("index out of bounds")),
-    "mute": lambda: _raise(Mute()),
-    "surrogate": lambda: _raise(ValueError("caf\udce9 \x1b[2J")),
-    "exit": lambda: sys.exit("gave up"),
-    "generator": lambda: _raise(GeneratorExit("left")),
-    "keyboard": lambda: _raise(KeyboardInterrupt()),
     "vanish": lambda: os._exit(0),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "group": lambda: (os.kill(0, signal.SIGTERM), time.sleep(60)),
@@ -129,6 +127,8 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         print(f"{name}={os.environ.get(name)}")
     faults = directory.parent / "faults.json"
     behaviour = json.loads(faults.read_text()).get(cell.name, "") if faults.exists() else cell.method
+    if behaviour in RAISES:
+        raise RAISES[behaviour]
     DOES.get(behaviour, lambda: None)()
     if behaviour.startswith("leaves_one"):
         _leave_one_behind(directory)
