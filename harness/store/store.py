@@ -25,7 +25,6 @@ from harness.store.files import (
     LARGEST_HASHED,
     SUMS,
     appending,
-    as_lines,
     digest_of,
     in_words,
     opened,
@@ -34,7 +33,7 @@ from harness.store.files import (
     why_damaged,
     write_atomic,
 )
-from harness.store.names import files_of
+from harness.store.names import Report, files_of
 from harness.store.request import Request
 from harness.store.versions import of_other_versions
 
@@ -47,24 +46,6 @@ REBUILT = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html")
 """The files that are rebuilt from cells."""
 UNLISTED = (FILE, f"{FILE}-journal", LOG, SUMS)
 """The files of a run that no list of checksums has."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """The last report.
-
-    `key`: of its cells and of the program (`report_key`). `digest`: of its cells alone.
-    `files`: the SHA-256 of each table and recording, by its path in the directory.
-    """
-
-    key: str = ""
-    digest: str = ""
-    files: dict[str, str] = dataclasses.field(default_factory=dict)
-
-    @property
-    def sums(self) -> bytes:
-        """The list of checksums."""
-        return as_lines((digest, name) for name, digest in sorted(self.files.items())).encode()
 
 
 class Store:

@@ -297,8 +297,3 @@ def test_tables_of_other_cells_or_lists_are_damage_and_mended_by_report(
         assert not directory.is_sealed()
     assert main(["report", str(run)]) == 0
     assert main(["verify", str(run)]) == 0
-
-
-def test_the_next_run_may_ask_for_cells_that_are_there(run: Path) -> None:
-    with open_for_run(run, dataclasses.replace(REQUEST, methods=("bc", "shaped"))) as directory:
-        assert list(directory.load()[0]) == [CELL]
