@@ -17,6 +17,8 @@ PASSED = {
     *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES"),
 }
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
+FORMER = "IRL_BENCH_PLUGINS"
+"""A variable of earlier versions, which named files to be executed."""
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
     *("NPY_DISABLE_CPU_FEATURES", "LD_PRELOAD"),
@@ -97,7 +99,7 @@ def _is_numeric(name: str) -> bool:
 
 def of_user() -> dict[str, str]:
     """Return the variables that the user gives to plug-ins, which are part of the keys of their cells."""
-    theirs = {name for name in os.environ if name.startswith(PASSED_PREFIXES[-1])} - {CACHE_VARIABLE}
+    theirs = {name for name in os.environ if name.startswith(PASSED_PREFIXES[-1])} - {CACHE_VARIABLE, FORMER}
     return {name: os.environ[name] for name in sorted(theirs)}
 
 
@@ -106,7 +108,7 @@ def of_cells(deterministic: bool) -> dict[str, str]:
     passed = {
         name: value
         for name, value in os.environ.items()
-        if name in PASSED or name.startswith(PASSED_PREFIXES)
+        if (name in PASSED or name.startswith(PASSED_PREFIXES)) and name != FORMER
     }
     return passed | numeric(deterministic) | TEXT
 

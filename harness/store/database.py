@@ -112,7 +112,7 @@ class Database:
 
 @contextmanager
 def open_database(file: Path | None, write: bool = False) -> Iterator[Database]:
-    """Open the database of a run, or an empty one in memory where `file` is None.
+    """Open the database of a run, or, without `file`, an empty one in memory.
 
     To be written, it is created where it is absent, and a transaction that a kill cut off is undone. Else
     nothing is written: such a transaction is undone in a copy. Raises BadInput for any other file, another
@@ -145,7 +145,7 @@ def open_database(file: Path | None, write: bool = False) -> Iterator[Database]:
 
 @contextmanager
 def _address(file: Path, write: bool) -> Iterator[str]:
-    """Yield the address for SQLite. Raises OSError for what is no regular file."""
+    """Yield the address for SQLite. Raises OSError for links, pipes and other irregular files."""
     journal, mode = file.with_name(f"{file.name}-journal"), "rwc" if write else "ro"
     with ExitStack() as stack:
         if not write or os.path.lexists(file):
