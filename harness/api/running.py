@@ -43,8 +43,6 @@ class Reported:
     beside: Sequence[CellResult]
     missing: Sequence[str]
     """Names of cells that are not computed yet, or gone."""
-    forgotten: Sequence[str]
-    """Names of cells that were stored once."""
     damaged: Mapping[Path, str]
     """Reasons by file."""
     ended: str = ""
@@ -53,7 +51,7 @@ class Reported:
     @property
     def is_whole(self) -> bool:
         """True where the run has all that it was asked for, and nothing of it is damaged."""
-        return not (self.forgotten or self.damaged or self.ended)
+        return not (self.damaged or self.ended)
 
 
 def run(
@@ -155,7 +153,7 @@ def report(run: Store, results: Mapping[Cell, CellResult], anew: bool = False, e
     from harness.report.files import recorded_in, write_report
     from harness.report.model import build
 
-    forgotten, damaged = run.forgotten(), run.damaged_files(results.values())
+    damaged = run.damaged_files(results.values())
     beside, unusable = run.beside()
     shown = [*results.values(), *beside]
     if anew or not run.is_sealed():
@@ -171,7 +169,7 @@ def report(run: Store, results: Mapping[Cell, CellResult], anew: bool = False, e
         built = build(run.request, shown)
     there = {result.cell for result in shown}
     missing = [cell.name for cell in run.request.cells if cell not in there]
-    return Reported(run.path, built, results, beside, missing, forgotten, damaged | unusable, ended)
+    return Reported(run.path, built, results, beside, missing, damaged | unusable, ended)
 
 
 def _beside(run: Store, engine: Running) -> list[Cell]:

@@ -23,9 +23,8 @@ from harness.registry import SPECS, BadInput
 from harness.registry.keys import EXPERTS, ROOT
 from harness.rl.seeds import held_out_seeds, rng_for
 from harness.schedule.progress import say, tell
-from harness.store.files import LARGEST_OF_CELL, read, sha256, write_atomic
+from harness.store.files import LARGEST_OF_CELL, SUMS, as_lines, read, sha256, write_atomic
 from harness.store.marked import open_marked
-from harness.store.sums import SUMS, as_lines
 from methods.base import Policy
 
 MOST_TRIED = 20
@@ -52,7 +51,7 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     it.
     """
     with (
-        open_marked(out, CANDIDATES, HEADER.encode(), "experts", _is_list, rf"{SUMS}|\w+\{KIND}"),
+        open_marked(out, CANDIDATES, HEADER.encode(), "experts", _is_list),
         as_in_cells(),
     ):
         launch = in_a_process(context=get_context("spawn"))(train)  # type: ignore[call-overload]

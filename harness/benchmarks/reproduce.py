@@ -60,8 +60,7 @@ def open_study(path: Path) -> Iterator[None]:
     for protocol in PROTOCOLS:
         if (path / protocol).is_symlink():
             raise BadInput(f"cannot use {path / protocol}: it is a link")
-    unfinished = r"scores\.csv|study\.(csv|md)|\w+\.png"
-    with open_marked(path, STUDY, MARK, "study", lambda data: data == MARK, unfinished):
+    with open_marked(path, STUDY, MARK, "study", lambda data: data == MARK):
         yield
 
 

@@ -44,8 +44,6 @@ def show(reported: Reported, tables: bool = False, programs: TextIO | None = Non
     if reported.missing:
         say(f"not computed yet, or gone: {_first(reported.missing)}")
     tell_unusable(reported.damaged, "damaged")
-    if reported.forgotten:
-        tell(f"stored once and gone, left out: {_first(reported.forgotten)}")
 
 
 def _first(names: Sequence[str]) -> str:

@@ -13,13 +13,12 @@ from harness.api.request import RunRequest
 from harness.api.running import Reported, compute, plan, tell_unusable
 from harness.api.running import report as write_report
 from harness.cli import messages
-from harness.engines.server import suspend_workers_too
 from harness.process.signals import stop_cleanly
 from harness.records import CellResult
 from harness.registry import BadInput, Unfinished
 from harness.schedule.progress import progress_for, say, tell
-from harness.store.cells import LOG
 from harness.store.opening import merged, open_for_report
+from harness.store.store import LOG
 
 
 def run(args: argparse.Namespace) -> int:
@@ -141,7 +140,6 @@ def report(directory: Path, tables: bool) -> int:
 
 
 def handle_signals() -> None:
-    """Make whatever stops a run stop it cleanly, and Ctrl-Z suspend all of it."""
+    """Make whatever stops a run stop it cleanly."""
     if threading.current_thread() is threading.main_thread():
         stop_cleanly()
-        suspend_workers_too()

@@ -9,7 +9,6 @@ nor the column `infos` of `imitation`, whose texts stand for any Python object.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import zipfile
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.demonstrations.recording import LARGEST, OWN_FORM, Episode, Recording, extra, joined
-from harness.store.codec import checked
+from harness.store.codec import printable
 from harness.store.files import opened
 from harness.store.files import read as content
 
@@ -125,7 +124,7 @@ def _minari(data: Path) -> Recording:
     arrays = joined(episodes)
     if facts.total_steps not in (None, steps := int(arrays["lengths"].sum())):
         raise ValueError(f"its {METADATA} tells of {facts.total_steps} steps, and its episodes have {steps}")
-    space, bounds = checked(json.loads(facts.action_space), Space), None
+    space, bounds = _checked(facts.action_space, Space), None
     if space.type == "Box":
         low, high = (np.array(end, np.float64).ravel() for end in (space.low, space.high))
         bounds = np.array([low, high])
@@ -135,9 +134,17 @@ def _minari(data: Path) -> Recording:
 
 def _json(path: Path, kind: type[T]) -> T:
     try:
-        return checked(json.loads(content(path)), kind)
-    except (ValueError, RecursionError) as error:
+        return _checked(content(path), kind)
+    except ValueError as error:
         raise ValueError(f"its {path.name} cannot be used: {error}") from error
+
+
+def _checked(text: str | bytes, kind: type[T]) -> T:
+    """Return JSON as `kind`. Raises ValueError, with the place, where it does not fit."""
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise ValueError(printable(str(error)[:200])) from error
 
 
 def _tables(data: Path, facts: Metadata) -> Iterator[dict[str, NDArray[Any]]]:

@@ -37,13 +37,13 @@ def cell_variables(scratch: Path, deterministic: bool) -> dict[str, str]:
 def as_in_cells() -> Iterator[None]:
     """Give this process the variables of cells until the context ends, and a folder for temporary files that
     goes with it."""
+    before, folder = os.environ.copy(), tempfile.tempdir
     with scratch_folder() as scratch:
         variables = cell_variables(scratch, deterministic=True)
-        before, folder = os.environ.copy(), tempfile.tempdir
-        os.environ.clear()
-        os.environ.update(variables)
-        tempfile.tempdir = variables["TMPDIR"]  # which it remembers
         try:
+            os.environ.clear()
+            os.environ.update(variables)
+            tempfile.tempdir = variables["TMPDIR"]  # which it remembers
             yield
         finally:
             os.environ.clear()

@@ -36,32 +36,25 @@ AFTERWARDS = " Or did the cell change sys.path and then import from there? Do th
 def process_restored() -> Iterator[None]:
     """Restore this process's variables, folder and random states as the context ends, for its next job.
     Free what the last job holds in cycles."""
-    variables, folder, random_states = os.environ.copy(), None, _random_states()
-    with contextlib.suppress(FileNotFoundError):  # which another job may have deleted
-        folder = Path.cwd()
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(variables)
-        if folder:
-            with contextlib.suppress(OSError):
-                os.chdir(folder)
-        for restore, state in random_states:
-            restore(state)
-        gc.collect()
-        gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
-
-
-def _random_states() -> list[tuple[Callable[..., object], object]]:
-    """Return the states of the generators that all code of a process shares, and what sets each."""
+    variables, folder = os.environ.copy(), os.open(".", os.O_PATH)
     states: list[tuple[Callable[..., object], object]] = [
         (random.setstate, random.getstate()),
         (np.random.set_state, np.random.get_state()),  # noqa: NPY002
     ]
     if torch := sys.modules.get("torch"):
         states.append((torch.set_rng_state, torch.get_rng_state()))
-    return states
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(variables)
+        with contextlib.suppress(OSError):  # where a job closed it
+            os.fchdir(folder)
+            os.close(folder)
+        for restore, state in states:
+            restore(state)
+        gc.collect()
+        gc.freeze()  # Modules stay, and looking through them again takes as long as a short job.
 
 
 def compute(work: str, job: Job, tell: Callable[[Phase], None] = lambda phase: None) -> Outcome:

@@ -1,16 +1,11 @@
-"""Bounds of a process: nothing that it starts outlives it, and it takes no more memory than there is.
-
-On Linux a process can adopt orphans: descendants whose parents end become its children. Elsewhere orphans
-are not found.
-"""
+"""Bounds of a process: nothing that it starts outlives it, and it takes no more memory than there is."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import sys
+import resource
 import time
-from collections.abc import Collection
 from pathlib import Path
 
 import psutil
@@ -19,15 +14,13 @@ NO_NUMBERS = "It ends processes that cells leave behind."
 
 PATIENCE = 5.0
 """Seconds for killed processes to be gone."""
-_LINUX = sys.platform == "linux"
 _SET_CHILD_SUBREAPER = 36
 """A request of prctl(2)."""
 
 
 def adopt_orphans() -> None:
-    """Make this process the parent of its orphaned descendants, where the system can do that."""
-    if _LINUX:
-        ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    """Make this process the parent of its descendants whose own parents end."""
+    ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def is_alive(process: psutil.Process) -> bool:
@@ -55,24 +48,13 @@ def kill_descendants(pid: int | None = None) -> None:
         time.sleep(0.01)
 
 
-def kill_children_but(wanted: Collection[int]) -> None:
-    """Kill this process's children but those of these numbers. Their own children become this process's."""
-    for child in psutil.Process().children():
-        if child.pid not in wanted:
-            with contextlib.suppress(psutil.Error):
-                child.kill()
-
-
 def bound_memory() -> None:
     """Bound this process to the memory that the machine has left. Beyond it gets MemoryError. Where several
     ask for too much together, the system kills one of them and not the run."""
-    if _LINUX:
-        import resource
-
-        _, most = resource.getrlimit(resource.RLIMIT_DATA)
-        limit = psutil.Process().memory_info().data + psutil.virtual_memory().available
-        if most != resource.RLIM_INFINITY:
-            limit = min(limit, most)
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
-        with contextlib.suppress(OSError):  # where containers forbid it
-            Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = psutil.Process().memory_info().data + psutil.virtual_memory().available
+    if most != resource.RLIM_INFINITY:
+        limit = min(limit, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
+    with contextlib.suppress(OSError):  # where containers forbid it
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")

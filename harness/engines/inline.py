@@ -17,7 +17,7 @@ from harness.store.cache import compiled_once
 
 
 class Inline:
-    """Jobs in this process. What a cell prints is not kept.
+    """Jobs in this process. Text that a cell prints is not kept.
 
     Keys are of this process's environment. So its cells are mixed with other engines' only where that is
     the same.

@@ -36,6 +36,11 @@ class Job:
         return () if self.shared else (self.cells[0].method,)
 
     @property
+    def group(self) -> tuple[str, int]:
+        """The environment and the seed, whose cells share an expert and demonstrations."""
+        return self.cells[0].env, self.cells[0].seed
+
+    @property
     def name(self) -> str:
         cell = self.cells[0]
         return f"{cell.env}__expert__seed{cell.seed}" if self.shared else cell.name

@@ -36,9 +36,9 @@ from harness.store.files import opened
 MOST_JOBS = 50
 """Jobs that a worker does before another takes its place."""
 LOOK_EVERY = 1.0
-"""Seconds that a call waits for a job to end, and that a worker has to end after its connection has."""
+"""Seconds between looks for jobs that ended, and for workers that did."""
 LONGEST_LOG = 1 << 20
-"""Bytes of what a job printed that are kept: the last ones."""
+"""Bytes of a job's printed text that are kept: the last ones."""
 LONGEST_MESSAGE = 1 << 29
 """Bytes of a worker's message, at most. A cell that writes text to the connection claims more."""
 
@@ -91,9 +91,7 @@ class Processes:
             thread.join(PATIENCE)
         for worker in self._idle:
             worker.end()
-        self._running.clear()
-        self._phases.clear()
-        self._idle.clear()
+        self._running, self._phases, self._idle = {}, {}, []
         self._ended = queue.SimpleQueue()
 
     def submit(self, job: Job) -> None:
@@ -183,6 +181,13 @@ class Worker:
             timer.cancel()
 
     def _message(self) -> Message:
+        """Return the next message. Raises EOFError where the process has ended, be it that one which it
+        started holds the connection open."""
+        alive = True
+        while not self._connection.poll(LOOK_EVERY if alive else 0):
+            if not alive:
+                raise EOFError
+            alive = is_alive(self._process)
         return msgspec.msgpack.decode(self._connection.recv_bytes(LONGEST_MESSAGE), type=Message)
 
     def _stop(self) -> None:

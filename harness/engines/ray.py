@@ -72,14 +72,22 @@ class Ray:
         work: str = WORK,
     ) -> None:
         host, _, port = address.rpartition(":")
-        if not (not address or address == "auto" or (host and port.isdecimal())):
+        if not (address in ("", "auto") or (host and port.isdecimal())):
             message = f"--address is HOST:PORT of the head of a Ray cluster, or auto, not {address!r:.80}"
             raise BadInput(message, page="cluster")
         local = not address or host in ("127.0.0.1", "localhost")
         os.environ |= DRIVERS | (LOOPBACK if local else {})  # which Ray reads as it is imported
-        self._ray = _imported()
-        if host and (error := _unreachable(address)):  # for which Ray would wait for minutes
-            raise BadInput(f"no Ray cluster answers at {address}: {error}", page="cluster")
+        try:
+            import ray
+        except ImportError as error:
+            raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
+        if host:  # Ray would wait for minutes for one that does not answer.
+            try:
+                socket.create_connection((host, int(port)), PATIENCE).close()
+            except (OSError, OverflowError) as error:
+                message = f"no Ray cluster answers at {address}: {error}"
+                raise BadInput(message, page="cluster") from error
+        self._ray: Any = ray
         self.variables = numeric(deterministic)
         self._address, self._workers = address, workers
         self._settings = timeout, deterministic, tuple(modules), work
@@ -165,13 +173,19 @@ class Ray:
 
     def submit(self, job: Job) -> None:
         self._check_head()
-        shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
         own = {name: data for name, data in job.inputs.items() if name == LEARNED}
+        shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
         if job.shared and job.conditions.demonstrations:
             shared = {DEMONSTRATIONS: given.file_of(job.conditions.demonstrations).read_bytes()}
-        references = self._references(job, shared)
+        # References leave the object store with the last job of their group.
+        groups = {one.group for one in (job, *self._running.values())}
+        self._shared = {group: self._shared.get(group, {}) for group in groups}
+        known = self._shared[job.group]
+        for name in shared.keys() - known.keys():
+            known[name] = self._ray.put(shared[name])
         plain = replace(job, inputs=own, plugins=tuple(self._packed[one] for one in job.plugins))
-        self._running[self._begin(plain, self._settings, [*references], *references.values())] = job
+        references = [known[name] for name in shared]
+        self._running[self._begin(plain, self._settings, [*shared], *references)] = job
 
     def completed(self) -> list[tuple[Job, Outcome]]:
         done, _ = self._ray.wait([*self._running], num_returns=1, timeout=LOOK_EVERY, fetch_local=False)
@@ -182,15 +196,6 @@ class Ray:
 
     def doing(self, name: str) -> Phase:
         return Phase()
-
-    def _references(self, job: Job, shared: dict[str, bytes]) -> dict[str, Any]:
-        """Return references to what is in the object store by then. What no job needs any more leaves it."""
-        groups = [(one.cells[0].env, one.cells[0].seed) for one in (job, *self._running.values())]
-        self._shared = {group: self._shared.get(group, {}) for group in groups}
-        known = self._shared[groups[0]]
-        for name in shared.keys() - known.keys():
-            known[name] = self._ray.put(shared[name])
-        return {name: known[name] for name in shared}
 
     def _outcome(self, reference: Any) -> Outcome:
         errors = self._ray.exceptions
@@ -223,21 +228,3 @@ def compute_there(job: Job, settings: tuple[Any, ...], names: Sequence[str], *in
     while not (ended := engine.completed()):
         pass
     return ended[0][1]
-
-
-def _unreachable(address: str) -> Exception | None:
-    """Return why nothing answers at this address, 'HOST:PORT'; None where somebody does."""
-    host, _, port = address.rpartition(":")
-    try:
-        socket.create_connection((host, int(port)), PATIENCE).close()
-    except (OSError, OverflowError) as error:
-        return error
-    return None
-
-
-def _imported() -> Any:
-    try:
-        import ray
-    except ImportError as error:
-        raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
-    return ray

@@ -24,7 +24,7 @@ from harness.engines.jobs import Job, Outcome
 from harness.store.files import appending
 
 LOG, TEMPORARY = "log", "tmp"
-"""In the folder of a job: what it printed, and its temporary files."""
+"""In the folder of a job: its printed text, and its temporary files."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,7 @@ def serve(connection: Connection) -> None:
     are its own."""
     os.setsid()
     adopt_orphans()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     process = os.getpid()
-
-    def tell(phase: Phase) -> None:
-        send(Message(phase))
 
     def send(message: Message) -> None:
         connection.send_bytes(msgspec.msgpack.encode(message))
@@ -58,7 +54,7 @@ def serve(connection: Connection) -> None:
             return
         before = _traces()
         with process_restored():
-            outcome = _do(work, job, folder, tell)
+            outcome = _do(work, job, folder, lambda phase: send(Message(phase)))
         if os.getpid() != process:  # A copy of the process came back from a job that made it.
             return
         send(Message(outcome=outcome, reusable=_traces() == before))
@@ -71,8 +67,8 @@ def _traces() -> list[object]:
 
 
 def _do(work: str, job: Job, folder: Path, tell: Callable[[Phase], None]) -> Outcome:
-    """Return the outcome of a job. What it prints goes to the log in its folder, and so do its temporary
-    files."""
+    """Return the outcome of a job. Its printed text goes to the log in its folder, its temporary files below
+    that."""
     try:
         os.environ["TMPDIR"] = tempfile.tempdir = str(folder / TEMPORARY)
         bound_memory()

@@ -10,20 +10,15 @@ import traceback
 from pathlib import Path
 
 CACHE_VARIABLE = "IRL_BENCH_CACHE"
-EARLIER_CACHE = Path("results") / "cache"
-"""The cache of earlier versions, in the current folder; used where it is there."""
-
 PASSED = {
     *("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "TZ", "TMPDIR"),
-    *("LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"),
+    *("LD_LIBRARY_PATH", "LD_PRELOAD", "VIRTUAL_ENV", "CONDA_PREFIX"),
     *("PYTHONPATH", "PYTHONHOME", "PYTHONUSERBASE", "PYTHONNOUSERSITE", "PYTHONDONTWRITEBYTECODE"),
-    *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "SYSTEMROOT", "TEMP", "TMP"),
+    *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES"),
 }
 PASSED_PREFIXES = ("LC_", "XDG_", "IRL_BENCH_")
 FORMER = "IRL_BENCH_PLUGINS"
 """A variable of earlier versions, which named files to be executed."""
-OWN = (CACHE_VARIABLE, FORMER)
-"""Variables of the last prefix that are not the user's."""
 CHOSEN = (
     *("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"),
     *("NPY_DISABLE_CPU_FEATURES", "LD_PRELOAD"),
@@ -68,15 +63,13 @@ TEXT = {"PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 def cache_folder() -> Path:
     """Return the folder of what is computed once and kept for other runs: the user's, unless the variable
-    names another, or that of earlier versions is there."""
+    names another. A user without a home has it in the current folder."""
     if named := os.environ.get(CACHE_VARIABLE):
         return Path(named)
     caches = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if not caches.is_absolute():
         caches = Path(os.path.expanduser("~/.cache"))
-    if EARLIER_CACHE.is_dir() or not caches.is_absolute():  # of a user without a home
-        return EARLIER_CACHE
-    return caches / "irl-bench"
+    return caches / "irl-bench" if caches.is_absolute() else Path("results") / "cache"
 
 
 def can_fix_instructions() -> bool:
@@ -106,7 +99,7 @@ def _is_numeric(name: str) -> bool:
 
 def of_user() -> dict[str, str]:
     """Return the variables that the user gives to plug-ins, which are part of the keys of their cells."""
-    theirs = {n for n in os.environ if n.startswith(PASSED_PREFIXES[-1]) and n not in OWN}
+    theirs = {name for name in os.environ if name.startswith(PASSED_PREFIXES[-1])} - {CACHE_VARIABLE, FORMER}
     return {name: os.environ[name] for name in sorted(theirs)}
 
 

@@ -12,11 +12,10 @@ from typing import NoReturn
 
 NO_NUMBERS = "It ends a run cleanly."
 
-_ENDING = (
-    *("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGUSR1", "SIGUSR2", "SIGALRM"),
-    *("SIGVTALRM", "SIGPROF", "SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
+STOPS = (
+    *(signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2),
+    *(signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, signal.SIGXCPU, signal.SIGPOLL, signal.SIGPWR),
 )
-STOPS = tuple(getattr(signal, name) for name in _ENDING if hasattr(signal, name))
 """Signals that would end this process amid its work, and tell of no fault of its own."""
 
 

@@ -3,16 +3,10 @@ away, a stream is closed or a disk is full. The end of the command reports a ful
 
 from __future__ import annotations
 
-import codecs
-import contextlib
 import errno
 import io
 import os
 import sys
-from typing import TextIO
-
-NO_TEXT = {"idna", "punycode", "undefined"}
-"""Encodings that cannot hold every text, whatever becomes of what they lack."""
 
 
 class Lasting(io.TextIOWrapper):
@@ -45,14 +39,13 @@ class Lasting(io.TextIOWrapper):
 
 
 def install() -> None:
-    """Make standard output and error of this process lasting ones. Closed ones lead nowhere, lest the next
-    file that is opened takes their place."""
+    """Make standard output and error of this process lasting ones, in UTF-8. Closed ones lead nowhere, lest
+    the next file that is opened takes their place."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
     sys.stdin = sys.stdin or open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
-    sys.stdout = _lasting(1, sys.stdout, "replace")
-    sys.stderr = _lasting(2, sys.stderr, "backslashreplace")
+    sys.stdout, sys.stderr = lasting(1), lasting(2)
 
 
 def output_was_lost() -> str:
@@ -64,13 +57,10 @@ def output_was_lost() -> str:
     return "" if reader_left else str(stream.lost.strerror)
 
 
-def _lasting(handle: int, old: TextIO | None, errors: str) -> Lasting:
-    with contextlib.suppress(OSError, AttributeError):  # which Windows lacks before Python 3.12
-        os.set_blocking(handle, True)
-    encoding = getattr(old, "encoding", None) or "utf-8"
-    if codecs.lookup(encoding).name in NO_TEXT:
-        encoding = "utf-8"
+def lasting(handle: int) -> Lasting:
+    """Return the stream to this file descriptor."""
+    os.set_blocking(handle, True)
     raw = io.FileIO(handle, "w", closefd=False)
-    stream = Lasting(io.BufferedWriter(raw), encoding=encoding, errors=errors, line_buffering=True)
+    stream = Lasting(io.BufferedWriter(raw), encoding="utf-8", errors="backslashreplace", line_buffering=True)
     stream.terminal = os.isatty(handle)
     return stream

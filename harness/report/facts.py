@@ -10,9 +10,8 @@ from harness.judge import effort
 from harness.records import PROGRAM_NAME, CellResult, Row
 from harness.report.columns import MEANINGS, NAMES, NO_SCORE
 from harness.report.tables import Table, Value, at, number
-from harness.store.command_line import as_seeds, command_of
 from harness.store.names import compared_in
-from harness.store.request import Request
+from harness.store.request import Request, as_seeds, command_of
 
 NO_RESULT = "NOT A RESULT"
 METHOD = at(0, "method", "Method", MEANINGS["method"], "choice")

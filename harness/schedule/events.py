@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import threading
 from collections.abc import Callable, Mapping
@@ -38,13 +39,13 @@ class JobName(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
-    """seconds: since the run began to compute."""
+    """An event of a run. `seconds`: since it began to compute."""
 
     seconds: float
 
 
 class Begun(Event, frozen=True, kw_only=True):
-    """First. `cells`: to be computed. `eta`: seconds until all are, as they are expected."""
+    """The first event. `cells`: to be computed. `eta`: seconds until all are, as they are expected."""
 
     format: Literal[1] = FORMAT
     cells: int
@@ -53,11 +54,13 @@ class Begun(Event, frozen=True, kw_only=True):
 
 
 class Started(Event, frozen=True, kw_only=True):
+    """The start of a job."""
+
     job: JobName
 
 
 class Doing(Event, frozen=True, kw_only=True):
-    """A job that runs is in another phase, or further in it; reported once a second at most.
+    """Another phase of a job that runs, or a later step; reported once a second at most.
 
     `step`, `of`: environment steps, null where unknown.
     `returns`: as of `Ended`, of policies that were scored by now.
@@ -71,7 +74,7 @@ class Doing(Event, frozen=True, kw_only=True):
 
 
 class Ended(Event, frozen=True, kw_only=True):
-    """A job has ended.
+    """The end of a job.
 
     `took`: seconds; null where it never ran. `reason`: why it failed or was skipped.
     `returns`: each policy's mean true return over the evaluation episodes.
@@ -90,7 +93,7 @@ class Ended(Event, frozen=True, kw_only=True):
 
 
 class Computed(Event, frozen=True, kw_only=True):
-    """No more is computed. `stopped`: whether that is before all was, such as by Ctrl-C."""
+    """The end of computing. `stopped`: whether that is before all was, such as by Ctrl-C."""
 
     cells_done: int
     cells_left: int
@@ -99,7 +102,7 @@ class Computed(Event, frozen=True, kw_only=True):
 
 
 class Reported(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag="reported"):
-    """Last. `failed`: names of cells, of this run and before. `found`: the closing lines."""
+    """The last event. `failed`: names of cells, of this run and before. `found`: the closing lines."""
 
     directory: str
     failed: list[str]
@@ -110,7 +113,7 @@ AnyEvent = Begun | Started | Doing | Ended | Computed | Reported
 
 
 def write(stream: TextIO, event: AnyEvent) -> None:
-    """As a line, at once."""
+    """Write the event as a line, at once."""
     stream.write(msgspec.json.encode(event).decode() + "\n")
     stream.flush()
 
@@ -141,9 +144,13 @@ class Events:
 
     def started(self, job: Job) -> None:
         self.tally.begin(job.name)
+        cell, name = job.cells[0], JobName(name=job.name, env=job.cells[0].env, seed=job.cells[0].seed)
+        if not job.shared:
+            shown = dataclasses.asdict(cell.shown)
+            name = msgspec.structs.replace(name, method=cell.method, dynamics=cell.dynamics, **shown)
         with self._lock:
             self._phases[job.name] = Phase()
-        self._write(Started(seconds=self.tally.elapsed, job=job_name(job)))
+            self._write(Started(seconds=self.tally.elapsed, job=name))
 
     def finished(
         self, job: Job, status: Status, reason: str = "", returns: Mapping[str, float] = NOTHING
@@ -151,40 +158,39 @@ class Events:
         took = self.tally.end(job.name, status)
         with self._lock:
             self._phases.pop(job.name, None)
-        event = Ended(
-            seconds=self.tally.elapsed,
-            name=job.name,
-            status=status,
-            took=took,
-            reason=reason,
-            returns=_finite(returns),
-            **self._counts(),
-            eta=self.tally.eta(),
-        )
-        self._write(event)
+            ended = Ended(
+                seconds=self.tally.elapsed,
+                name=job.name,
+                status=status,
+                took=took,
+                reason=reason,
+                returns=_finite(returns),
+                **self._counts(),
+                eta=self.tally.eta(),
+            )
+            self._write(ended)
 
     def _counts(self) -> dict[str, int]:
         its = self.tally
         return {"cells_done": its.done, "cells_left": its.left, "cells_failed": its.failed}
 
     def _look(self) -> None:
+        """Write the phases that have changed, until the run is over."""
         while not self._left.wait(LOOK_EVERY):
             for name in list(self._phases):
                 phase = self.doing(name)
                 with self._lock:
                     if phase != Phase() and self._phases.get(name, phase) != phase:
                         self._phases[name] = phase
-                        self._write(self._event(name, phase))
-
-    def _event(self, name: str, phase: Phase) -> Doing:
-        return Doing(
-            seconds=self.tally.elapsed,
-            name=name,
-            phase=phase.stage,
-            step=phase.step,
-            of=phase.of,
-            returns=_finite(phase.returns),
-        )
+                        doing = Doing(
+                            seconds=self.tally.elapsed,
+                            name=name,
+                            phase=phase.stage,
+                            step=phase.step,
+                            of=phase.of,
+                            returns=_finite(phase.returns),
+                        )
+                        self._write(doing)
 
     def _write(self, event: AnyEvent) -> None:
         with self._lock:
@@ -192,21 +198,5 @@ class Events:
 
 
 def _finite(returns: Mapping[str, float]) -> dict[str, float]:
-    """Return those that JSON can hold."""
+    """Return the numbers that JSON can hold."""
     return {name: value for name, value in returns.items() if math.isfinite(value)}
-
-
-def job_name(job: Job) -> JobName:
-    cell = job.cells[0]
-    if job.shared:
-        return JobName(name=job.name, env=cell.env, seed=cell.seed)
-    return JobName(
-        name=job.name,
-        env=cell.env,
-        seed=cell.seed,
-        method=cell.method,
-        dynamics=cell.dynamics,
-        demos=cell.shown.demos,
-        every=cell.shown.every,
-        demonstrator=cell.shown.demonstrator,
-    )

@@ -38,7 +38,7 @@ class Sink(Protocol):
         """Store a cell's result and its files, by their path in the run."""
 
     def log(self, printed: bytes) -> None:
-        """Store what a job printed."""
+        """Store the printed text of a job."""
 
     def learned(self, cell: Cell) -> bytes:
         """Return what a stored cell learned, empty where nothing is stored."""
@@ -112,14 +112,13 @@ class Schedule:
         self.shared = deque(job for job in jobs if job.shared)
         self.ready: list[tuple[int, Job]] = []
         """Cells that can start, a heap by rank."""
-        self.held: dict[Group, list[Job]] = {}
+        self.held: dict[Group, list[Job]] = {job.group: [] for job in jobs}
         """Cells that wait for their shared inputs."""
-        self.later: dict[Cell, list[Job]] = {}
+        self.later: dict[Cell, list[Job]] = {job.cells[0]: [] for job in jobs if not job.shared}
         """Cells that use what another cell learned, by that cell, until it has ended."""
         for job in jobs:
             if not job.shared:
-                self.held.setdefault(_group(job), []).append(job)
-                self.later[job.cells[0]] = []
+                self.held[job.group].append(job)
         self.left = {group: len(held) for group, held in self.held.items()}
         """The number of cells of each group that have not ended."""
         self.inputs: dict[Group, Mapping[str, bytes]] = {}
@@ -177,9 +176,8 @@ class Schedule:
         self.preparing += job.shared
         if not job.shared:
             (cell,) = job.cells
-            shared, source = self.inputs[_group(job)], before(cell)
-            inputs = {name: data for name, data in shared.items() if needs(cell, name)}
-            if source and (learned := self.grid.sink.learned(source)):
+            inputs = {name: data for name, data in self.inputs[job.group].items() if needs(cell, name)}
+            if (source := before(cell)) and (learned := self.grid.sink.learned(source)):
                 inputs[LEARNED] = learned
             job = replace(job, inputs=inputs)
         self.grid.engine.submit(job)
@@ -203,20 +201,20 @@ class Schedule:
         if not job.shared:
             self._keep(job, outcome, seconds)
             return
-        if not outcome.error:
-            self.costs.note(job, seconds)
         self.progress.finished(job, "failed" if outcome.error else "ok", outcome.error)
-        held = self.held.pop(_group(job))
+        held = self.held.pop(job.group)
         if outcome.error:
             for cell in held:
                 self._keep(cell, Outcome(error=f"no expert: {outcome.error}"), 0.0)
-        else:
-            self.inputs[_group(job)] = outcome.files
-            self.bytes += _size(outcome.files)
-            for cell in held:
-                self._release(cell)
+            return
+        self.costs.note(job, seconds)
+        self.inputs[job.group] = outcome.files
+        self.bytes += _size(outcome.files)
+        for cell in held:
+            self._release(cell)
 
     def _keep(self, job: Job, outcome: Outcome, seconds: float) -> None:
+        """Store the result of a cell, and release the cells that waited for it."""
         (cell,) = job.cells
         error = outcome.error
         if not error:
@@ -232,19 +230,13 @@ class Schedule:
             start = max(0.0, seconds - sum(result.seconds.values()))
             self.grid.sink.save(replace(result, seconds={"start": start, **result.seconds}), outcome.files)
             returns = {str(row.policy): row.return_mean for row in result.rows if row.status == "ok"}
-            if returns:
-                self.progress.finished(job, "ok", returns=returns)
-            else:
-                self.progress.finished(job, "skipped", result.rows[0].reason)
+            reason = "" if returns else result.rows[0].reason
+            self.progress.finished(job, "ok" if returns else "skipped", reason, returns)
         for other in self.later.pop(cell):
             self._release(other)
-        self.left[_group(job)] -= 1
-        if not self.left[_group(job)]:
-            self.bytes -= _size(self.inputs.pop(_group(job), {}))
-
-
-def _group(job: Job) -> Group:
-    return job.cells[0].env, job.cells[0].seed
+        self.left[job.group] -= 1
+        if not self.left[job.group]:
+            self.bytes -= _size(self.inputs.pop(job.group, {}))
 
 
 def _size(files: Mapping[str, bytes]) -> int:

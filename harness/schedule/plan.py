@@ -23,14 +23,12 @@ from harness.schedule.tally import clock
 CORES = (2, 64, 1000)
 LARGEST_PROCESS, FIRST_PROCESS, ANOTHER_PROCESS = 980, 1063, 505
 """MB, measured: a cell of `shaped` at full, a whole run with one worker at smoke, and a second worker."""
-MEGABYTE = 1 << 20
 
 
 class Simulated:
     """An engine in simulated time.
 
     `does`: a function from a job to its seconds and its outcome. `now`: seconds since the beginning.
-    `busy`: the seconds of all jobs so far.
     """
 
     def __init__(
@@ -40,14 +38,13 @@ class Simulated:
         variables: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.workers, self.variables = workers, variables
-        self.now = self.busy = 0.0
+        self.now = 0.0
         self._does = does
         self._started = 0
         self._running: list[tuple[float, int, Job, Outcome]] = []
 
     def submit(self, job: Job) -> None:
         seconds, outcome = self._does(job)
-        self.busy += seconds
         self._started += 1
         heapq.heappush(self._running, (self.now + seconds, self._started, job, outcome))
 
@@ -119,7 +116,7 @@ def plan(
 ) -> Plan:
     """Return the plan of these cells. `variables`: those of the engine that would compute them."""
     costs, silent = Costs(conditions), Silent()
-    jobs = Grid(conditions, silent, Simulated(1, _unknown, variables)).jobs(cells, costs)
+    jobs = Grid(conditions, silent, Simulated(1, lambda job: (0.0, Outcome()), variables)).jobs(cells, costs)
     counts = Counter(map(name_of, jobs))
     first = {name_of(job): job for job in jobs}
     seconds = {name: costs.of(job) for name, job in first.items()}
@@ -140,12 +137,9 @@ def plan(
     return Plan(tuple(lines), wall, chain, tuple(sorted(solves)), sum(map(costs.retraining, learned)))
 
 
-def _unknown(job: Job) -> tuple[float, Outcome]:
-    raise NotImplementedError
-
-
 def _longest_chain(jobs: Sequence[Job], seconds: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    shared = {(job.cells[0].env, job.cells[0].seed): job.name for job in jobs if job.shared}
+    """Return the jobs, with their seconds, that take longest one after the other."""
+    shared = {job.group: job.name for job in jobs if job.shared}
 
     def chain(cell: Cell) -> list[str]:
         source = before(cell)
@@ -184,6 +178,6 @@ def as_lines(plan: Plan) -> list[str]:
         f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "
         f"(docs/costs.md); most of it libraries that processes share: at smoke one worker took "
         f"{FIRST_PROCESS:,} MB in all, a second one {ANOTHER_PROCESS} more",
-        f"its limit: what the machine has left as it begins, now {memory.available // MEGABYTE:,} of "
-        f"{memory.total // MEGABYTE:,} MB",
+        f"its limit: what the machine has left as it begins, now {memory.available >> 20:,} of "
+        f"{memory.total >> 20:,} MB",
     ]

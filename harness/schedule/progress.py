@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 NO_NUMBERS = "It tells people how far a run is."
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
-NOTES = 5
-"""Lines above the display that are shown again after a narrower terminal had to be cleared."""
-
-
 PREPARING = "expert and demonstrations"
 """Name of the phase in which a job makes what cells share."""
 
@@ -62,17 +58,13 @@ def progress_for(tally: Tally, doing: Callable[[str], Phase]) -> Progress:
 
 
 def say(text: str) -> None:
-    """Prints a line on standard output, at once, and nothing that moves the cursor."""
-    print(_shown(text), flush=True)
+    """Print lines on standard output, at once, and nothing that moves the cursor."""
+    print(*map(printable, text.split("\n")), sep="\n", flush=True)
 
 
 def tell(text: str) -> None:
-    """Prints a line on standard error: what must not be overlooked."""
-    print(_shown(text), file=sys.stderr, flush=True)
-
-
-def _shown(text: str) -> str:
-    return "\n".join(map(printable, text.split("\n")))
+    """Print lines on standard error: what must not be overlooked."""
+    print(*map(printable, text.split("\n")), sep="\n", file=sys.stderr, flush=True)
 
 
 class Lines:
@@ -97,9 +89,8 @@ class Lines:
         seconds = self.tally.end(job.name, status)
         took = "not run" if seconds is None else f"{seconds:.1f} s"
         more = f": {reason or returned(returns)}" if reason or returns else ""
-        eta = clock(self.tally.eta())
         left = f"{self.tally.left} cell{'s' * (self.tally.left != 1)} left"
-        say(f"{status:7} {job.name} ({took}; {left}, ETA {eta}){more}")
+        say(f"{status:7} {job.name} ({took}; {left}, ETA {clock(self.tally.eta())}){more}")
 
 
 class Display:
@@ -111,10 +102,7 @@ class Display:
     def __init__(self, tally: Tally, doing: Callable[[str], Phase], console: Console) -> None:
         self.tally, self.doing, self.console = tally, doing, console
         self._preparing: set[str] = set()
-        self._notes: list[str] = []
-        self._again: list[str] = []
         self._last = ""
-        self._width = console.width
         self.live = Live(get_renderable=self._render, console=console, refresh_per_second=2, transient=True)
 
     def __enter__(self) -> Self:
@@ -137,21 +125,13 @@ class Display:
         if returns:
             self._last = f"{job.name}: {returned(returns)}"
         if reason:
-            self._notes = [*self._notes[1 - NOTES :], f"{status:7} {job.name}: {reason}"]
-            self.console.print(Text(self._notes[-1]))
+            self.console.print(Text(printable(f"{status:7} {job.name}: {reason}")))
 
     def _render(self) -> RenderableType:
         width, height = self.console.size
-        if width < self._width:  # A terminal may have wrapped what was drawn: how much of it is not known.
-            self.console.clear()
-            self._again = self._notes
-        self._width = width
-        now = time.monotonic()
-        tasks = self.tally.running.copy()
-        # Below are how many more there are, the bar, two lines, the cursor.
-        most = max(1, height - 5 - len(self._again))
-        lines = [*self._again]
-        lines += [self._line(name, now - start, width) for name, start in islice(tasks.items(), most)]
+        now, tasks = time.monotonic(), self.tally.running.copy()
+        most = max(1, height - 5)  # Below are how many more there are, the bar, two lines, the cursor.
+        lines = [self._line(name, now - start, width) for name, start in islice(tasks.items(), most)]
         lines += [f"  and {len(tasks) - most} more"] if len(tasks) > most else []
         # Of itself a bar ends without a new line.
         bar = Padding(ProgressBar(total=max(1, self.tally.cells), completed=self.tally.done), 0)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Collection
 
 NO_NUMBERS = "It counts what is done, for people."
 
-FEW, EVERY = 64, 1.0
-"""With more running jobs than `FEW`, the time of the rest is computed once every `EVERY` seconds."""
 TRUST = 0.1
 """Weight of the expected costs, as a share of all jobs. The first job includes the start of its process, so
 its time alone would mislead."""
@@ -30,7 +27,7 @@ class Tally:
         self.workers = workers
         self.waiting = dict(costs)
         self.running: dict[str, float] = {}
-        """When each job started, in seconds of `time.monotonic`."""
+        """The start of each job, in seconds of `time.monotonic`."""
         self.cells = self.left = len(costs) - len(preparing)
         """Numbers of cells: all, and those that have not ended."""
         self.failed = 0
@@ -39,14 +36,13 @@ class Tally:
         """Expected cost of the waiting jobs, and of all."""
         self._spent = self._done = 0.0
         self._start = time.monotonic()
-        self._eta, self._reckoned = math.nan, -math.inf
 
     def begin(self, name: str) -> None:
         self._left -= self.waiting.pop(name, 0.0)
         self.running[name] = time.monotonic()
 
     def end(self, name: str, status: str) -> float | None:
-        """Seconds that the job took; None if it never ran."""
+        """Return the seconds that the job took; None if it never ran."""
         self._left -= self.waiting.pop(name, 0.0)
         if name not in self._preparing:
             self.left -= 1
@@ -61,7 +57,7 @@ class Tally:
 
     @property
     def done(self) -> int:
-        """Cells that have ended."""
+        """The number of cells that have ended."""
         return self.cells - self.left
 
     @property
@@ -70,30 +66,23 @@ class Tally:
         return time.monotonic() - self._start
 
     def eta(self) -> float:
-        """Seconds that the rest may take, by what was expected and by the pace so far."""
-        now = time.monotonic()
-        if len(self.running) <= FEW or now - self._reckoned >= EVERY:
-            self._eta, self._reckoned = self._reckon(now), now
-        return self._eta
-
-    def _reckon(self, now: float) -> float:
-        trusted = TRUST * self._all
+        """Return the seconds that the rest may take, by what was expected and by the pace so far."""
+        now, trusted = time.monotonic(), TRUST * self._all
         pace = (self._spent + trusted) / (self._done + trusted) if self._all else 1.0
-        rest = max(self._left * pace, 0.0)
         of_running = [
             max(self.costs[name] * pace - (now - start), OVERDUE * (now - start))
-            for name, start in self.running.items()
+            for name, start in self.running.copy().items()
         ]
-        return max([(rest + sum(of_running)) / self.workers, *of_running])
+        return max([(max(self._left * pace, 0.0) + sum(of_running)) / self.workers, *of_running])
 
     def line(self) -> str:
         failed = f", {self.failed} failed" if self.failed else ""
-        told = f"{self.done} of {self.cells} cells done{failed}, {clock(self.elapsed)} passed"
-        return f"{told}, ETA {clock(self.eta())}" if self.waiting or self.running else told
+        done = f"{self.done} of {self.cells} cells done{failed}, {clock(self.elapsed)} passed"
+        return f"{done}, ETA {clock(self.eta())}" if self.waiting or self.running else done
 
 
 def clock(seconds: float) -> str:
-    """`seconds` as m:ss or h:mm:ss."""
+    """Return `seconds` as m:ss or h:mm:ss."""
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"

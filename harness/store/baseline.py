@@ -11,16 +11,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from harness.records import (
-    CONTROL_METHODS,
-    NOMINAL,
-    PROGRAM_NAME,
-    REFERENCE,
-    UNSHOWN,
-    Cell,
-    CellResult,
-    Shown,
-)
+from harness.records import CONTROL_METHODS, NOMINAL, PROGRAM_NAME, REFERENCE, UNSHOWN, Cell, CellResult
 from harness.registry import KNOWN, BadInput
 from harness.registry.bounds import LONGEST_TEXT
 from harness.registry.keys import cell_keys, experts_version, method_of, task_of, task_version
@@ -46,57 +37,48 @@ def comparable(
     `variables`: those of the engine that computes the request.
     Raises BadInput where a folder holds no run, or an environment has no cell that can be compared.
     """
-    found: dict[Cell, CellResult] = {}
+    chosen: dict[Cell, CellResult] = {}
     versions: dict[Cell, tuple[str, str]] = {}
     """The key of a method, by its cells but for their seed, and the run that has it."""
     tasks = tasks_now(request, variables)
-    left_out: dict[str, set[str]] = {env: set() for env in request.envs}
+    left_out: dict[str, set[str]] = {env: set() for env in ("", *request.envs)}
     for folder in [run for path in paths for run in _runs(path)]:
         with open_to_verify(folder) as run:
             (results, unusable), conditions = run.load(), run.request.conditions
             beside, damaged = run.beside()
-        results, unusable = {result.cell: result for result in beside} | results, unusable | damaged
-        differ = [
-            f"{name} {theirs}, not {ours}"
-            for name in DECIDING
-            for theirs, ours in [(conditions.in_words(name), request.conditions.in_words(name))]
-            if theirs != ours
-        ]
-        for file, why in unusable.items():
-            left_out.setdefault("", set()).add(f"{file}: {why}")
+        results = {result.cell: result for result in beside} | results
+        left_out[""] |= {f"{file}: {why}" for file, why in (unusable | damaged).items()}
+        words = {name: (conditions.in_words(name), request.conditions.in_words(name)) for name in DECIDING}
+        differ = [f"{name} {theirs}, not {ours}" for name, (theirs, ours) in words.items() if theirs != ours]
+        for env, line in _shown_otherwise(results, request).items():
+            left_out[env].add(f"methods in {folder.name} were shown {line}")
         asked = {cell: result for cell, result in results.items() if _is_asked(cell, request)}
-        for env, shown in _shown_otherwise(results, request).items():
-            left_out[env].add(
-                f"methods in {folder.name} were shown {_in_words(shown)}, and here "
-                f"{_in_words(request.shown)} (--demos, --subsample, --demonstrator)"
-            )
         now = _methods_now(asked, request, variables)
         for cell, result in asked.items():
-            unseeded = dataclasses.replace(cell, seed=0)
-            its = method_of(result.key)
+            unseeded, its = dataclasses.replace(cell, seed=0), method_of(result.key)
             first, where = versions.get(unseeded, (its, folder.name))
-            told = left_out[cell.env]
+            why = ""
             if any(row.status == "failed" for row in result.rows):
                 continue
             if differ:
-                told.add(f"{folder.name} has {', '.join(differ)}")
+                why = f"{folder.name} has {', '.join(differ)}"
             elif not is_comparable(result, tasks, request):
-                told.add(f"{folder.name} is {OTHER_VERSION}")
+                why = f"{folder.name} is {OTHER_VERSION}"
             elif now.get(cell, its) != its:
-                told.add(f"{cell.method} in {folder.name} is of another version of the method")
+                why = f"{cell.method} in {folder.name} is of another version of the method"
             elif first != its:
-                told.add(f"{cell.method} in {folder.name} is of another version than in {where}")
-            elif cell not in found or not _other(result, True):
+                why = f"{cell.method} in {folder.name} is of another version than in {where}"
+            elif cell not in chosen or not _other(result, True):
                 versions[unseeded] = its, where
                 alike = conditions.deterministic == request.conditions.deterministic
-                found[cell] = _marked(result, folder.name, alike)
-    there = {cell.env for cell in found}
-    for env in request.envs:
-        if env not in there:
-            its_files = [line for line in left_out.get("", ()) if f"/{env}__" in line]
-            why = "; ".join(sorted(left_out[env]) or sorted(its_files)[:3]) or "none"
-            raise BadInput(f"the baseline has no {env} that can be compared: {why}", page="plugins")
-    return [found[cell] for cell in sorted(found)], sorted(set[str]().union(*left_out.values()))
+                chosen[cell] = _marked(result, folder.name, alike)
+            if why:
+                left_out[cell.env].add(why)
+    for env in {*request.envs} - {cell.env for cell in chosen}:
+        its_files = [line for line in left_out[""] if f"/{env}__" in line]
+        why = "; ".join(sorted(left_out[env]) or sorted(its_files)[:3]) or "none"
+        raise BadInput(f"the baseline has no {env} that can be compared: {why}", page="plugins")
+    return [chosen[cell] for cell in sorted(chosen)], sorted(set[str]().union(*left_out.values()))
 
 
 def _runs(path: Path) -> list[Path]:
@@ -119,17 +101,17 @@ def is_comparable(result: CellResult, tasks: Mapping[str, str], request: Request
     return same or task_of(result.key) == tasks[env]
 
 
+def tasks_now(request: Request, variables: Mapping[str, str]) -> dict[str, str]:
+    """Return the part of keys that an environment's cells share, by environment."""
+    keys = cell_keys([Cell(env, REFERENCE, 0) for env in request.envs], request.conditions, variables)
+    return {cell.env: task_of(key) for cell, key in keys.items()}
+
+
 def _methods_now(cells: Iterable[Cell], request: Request, variables: Mapping[str, str]) -> dict[Cell, str]:
     """Return the keys of the known methods, by cell."""
     known = {*KNOWN.entries["method"], *CONTROL_METHODS, REFERENCE}
     keys = cell_keys([cell for cell in cells if cell.method in known], request.conditions, variables)
     return {cell: method_of(key) for cell, key in keys.items()}
-
-
-def tasks_now(request: Request, variables: Mapping[str, str]) -> dict[str, str]:
-    """Return the part of keys that an environment's cells share, by environment."""
-    keys = cell_keys([Cell(env, REFERENCE, 0) for env in request.envs], request.conditions, variables)
-    return {cell.env: task_of(key) for cell, key in keys.items()}
 
 
 def _is_asked(cell: Cell, request: Request) -> bool:
@@ -141,30 +123,27 @@ def _is_asked(cell: Cell, request: Request) -> bool:
     )
 
 
-def _shown_otherwise(cells: Iterable[Cell], request: Request) -> dict[str, set[Shown]]:
-    """Return what methods were shown, where no method of the environment was shown what the request asks."""
-    found: dict[str, set[Shown]] = {}
-    for cell in cells:
-        if cell.env in request.envs and cell.method not in UNSHOWN:
-            found.setdefault(cell.env, set()).add(cell.shown)
-    return {env: shown for env, shown in found.items() if not shown & {*request.shown}}
-
-
-def _in_words(shown: Iterable[Shown]) -> str:
-    return " or ".join(str(one) or "as many demonstrations as the budget says" for one in sorted(shown))
+def _shown_otherwise(cells: Iterable[Cell], request: Request) -> dict[str, str]:
+    """Return in words what methods were shown, by environment, where none was shown what the request asks."""
+    words = "as many demonstrations as the budget says"
+    asked = " or ".join(str(one) or words for one in sorted(request.shown))
+    lines = {}
+    for env in request.envs:
+        shown = {cell.shown for cell in cells if cell.env == env and cell.method not in UNSHOWN}
+        if shown and not shown & {*request.shown}:
+            theirs = " or ".join(str(one) or words for one in sorted(shown))
+            lines[env] = f"{theirs}, and here {asked} (--demos, --subsample, --demonstrator)"
+    return lines
 
 
 def _other(result: CellResult, alike: bool) -> list[str]:
     """Return how the machine of a result differs from this one. `alike`: instructions were fixed alike."""
     theirs, ours = result.origin, origin()
-    differ = sorted(
-        name
-        for name in {*theirs, *ours} - {PROGRAM_NAME}
-        if theirs.get(name) != ours.get(name) and name not in MACHINE
-    )
-    machine = any(theirs.get(name) != ours.get(name) for name in MACHINE)
-    packages = f"other packages ({', '.join(differ)})"
-    return ["another machine"] * machine + [packages] * bool(differ) + ["other instructions"] * (not alike)
+    differ = {name for name in {*theirs, *ours} - {PROGRAM_NAME} if theirs.get(name) != ours.get(name)}
+    packages = sorted(differ - {*MACHINE})
+    words = ["another machine"] if differ & {*MACHINE} else []
+    words += [f"other packages ({', '.join(packages)})"] if packages else []
+    return words if alike else [*words, "other instructions"]
 
 
 def _marked(result: CellResult, run: str, alike: bool) -> CellResult:

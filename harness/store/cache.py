@@ -34,21 +34,20 @@ class Kept:
 
 
 def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kept:
-    """Return what an earlier call with the same arguments computed, or else what `compute` returns now.
+    """Return the result of an earlier call with the same arguments, or else of `compute`, called now.
 
     asked: any JSON. Where the cache cannot be written to, the run's temporary files keep it.
     """
     path = cache_file(name, env, asked)
     spare = Path(tempfile.gettempdir()) / "cache" / path.name
-    if found := load(path) or load(spare):
-        return found
+    if stored := load(path) or load(spare):
+        return stored
     computed = compute()
-    data = as_bytes(computed)
-    try:
-        _write(path, data)
-    except OSError:
+    for file in (path, spare):
         with suppress(OSError):
-            _write(spare, data)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(file, as_bytes(computed))
+            break
     return computed
 
 
@@ -61,8 +60,8 @@ def compiled_once(spare: Path | None = None) -> dict[str, str]:
     folder: str | Path | None = os.environ.get(COMPILED_VARIABLE)
     if not folder:
         made_with = hashlib.sha256(json.dumps(machine()).encode()).hexdigest()[:16]
-        kept = cache_folder().absolute() / f"compiled_{made_with}"
-        folder = kept if can_write(kept) else spare
+        usual = cache_folder().absolute() / f"compiled_{made_with}"
+        folder = usual if can_write(usual) else spare
     if not folder:
         return {}
     return {COMPILED_VARIABLE: str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
@@ -80,13 +79,8 @@ def as_bytes(what: Kept) -> bytes:
     return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, data)
-
-
 def from_bytes(data: bytes) -> Kept:
-    """Return what `as_bytes` wrote. Raises ValueError for anything else."""
+    """Return the things that `as_bytes` wrote. Raises ValueError for anything else."""
     try:
         arrays = safetensors.numpy.load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -99,12 +93,10 @@ def from_bytes(data: bytes) -> Kept:
 
 
 def load(path: Path) -> Kept | None:
-    """Return what a file holds, None where it is absent or damaged."""
-    try:
-        with opened(path) as file:
-            return from_bytes(file.read())
-    except (OSError, ValueError):
-        return None
+    """Return the content of a file, None where it is absent or damaged."""
+    with suppress(OSError, ValueError), opened(path) as file:
+        return from_bytes(file.read())
+    return None
 
 
 def cache_file(name: str, env: str, asked: object) -> Path:

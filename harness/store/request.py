@@ -1,8 +1,9 @@
-"""The request of a run's directory, and how it grows by another one."""
+"""The request of a run's directory, how it grows by another one, and the command line that asks for it."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,8 @@ from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Ce
 from harness.registry import KNOWN, BadInput
 from harness.registry.bounds import MOST_SEEDS, Name, Names, Seed
 from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.known import GYMNASIUM_NAME
+from harness.registry.names import BUILT_IN
 from harness.store.codec import encode, parsed
 
 NO_NUMBERS = "It merges what was asked for, of which keys are."
@@ -40,16 +43,14 @@ class Request:
     def _shown_to(self, method: str) -> tuple[Shown, ...]:
         return (ALL_SHOWN,) if method in UNSHOWN else self.shown
 
-    def _variants(self, env: str) -> list[str]:
-        return [variant for of, _, variant in (v.partition(".") for v in self.variants) if of == env]
-
     @property
     def cells(self) -> list[Cell]:
         """Every cell, those of the reference and the controls included."""
+        variants = [variant.partition(".") for variant in self.variants]
         return [
             Cell(env, method, seed, shown, dynamics)
             for env in self.envs
-            for dynamics in (NOMINAL, *self._variants(env))
+            for dynamics in (NOMINAL, *(variant for its, _, variant in variants if its == env))
             for method in self._methods
             for shown in self._shown_to(method)
             for seed in self.seeds
@@ -77,28 +78,23 @@ def request_in(text: bytes | str) -> Request:
 def grown(path: Path, old: Request | None, asked: Request) -> Request:
     """Return the request `old` of the directory `path`, where it has one, grown by `asked`.
 
-    Raises BadInput where they cannot be one run, or it would be larger than a directory can hold.
+    Raises BadInput where they cannot be one run, it would be larger than a directory can hold, or methods or
+    environments of the old one are not known here.
     """
     union = asked if old is None else _union(path, old, asked)
     try:
         request_in(encode(union))
     except ValueError as error:
         raise BadInput(f"{path} cannot hold so much: {error}") from error
-    if old is not None:
-        _check_known(path, old)
-    return union
-
-
-def _check_known(path: Path, old: Request) -> None:
-    """Raise BadInput where the run in `path` has methods or environments that are not known here."""
     known = {*KNOWN.entries["method"], *KNOWN.entries["env"]}
-    names = (*old.methods, *old.envs)
+    names = (*old.methods, *old.envs) if old else ()
     if strangers := [name for name in names if task_or_name(name) not in known]:
         raise BadInput(
             f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
             "or give another --out",
             page="plugins",
         )
+    return union
 
 
 def _union(path: Path, old: Request, asked: Request) -> Request:
@@ -121,3 +117,45 @@ def _union(path: Path, old: Request, asked: Request) -> Request:
 def _in_order(known: dict[str, Any], names: tuple[str, ...]) -> tuple[str, ...]:
     """Return each name once, the known ones first and in their order."""
     return tuple(name for name in known if name in names) + tuple(sorted({*names} - known.keys()))
+
+
+def as_seeds(seeds: Sequence[int]) -> str:
+    """Return seeds as `--seeds` takes them: their number, where they count from 0, else ranges, '0,3,5-9'."""
+    if list(seeds) == list(range(len(seeds))):
+        return str(len(seeds))
+    starts = [s for s in seeds if s - 1 not in seeds]
+    ends = [s for s in seeds if s + 1 not in seeds]
+    ranges = [f"{a}-{b}" if a < b or len(seeds) == 1 else str(a) for a, b in zip(starts, ends, strict=True)]
+    return ",".join(ranges)
+
+
+def command_of(request: Request, beside: bool = False) -> str:
+    """Return the command line of a request, or several, joined by '&&'. `beside`: True for a run beside a
+    baseline."""
+    c = request.conditions
+    known = {*BUILT_IN["method"], *BUILT_IN["env"]}
+    others = [name for name in (*request.methods, *request.envs) if name not in known]
+    plugged = any(not name.startswith(GYMNASIUM_NAME) for name in others)
+    dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
+    words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
+    words += ["--plugin", "FILE"] if plugged else []
+    words += ["--seeds", as_seeds(request.seeds), "--budget", c.budget, "--protocol", c.protocol]
+    words += ["--rl", c.rl]
+    words += ["--learner", c.learner] if c.learner != "own" else []
+    words += ["--solves", str(c.solves)] if c.solves else []
+    words += ["--experts", c.experts, "--record", c.record]
+    words += ["--transfer", ",".join(dynamics)] if dynamics else []
+    words += ["--demos-from", "FILE"] if c.demonstrations else []
+    words += ["--baseline", "DIR"] if beside else []
+    words += [] if c.retrain else ["--no-retrain"]
+    words += [] if c.deterministic else ["--fast"]
+    many: dict[tuple[int, str], list[int]] = {}
+    for shown in request.shown:
+        many.setdefault((shown.every, shown.demonstrator), []).append(shown.demos)
+    commands = []
+    for (every, demonstrator), demos in many.items():
+        more = ["--demos", ",".join(map(str, demos))] if demos != [0] else []
+        more += ["--subsample", str(every)] if every > 1 else []
+        more += ["--demonstrator", demonstrator] if demonstrator != "expert" else []
+        commands.append(" ".join([*words, *more]))
+    return " && ".join(commands)

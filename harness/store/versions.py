@@ -19,19 +19,16 @@ def of_other_versions(results: Mapping[Cell, CellResult]) -> list[Cell]:
     that differ by their seed alone are of one version, too.
     """
     others = set[Cell]()
-    by_env: dict[str, dict[Cell, str]] = {}
-    for cell in sorted(results):
-        by_env.setdefault(cell.env, {})[cell] = results[cell].key
-    for keys in by_env.values():
-        deciding = {cell: key for cell, key in keys.items() if cell.method == REFERENCE} or keys
-        task = _most(map(task_of, deciding.values()))
-        others |= {cell for cell, key in keys.items() if task_of(key) != task}
-        by_method: dict[Cell, dict[Cell, str]] = {}
-        for cell in sorted(keys.keys() - others):
-            by_method.setdefault(dataclasses.replace(cell, seed=0), {})[cell] = keys[cell]
-        for of_seeds in by_method.values():
-            most = _most(of_seeds.values())
-            others |= {cell for cell, key in of_seeds.items() if key != most}
+    for env in {cell.env for cell in results}:
+        keys = {cell: results[cell].key for cell in sorted(results) if cell.env == env}
+        deciding = [key for cell, key in keys.items() if cell.method == REFERENCE] or keys.values()
+        task = _most(map(task_of, deciding))
+        of_seeds: dict[Cell, list[str]] = {}
+        for cell, key in keys.items():
+            if task_of(key) == task:
+                of_seeds.setdefault(dataclasses.replace(cell, seed=0), []).append(key)
+        most = {_most(of_one) for of_one in of_seeds.values()}
+        others |= {cell for cell, key in keys.items() if key not in most}
     return sorted(others)
 
 

@@ -8,12 +8,10 @@ import contextlib
 import ctypes
 import dataclasses
 import functools
-import hashlib
 import json
 import math
 import os
 import random
-import shutil
 import signal
 import stat
 import sys
@@ -46,31 +44,6 @@ class Mute(Exception):
         raise RuntimeError("no words")
 
 
-RECORDED = {
-    "records": "cartpole__records__seed0__pi_R.rrd",
-    "records_anothers": "cartpole__good__seed0__pi_R.rrd",
-}
-ODD_EXCEPTIONS = {
-    "keyboard": KeyboardInterrupt(),
-    "generator": GeneratorExit("left"),
-    "panic": Panic("index out of bounds"),
-    "mute": Mute(),
-    "surrogate": ValueError("caf\udce9 \x1b[2J"),
-}
-
-
-HANDLERS = {
-    "handler_exit": SystemExit(0),
-    "handler_keyboard": KeyboardInterrupt(),
-    "handler_timeout": TimeoutError("mine"),
-    "handler_error": RuntimeError("mine"),
-}
-
-
-def _raise(error: BaseException, *_: object) -> None:
-    raise error
-
-
 HERE = str(Path(__file__).parent)
 PRELOAD = "fake_preload"
 FOLDER = "IRL_BENCH_FAKES"
@@ -88,8 +61,62 @@ def run_cell(
 ) -> tuple[CellResult, dict[str, bytes]]:
     tell(Phase("computing"))
     assert inputs == {"shared": cell.env.encode()}
-    files = {f"recordings/{RECORDED.get(cell.method)}": b"a recording"} if cell.method in RECORDED else {}
-    return faked(cell, conditions, Path(os.environ[FOLDER])), files
+    return faked(cell, conditions, Path(os.environ[FOLDER])), {}
+
+
+def _hoard() -> None:
+    hoard = []
+    while True:  # Untouched memory takes none, but counts.
+        hoard.append(np.empty(1 << 27))
+
+
+def _babble() -> None:
+    for file in map(int, os.listdir("/proc/self/fd")):
+        with contextlib.suppress(OSError):
+            if stat.S_ISSOCK(os.fstat(file).st_mode):
+                os.write(file, b"\0\0\0\5hello")
+
+
+def _look_for_temporary_files() -> None:
+    assert list(Path(tempfile.gettempdir()).iterdir()) == []
+    (Path(tempfile.gettempdir()) / "large").write_bytes(bytes(1 << 20))
+
+
+def _change_the_process() -> None:
+    os.chdir("/")
+    os.environ["OMP_NUM_THREADS"] = "7"
+
+
+RAISES = {
+    "raise": ValueError("two\nlines"),
+    "panic": Panic("index out of bounds"),
+    "mute": Mute(),
+    "surrogate": ValueError("caf\udce9 \x1b[2J"),
+    "exit": SystemExit("gave up"),
+    "generator": GeneratorExit("left"),
+    "keyboard": KeyboardInterrupt(),
+}
+DOES: dict[str, Callable[[], object]] = {
+    "vanish": lambda: os._exit(0),
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "group": lambda: (os.kill(0, signal.SIGTERM), time.sleep(60)),
+    "server": lambda: os.kill(os.getppid(), signal.SIGKILL),
+    "stops_itself": lambda: os.kill(os.getpid(), signal.SIGSTOP),
+    "stops_server": lambda: os.kill(os.getppid(), signal.SIGSTOP),
+    "hungry": _hoard,
+    "sleep": lambda: time.sleep(60),
+    "slow": lambda: time.sleep(2.0),
+    "brief": lambda: time.sleep(0.6),
+    "looks_for_temporary_files": _look_for_temporary_files,
+    "changes_its_process": _change_the_process,
+    "forks": os.fork,  # and both go on
+    "leaves_an_alarm": lambda: signal.alarm(1),
+    "leaves_a_thread": lambda: threading.Thread(target=time.sleep, args=(60,), daemon=True).start(),
+    "draws": lambda: print("drawn:", random.random(), np.random.random()),  # noqa: NPY002
+    "closes_files": lambda: os.closerange(3, 4096),
+    "babbles": _babble,
+}
+"""Cells of these methods do this before they return a result, if they do."""
 
 
 def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
@@ -100,101 +127,33 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
         print(f"{name}={os.environ.get(name)}")
     faults = directory.parent / "faults.json"
     behaviour = json.loads(faults.read_text()).get(cell.name, "") if faults.exists() else cell.method
-    if behaviour == "raise":
-        raise ValueError("two\nlines")
-    if behaviour == "kill":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if behaviour == "hungry":
-        hoard = []
-        while True:  # What is not touched takes no memory, but counts.
-            hoard.append(np.empty(1 << 27))
-    if behaviour == "vanish":
-        os._exit(0)
-    if behaviour == "exit":
-        sys.exit("gave up")
-    if behaviour == "sleep":
-        time.sleep(60)
-    if behaviour in ODD_EXCEPTIONS:
-        raise ODD_EXCEPTIONS[behaviour]
-    if behaviour.startswith("handler_"):
+    if behaviour in RAISES:
+        raise RAISES[behaviour]
+    DOES.get(behaviour, lambda: None)()
+    if behaviour.startswith("leaves_one"):
         _leave_one_behind(directory)
-        signal.signal(signal.SIGCHLD, functools.partial(_raise, HANDLERS[behaviour]))
-    if behaviour == "group":
-        os.kill(0, signal.SIGTERM)
-        time.sleep(60)
-    if behaviour == "server":
-        os.kill(os.getppid(), signal.SIGKILL)
-    if behaviour in ("leaves", "leaves_and_dies", "leaves_and_hangs"):
-        _leave_one_behind(directory)
-        if behaviour == "leaves_and_dies":
-            os.kill(os.getpid(), signal.SIGKILL)
-        if behaviour == "leaves_and_hangs":
-            time.sleep(60)
-    if behaviour == "stops_itself":
-        os.kill(os.getpid(), signal.SIGSTOP)
-    if behaviour == "stops_server":
-        os.kill(os.getppid(), signal.SIGSTOP)
+        DOES.get(behaviour.removeprefix("leaves_one_and_"), lambda: None)()
     if behaviour == "never_yields":
         (directory / "left_behind.txt").write_text(f"{os.getpid()}\n")
         ctypes.PyDLL(None).sleep(60)  # No other thread of Python's runs meanwhile.
-    if behaviour == "deletes_temporary_files":
-        shutil.rmtree(tempfile.gettempdir())
-    if behaviour == "makes_temporary_files":
-        with tempfile.NamedTemporaryFile(dir=os.environ["TMPDIR"]):
-            pass
-    if behaviour == "other_protocol":
-        return CellResult(cell, _rows(cell, dataclasses.replace(conditions, protocol="another"), 1.0))
-    if behaviour == "ghost_recording":
-        return CellResult(cell, _rows(cell, conditions, 1.0), recordings={"ghost.rrd": "0" * 64})
-    if behaviour in RECORDED:
-        recordings = {RECORDED[behaviour]: hashlib.sha256(b"a recording").hexdigest()}
-        return CellResult(cell, _rows(cell, conditions, 1.0), recordings=recordings)
-    if behaviour == "fills_temporary_files":
-        (Path(tempfile.gettempdir()) / "large").write_bytes(bytes(1 << 20))
-    if behaviour == "looks_for_temporary_files":
-        assert list(Path(tempfile.gettempdir()).iterdir()) == []
-    if behaviour == "changes_its_process":
-        os.chdir("/")
-        os.environ["OMP_NUM_THREADS"] = "7"
-    if behaviour == "forks":
-        os.fork()  # and both go on
-    if behaviour == "leaves_an_alarm":
-        signal.alarm(1)
-    if behaviour == "leaves_a_thread":
-        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
-    if behaviour == "draws":
-        print("drawn:", random.random(), np.random.random())  # noqa: NPY002
-    if behaviour == "naps":
-        time.sleep(2)
-    if behaviour == "closes_files":
-        os.closerange(3, 4096)
-    if behaviour in ("babbles", "babbles_well"):
-        message = b"hello" if behaviour == "babbles" else b"\0\0\0\5hello"
-        for file in map(int, os.listdir("/proc/self/fd")):
-            with contextlib.suppress(OSError):
-                if stat.S_ISSOCK(os.fstat(file).st_mode):
-                    os.write(file, message)
-    if behaviour == "one_row":
-        return CellResult(cell, _rows(cell, conditions, 1.0)[:1])
-    if behaviour == "many_curves":
-        return CellResult(cell, _rows(cell, conditions, 1.0), {f"curve {i}": [(0.0, 1.0)] for i in range(99)})
-    if behaviour == "escape":
-        return CellResult(cell, _rows(cell, conditions, 1.0), warnings=["\x1b[2J"])
-    if behaviour == "slow":
-        time.sleep(2.0)
-    if behaviour == "brief":
-        time.sleep(0.6)
     score = math.nan if behaviour == "nan" else 100.0 * cell.seed + len(cell.method)
     steps = 1j if behaviour == "unstorable" else 7
-    cell = Cell(cell.env, "bc", 99) if behaviour == "other" else cell
-    rows = _rows(cell, conditions, score, steps)
+    if behaviour == "other_protocol":
+        conditions = dataclasses.replace(conditions, protocol="another")
+    rows = _rows(Cell(cell.env, "bc", 99) if behaviour == "other" else cell, conditions, score, steps)
     curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)]}
     if behaviour == "large":
         curves |= {f"loss {i}": 1000 * curves["pi_R"] for i in range(29)}
-    return CellResult(cell, rows, curves, warnings=[f"{cell.env}: low bar"])
+    return CellResult(
+        Cell(cell.env, "bc", 99) if behaviour == "other" else cell,
+        rows[: 1 if behaviour == "one_row" else 2],
+        curves,
+        warnings=["\x1b[2J" if behaviour == "escape" else f"{cell.env}: low bar"],
+        recordings={"ghost.rrd": "0" * 64} if behaviour == "ghost_recording" else {},
+    )
 
 
-def _rows(cell: Cell, conditions: Conditions, score: float, steps: int = 7) -> list[Row]:
+def _rows(cell: Cell, conditions: Conditions, score: float, steps: float | complex) -> list[Row]:
     numbers = {"episodes": 1, "return_mean": score, "return_std": 0.0, "discounted_mean": score}
     numbers |= {"discounted_std": 0.0, "length_mean": 5.0, "length_std": 0.0, "env_steps": steps}
     return [row_of(cell, policy, conditions.protocol, **numbers) for policy in policies_of(cell)]

@@ -38,10 +38,9 @@ from harness.records import (
 )
 from harness.registry import BadInput
 from harness.rl.seeds import rng_for
-from harness.store.command_line import command_of
 from harness.store.names import files_of
 from harness.store.opening import merged, open_for_report, open_for_run, open_to_verify, stored_request
-from harness.store.request import Request
+from harness.store.request import Request, command_of
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
 

@@ -36,9 +36,9 @@ def cluster() -> Iterator[LocalCluster]:
 ASKED = ["--envs", "cartpole", "--budget", "smoke", "--no-retrain", "--record", "none"]
 
 
-def start(out: Path, *more: str, auth: str = "disabled") -> subprocess.Popen:
+def start(out: Path, *more: str) -> subprocess.Popen:
     command = [sys.executable, "-m", "harness", "run", "--plugin", str(PLUGIN), *ASKED, "--out", str(out)]
-    environment, pipe = {**os.environ, "RAY_AUTH_MODE": auth}, subprocess.PIPE
+    environment, pipe = {**os.environ, "RAY_AUTH_MODE": "disabled"}, subprocess.PIPE
     return subprocess.Popen(
         [*command, *more], env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True
     )
@@ -131,18 +131,6 @@ def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(tmp
     assert "Traceback" not in printed
     _, alive = psutil.wait_procs(descendants, timeout=30)
     assert not alive
-
-
-def test_a_cluster_is_asked_for_with_a_token_that_is_not_there(
-    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    asked = ["--methods", "line", "--engine", "ray", "--address", cluster.address]
-    code, printed = finish(start(tmp_path / "run", *asked, auth="token"))
-    assert code == 2
-    lines = printed.splitlines()
-    assert lines[-1].startswith(f"irl-bench: error: no Ray cluster {cluster.address}: Token authentication")
-    assert "Traceback" not in printed
 
 
 @pytest.mark.parametrize(

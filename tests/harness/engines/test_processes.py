@@ -3,16 +3,21 @@
 import json
 import os
 import random
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 
+from harness.engines.cell_environment import as_in_cells
 from harness.engines.inline import Inline
+from harness.engines.scratch import PREFIX, scratch_folder
 from harness.engines.server import Server
 from harness.process.environment import CACHE_VARIABLE, FIXED, SAME_INSTRUCTIONS
 from harness.records import Cell
-from harness.registry import BadInput
 from harness.store.cache import COMPILED_VARIABLE, compiled_once
 from tests.harness.fake_runs import compute, prepared
 
@@ -34,16 +39,13 @@ def prepare(cells, conditions):
 
 
 def test_nothing_of_them_is_left(tmp_path: Path) -> None:
-    before, folders = os.environ.copy(), set()
-    others = {*psutil.Process().children(recursive=True)}  # such as a browser of other tests
+    before, others = os.environ.copy(), {*psutil.Process().children(recursive=True)}
     for deterministic in (True, False):
         variables = json.loads(prepared(tmp_path, VARIABLES, deterministic)["variables"])
         assert variables["XLA_FLAGS"] == (SAME_INSTRUCTIONS if deterministic else FIXED)["XLA_FLAGS"]
-        folders.add(variables["TMPDIR"])
+        assert not os.path.exists(variables["TMPDIR"])
         assert {*psutil.Process().children(recursive=True)} <= others
         assert os.environ == before
-    assert len(folders) == 2
-    assert not any(map(os.path.exists, folders))
 
 
 def test_what_one_process_compiles_the_next_run_loads(
@@ -56,18 +58,11 @@ def test_what_one_process_compiles_the_next_run_loads(
     with Inline():
         assert os.environ[COMPILED_VARIABLE] == str(*(tmp_path / "cache").iterdir())
     assert {*os.environ} == before
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
+    assert compiled_once(tmp_path / "spare")[COMPILED_VARIABLE] == str(tmp_path / "spare")
     monkeypatch.setenv(COMPILED_VARIABLE, "mine")
     assert compiled_once()[COMPILED_VARIABLE] == "mine"
-
-
-def test_where_the_cache_cannot_be_written_to_a_run_compiles_for_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv(COMPILED_VARIABLE, raising=False)
-    (tmp_path / "cache").write_text("a file")
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    assert compiled_once(tmp_path / "spare")[COMPILED_VARIABLE] == str(tmp_path / "spare")
-    assert compiled_once() == {}
 
 
 def test_a_server_knows_how_its_workers_ended() -> None:
@@ -85,12 +80,6 @@ def test_a_server_knows_how_its_workers_ended() -> None:
         server.fork()
 
 
-def test_where_processes_cannot_be_forked_one_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(os, "fork")
-    with pytest.raises(BadInput, match="this system cannot fork processes; add --engine inline"):
-        Server(os.environ, [])
-
-
 def test_cells_of_one_process_find_it_as_it_was(tmp_path: Path) -> None:
     """A cell that draws from generators that all share, or leaves a thread, disturbs no other."""
     (tmp_path / "run").mkdir()
@@ -101,3 +90,60 @@ def test_cells_of_one_process_find_it_as_it_was(tmp_path: Path) -> None:
     draws = (tmp_path / "run/run.log").read_text().split("drawn: ")[1:]
     assert len({draw.partition("\n")[0] for draw in draws}) == 1
     assert str(random.random()) not in draws[0]
+
+
+@pytest.fixture
+def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder for temporary files."""
+    with tempfile.TemporaryDirectory(prefix="t-") as folder:
+        monkeypatch.setattr(tempfile, "tempdir", folder)
+        yield Path(folder)
+
+
+KILLED = """
+import os, sys, tempfile
+from harness.engines.scratch import scratch_folder
+
+tempfile.tempdir = sys.argv[1]
+with scratch_folder() as folder:
+    (folder / "file").write_text("")
+    print(folder, flush=True)
+    input()
+"""
+
+
+def test_the_folder_of_a_live_run_is_left_alone_and_that_of_a_killed_one_deleted(temporary: Path) -> None:
+    command = [sys.executable, "-c", KILLED, str(temporary)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        folder = Path(process.stdout.readline().strip())
+        with scratch_folder() as another:
+            assert {*temporary.iterdir()} == {folder, another}
+        process.kill()
+    assert (folder / "file").exists()
+    with scratch_folder() as another:
+        assert {*temporary.iterdir()} == {another}
+    assert list(temporary.iterdir()) == []
+
+
+def test_anything_that_is_no_folder_of_this_user_is_left_alone(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("irl-bench-2026-results", "mine", f"{PREFIX}another-users"):
+        (temporary / name).mkdir()
+    (temporary / f"{PREFIX}file").write_text("mine")
+    os.mkfifo(temporary / f"{PREFIX}pipe")
+    (temporary / f"{PREFIX}link").symlink_to(temporary / "mine")
+    before = sorted(temporary.rglob("*"))
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with scratch_folder():
+        pass
+    left = {path.name for path in temporary.iterdir()} - {path.name for path in before}
+    assert all(name.startswith(PREFIX) for name in left)
+    assert {*before} <= {*temporary.rglob("*")}
+
+
+def test_bench_keeps_what_it_cannot_cache_in_its_own_folder(temporary: Path) -> None:
+    with as_in_cells():
+        assert Path(tempfile.gettempdir()).parents[1] == temporary
+    assert tempfile.gettempdir() == str(temporary)

@@ -1,6 +1,5 @@
 """Whatever becomes of standard output and error, the work is done and the exit code says what came of it."""
 
-import errno
 import os
 import pty
 import signal
@@ -11,10 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.process import streams
-from harness.records import Cell, CellResult, Conditions, Row
-from harness.store.opening import open_for_run
-from harness.store.request import Request
+from harness.records import Conditions
 from tests.harness.fake_runs import FAKE, FAKE_ENV, PER_SEED, ROOT, faults
 from tests.harness.small_runs import damage, names
 
@@ -40,9 +36,7 @@ def shell(directory: Path, line: str, *flags: str, **variables: str) -> tuple[in
     "line",
     [
         "$IRL RUN 2>&1 | head -1; exit ${PIPESTATUS[0]}",
-        "$IRL RUN 2>/dev/full",
         "$IRL RUN >/dev/full 2>&1",
-        "$IRL RUN 2>&-",
         "$IRL RUN <&- >&- 2>&-",
     ],
 )
@@ -74,12 +68,10 @@ def test_a_damaged_cell_is_computed_again_and_reported_though_nobody_reads(tmp_p
     ("line", "code", "message"),
     [
         ("$IRL list >/dev/full", 1, "cut short: No space left on device"),
-        ("$IRL --help >/dev/full", 1, "cut short: No space left on device"),
         ("$IRL --help | head -0; exit ${PIPESTATUS[0]}", 0, ""),
         ("$IRL list >&-", 0, ""),
         ("$IRL nonsense 2>&-", 2, ""),
         (r"$IRL verify $'\e[2J'", 2, r"\x1b[2J holds no run"),
-        ("$IRL nonsense 2>/dev/full", 2, ""),
     ],
 )
 def test_what_was_asked_to_be_printed_is_whole_or_exit_1(
@@ -91,25 +83,7 @@ def test_what_was_asked_to_be_printed_is_whole_or_exit_1(
     assert err.count("\n") == bool(message)
 
 
-def test_only_a_terminal_that_fails_has_lost_its_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (tmp_path / "file").open("w") as file:
-        stream = streams._lasting(file.fileno(), None, "replace")
-        monkeypatch.setattr(sys, "stdout", stream)
-        for terminal, number, lost in (
-            (False, errno.EIO, True),
-            (True, errno.EIO, False),
-            (False, errno.EPIPE, False),
-            (False, errno.ENOSPC, True),
-        ):
-            stream.terminal, stream.lost = terminal, OSError(number, "lost")
-            assert bool(streams.output_was_lost()) == lost
-
-
-@pytest.mark.parametrize(
-    ("flag", "reason"), [("-OO", "without -OO"), ("-I", "without -E and -I"), ("-E", "-E")]
-)
+@pytest.mark.parametrize(("flag", "reason"), [("-OO", "without -OO"), ("-I", "without -E and -I")])
 def test_flags_that_cells_cannot_have_are_refused_and_nothing_is_written(
     tmp_path: Path, flag: str, reason: str
 ) -> None:
@@ -135,13 +109,8 @@ def test_ignored_and_blocked_signals_of_children_hide_no_end(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("flags", "variables"),
     [
-        ("-Xdev -bb -P", {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}),
-        (
-            "-Werror -O -s",
-            {"PYTHONIOENCODING": "ascii:strict", "TERM": "nonsense", "COLUMNS": "x", "NO_COLOR": "1"},
-        ),
-        ("", {"PYTHONIOENCODING": "undefined", "PYTHONOPTIMIZE": "1", "PYTHONWARNINGS": "error"}),
-        ("", {"PYTHONIOENCODING": "idna", "MPLBACKEND": "bogus"}),
+        ("-Xdev -bb -P", {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "undefined"}),
+        ("-Werror -O -s", {"PYTHONIOENCODING": "ascii:strict", "TERM": "nonsense", "MPLBACKEND": "bogus"}),
     ],
 )
 def test_flags_and_variables_of_the_shell_change_nothing(
@@ -152,18 +121,6 @@ def test_flags_and_variables_of_the_shell_change_nothing(
     assert code == 1, err
     assert "Traceback" not in err
     assert (tmp_path / "run/leaderboard.md").exists()
-
-
-def test_a_plotting_library_that_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
-    with open_for_run(tmp_path / "run", Request(("bc",), ("cartpole",), (0,), CONDITIONS)) as run:
-        cell = Cell("cartpole", "bc", 0)
-        run.save(CellResult(cell, [Row("cartpole", "bc", 0, "pi_star", "absorbing")]))
-    (tmp_path / "matplotlibrc").write_bytes(b"backend: \xff")
-    command = [sys.executable, "-m", "harness", "report", "run"]
-    done = subprocess.run(command, cwd=tmp_path, env=FAKE_ENV, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "nothing can draw the report" in done.stderr.splitlines()[-1]
-    assert "Traceback" not in done.stderr
 
 
 def begun(directory: Path, *before: str, **how: object) -> subprocess.Popen[str]:
@@ -196,7 +153,7 @@ def test_a_closed_terminal_stops_a_run_like_ctrl_c_unless_it_ignores_that(
     assert not ignores or (tmp_path / "run/leaderboard.md").exists()
 
 
-@pytest.mark.parametrize("after", [0.1, 0.15, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("after", [0.1, 0.2, 0.5])
 def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) -> None:
     command = ["env", "--default-signal=INT", sys.executable, "-m", "harness", "report", str(tmp_path)]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
@@ -210,7 +167,7 @@ def test_ctrl_c_while_it_starts_is_no_traceback(tmp_path: Path, after: float) ->
         assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_ctrl_c_twice_is_a_clean_stop_too(tmp_path: Path, number: signal.Signals) -> None:
     process = begun(tmp_path, *HEARING, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     for _ in range(5):

@@ -49,41 +49,6 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return set_to
 
 
-def test_of_many_running_jobs_the_time_left_is_reckoned_once_a_second(
-    monkeypatch: pytest.MonkeyPatch, at: Callable[[float], None]
-) -> None:
-    few, many = tally_of(tally.FEW), tally_of(1000)
-    reckoned = {"few": 0, "many": 0}
-
-    def counting(name: str, its: tally.Tally) -> None:
-        reckon = its._reckon
-
-        def counted(now: float) -> float:
-            reckoned[name] += 1
-            return reckon(now)
-
-        monkeypatch.setattr(its, "_reckon", counted)
-
-    counting("few", few)
-    counting("many", many)
-    for i in range(300):
-        at(0.01 * (i + 1))
-        few.eta()
-        many.eta()
-    assert reckoned == {"few": 300, "many": 3}
-
-
-def test_the_time_left_is_right_again_where_few_are_left(at: Callable[[float], None]) -> None:
-    found = tally.Tally({f"job{i}": 10.0 for i in range(100)}, workers=100)
-    for name in found.costs:
-        found.begin(name)
-    at(10.0)
-    for name in list(found.costs):
-        found.end(name, "ok")
-        found.eta()
-    assert (found.left, found.eta()) == (0, 0.0)
-
-
 def test_the_time_left_is_known_before_anything_ended_and_a_slow_first_job_does_not_multiply_it(
     at: Callable[[float], None],
 ) -> None:
@@ -224,39 +189,6 @@ def test_a_failure_stays_above_what_is_redrawn() -> None:
         assert lines[0] == "failed  cartpole__bc__seed0: no luck"
         assert [line.split()[0] for line in lines[1:2]] == ["cartpole__shaped__seed0"]
         assert len(lines) == 4
-
-
-def test_a_terminal_that_becomes_narrower_is_drawn_anew(at: Callable[[float], None]) -> None:
-    its = tally.Tally(dict.fromkeys([name_of("bc"), name_of("shaped")], 100.0))
-    shown = Terminal(80, 24, lambda name: Phase("retrain", 12_000, 40_000), its)
-    with shown.display:
-        for method in ("bc", "shaped"):
-            shown.display.started(job(method))
-        shown.display.finished(job("bc"), "failed", "no luck")
-        shown.seen()
-        shown.stream.feed("what a terminal wraps is left above" * 3)
-        shown.resize(60, 16)
-        for _ in range(2):
-            assert shown.seen() == [
-                "failed  cartpole__bc__seed0: no luck",
-                "  cartpole__shaped__seed0  0:00  RL step 12k of 40k",
-                shown.seen()[2],
-                "1 of 2 cells done, 1 failed, 0:00 passed, ETA 1:40",
-            ]
-        shown.resize(200, 30)
-        assert len(shown.seen()) == 4
-        assert "\x1b[2J" not in shown.written, "a wider one is not cleared"
-
-
-def test_what_is_redrawn_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One write a frame: what is erased is drawn again before anybody sees it."""
-    shown = Terminal(80, 24, lambda name: Phase("fit"), tally_of(10))
-    with shown.display:
-        shown.seen()
-        writes: list[str] = []
-        monkeypatch.setattr(shown.file, "write", writes.append)
-        shown.display.live.refresh()
-    assert writes[0].count("fit") == 10
 
 
 def test_colours_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:

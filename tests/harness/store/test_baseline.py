@@ -105,24 +105,15 @@ def test_trained_experts_of_another_machine_are_no_experts_of_this_one(board: Pa
     assert baseline.comparable([board / "one"], MINE, VARIABLES)
 
 
-def test_other_instructions_are_marked(tmp_path: Path) -> None:
-    fast = dataclasses.replace(
-        REQUEST, conditions=dataclasses.replace(REQUEST.conditions, deterministic=False)
-    )
-    made(tmp_path / "fast", request=fast)
-    found, _ = baseline.comparable([tmp_path / "fast"], MINE, VARIABLES)
-    assert {row.source for result in found for row in result.rows} == {"baseline fast, of other instructions"}
-
-
 def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
     edited(board, of_another_task)
     edited(board, lambda result: result["origin"].update(processor="another"))
-    found, _ = baseline.comparable([board], MINE, VARIABLES)
-    assert {row.source for result in found for row in result.rows} == {"baseline one, of another machine"}
     edited(board, lambda result: result["origin"].update(torch="1.0", scipy="1.0"))
-    found, _ = baseline.comparable([board], MINE, VARIABLES)
+    fast = dataclasses.replace(MINE.conditions, deterministic=False)
+    found, _ = baseline.comparable([board], dataclasses.replace(MINE, conditions=fast), VARIABLES)
     (source,) = {row.source for result in found for row in result.rows}
-    assert source == "baseline one, of another machine and other packages (scipy, torch)"
+    others = "another machine and other packages (scipy, torch) and other instructions"
+    assert source == f"baseline one, of {others}"
 
 
 def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Path) -> None:
@@ -137,23 +128,14 @@ def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Pat
     ("change", "why"),
     [
         ({"budget": "full"}, "one has budget quick, not full"),
-        ({"protocol": "native"}, "one has protocol absorbing, not native"),
         ({"rl": "sb3", "experts": "trained"}, "one has rl sbx, not sb3, experts shipped, not trained"),
-        ({"retrain": False}, "one has retrain True, not False"),
         ({"solves": 3}, "one has solves by task and budget, not 3"),
-        ({"learner": "ddpg"}, "one has learner own, not ddpg"),
     ],
 )
 def test_other_conditions_are_refused_by_name(board: Path, change: dict, why: str) -> None:
     request = dataclasses.replace(MINE, conditions=dataclasses.replace(MINE.conditions, **change))
     with pytest.raises(BadInput, match=why):
         baseline.comparable([board], request, VARIABLES)
-
-
-def test_another_version_of_the_task_is_refused_by_name(board: Path) -> None:
-    edited(board, lambda result: result.update(task_version="other", key="other:other"))
-    with pytest.raises(BadInput, match="one is of another version of the task, its experts, or how"):
-        baseline.comparable([board], MINE, VARIABLES)
 
 
 def test_what_is_no_run_or_has_nothing_of_a_task_is_said(board: Path, tmp_path: Path) -> None:
@@ -268,9 +250,3 @@ def test_a_run_whose_baseline_is_of_another_version_by_now_is_not_mixed(
     monkeypatch.setattr(baseline, "task_version", lambda env: "newer")
     monkeypatch.setattr(baseline, "task_of", lambda key: key)
     assert run("--out", "run") == 2
-
-
-def test_a_version_is_noted_with_each_cell(tmp_path: Path) -> None:
-    made(tmp_path / "run", computed((0,)), MINE)
-    (name,) = names(tmp_path / "run")
-    assert stored(tmp_path / "run", name)["task_version"] == keys.task_version("cartpole")

@@ -26,23 +26,8 @@ from harness.store.codec import decode, encode, printable
 from harness.store.request import Request
 
 ODD: list[Any] = [
-    *(
-        None,
-        True,
-        -1,
-        1.5,
-        10**18,
-        10**400,
-        1e308,
-        -1e100,
-        "",
-        "x" * 5000,
-        "1",
-        "../../x",
-        "\x1b[2J",
-        "\udce9",
-    ),
-    *([], [[]], [1, 2, 3], {}, {"a": []}, [None] * 5, "expert", "=1+1", "<b>", "\u202e", "ok", 0, [[0, "a"]]),
+    *(None, True, -1, 1.5, 10**400, 1e308, "", "x" * 5000, "1", "../../x", "\x1b[2J", "\udce9", "<b>"),
+    *([], [[]], [1, 2, 3], {}, {"a": []}, [None] * 5, "expert", "ok", 0, [[0, "a"]]),
 ]
 Tried = Callable[[str, Counter[str]], None]
 
@@ -117,10 +102,6 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
             changed(payload, path, lambda holder, key, odd=odd: holder.__setitem__(key, odd)) for odd in ODD
         ]
         mutated.append(changed(payload, path, lambda holder, key: holder.__delitem__(key)))
-        if isinstance(path[-1], str):
-            mutated.append(
-                changed(payload, path, lambda holder, key: holder.__setitem__("another", holder[key]))
-            )
     counts: Counter[str] = Counter()
     for stranger in [*mutated, *ODD]:
         reason, data = "", json.dumps(stranger)
@@ -134,7 +115,7 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
             assert len(reason) < 300
             continue
         assert found.cell.name.replace("_", "").replace(".", "").isalnum()
-        if counts["taken"] % 10 == 0:
+        if counts["taken"] % 100 == 0:
             write_report(tmp_path, build(REQUEST, [found, reference()]))
         assert leaderboard(scored_rows([found, reference()]))
     assert counts["refused"] > 1000
@@ -142,26 +123,32 @@ def test_any_ill_typed_cell_is_refused_in_a_line_or_reported(
     tried("stored cells with something else in one place", counts)
 
 
-@pytest.mark.parametrize("depth", [450, 600, 900, 5000])
-def test_what_is_nested_deep_is_refused(depth: int) -> None:
-    nested = "[" * depth + "]" * depth
-    for text in (nested, json.dumps({"settings": 0}).replace("0", nested)):
-        with pytest.raises(ValueError, match=r"no JSON of a run|Expected|missing"):
-            decode(text)
+@pytest.mark.parametrize("text", ["", "[]", "null", "{}", "[" * 5000, b"\xff\xfe\x00", '{"settings": 1e999}'])
+def test_anything_else_is_no_result(text: str | bytes) -> None:
+    with pytest.raises(ValueError, match=r"no JSON of a run|Expected|missing|out of range"):
+        decode(text)
 
 
 @given(st.floats() | st.integers(-(2**53), 2**53))
-def test_any_number_of_a_curve_is_stored_or_unknown(value: float) -> None:
+def test_any_number_comes_back_bit_by_bit_or_is_unknown(value: float) -> None:
     there = decode(encode(CellResult(cell_with().cell, cell_with().rows, {"loss": [(0.0, value)]})))
     ((_, found),) = there.curves["loss"]
-    assert found == value if abs(value) <= LARGEST else math.isnan(found)
+    assert repr(found) == repr(float(value)) if abs(value) <= LARGEST else math.isnan(found)
+
+
+def test_fields_that_a_stored_cell_lacks_have_their_defaults() -> None:
+    cell = json.loads(encode(cell_with()))
+    for name in ("learned", "seconds", "settings"):
+        del cell[name]
+    found = decode(json.dumps(cell))
+    assert (found.learned, found.seconds, found.settings) == ("", {}, {})
+    with pytest.raises(ValueError, match="seconds"):  # time does not run back
+        decode(json.dumps(cell | {"seconds": {"fit": -1.0}}))
 
 
 def test_extreme_numbers_can_be_drawn(tmp_path: Path) -> None:
     curves = {"loss": [(0.0, -LARGEST), (1.0, LARGEST)], "pi_R": [(0.0, 1e-300), (LARGEST, 1e-300)]}
-    cell = CellResult(
-        cell_with().cell, [Row(**{**vars(cell_with().rows[1]), "return_mean": LARGEST})], curves
-    )
+    cell = replace(cell_with(), curves=curves, rows=[replace(cell_with().rows[1], return_mean=LARGEST)])
     files = write_report(tmp_path, build(REQUEST, [decode(encode(cell)), reference()]))
     assert all(file.stat().st_size > 0 for file in files)
 
@@ -173,10 +160,9 @@ def test_much_is_refused_at_once_and_what_is_taken_is_reported_in_seconds(tmp_pa
         with pytest.raises(ValueError, match="of length <="):
             decode(encode(CellResult(cell_with().cell, cell_with().rows, curves)))
     most = {f"curve {i}": [(float(x), 1.0) for x in range(MOST_POINTS)] for i in range(MOST_CURVES)}
-    cells = [CellResult(cell_with(s).cell, cell_with(s).rows, most) for s in range(5)]
     started = time.process_time()
-    write_report(tmp_path, build(REQUEST, [*cells, *map(reference, range(5))]))
-    assert time.process_time() - started < 60
+    write_report(tmp_path, build(REQUEST, [replace(cell_with(), curves=most), reference()]))
+    assert time.process_time() - started < 20
 
 
 def test_texts_are_shown_and_do_nothing(tmp_path: Path) -> None:

@@ -1,66 +1,22 @@
 """Files that are read whole, and nowhere else; folders that are filled, or not there."""
 
 import os
+import resource
 import stat
-import tracemalloc
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from harness.store.files import new_folder, opened_below, read
+from harness.cli.main import main
+from harness.store.database import FILE
+from harness.store.files import SUMS, appending, new_folder, read, write_atomic
+from tests.harness.small_runs import RECORDING, run, snapshot
 
-BLOCK = 1 << 16
+__all__ = ["run"]
 
-
-def test_reading_asks_for_memory_for_what_there_is_and_not_for_the_most_that_may_be(tmp_path: Path) -> None:
-    file = tmp_path / "small"
-    file.write_bytes(b"x" * 2000)
-    tracemalloc.start()
-    try:
-        assert read(file, 1 << 28) == b"x" * 2000
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.parametrize("more", [0, 1, 2, BLOCK, 5 * BLOCK])
-def test_a_file_that_grows_while_it_is_read_is_read_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: int
-) -> None:
-    file = tmp_path / "grown"
-    file.write_bytes(bytes(10 * BLOCK))
-    size, now = file.stat().st_size, os.fstat
-
-    def earlier(handle: int) -> os.stat_result:
-        fields = [*now(handle)]
-        fields[stat.ST_SIZE] -= more
-        return os.stat_result(fields)
-
-    monkeypatch.setattr(os, "fstat", earlier)
-    assert read(file, size) == file.read_bytes()
-    with pytest.raises(OSError, match="it is larger than"):
-        read(file, size - 1)
-
-
-def read_below(*its: Any) -> bytes:
-    with opened_below(*its) as file:
-        return file.read()
-
-
-def test_no_link_below_a_folder_is_followed(tmp_path: Path) -> None:
-    (tmp_path / "run/a").mkdir(parents=True)
-    (tmp_path / "run/a/file").write_text("mine")
-    secret = tmp_path / "secret"
-    secret.write_text("secret")
-    (tmp_path / "run/link").symlink_to(secret)
-    (tmp_path / "run/folder").symlink_to(tmp_path / "run/a")
-    assert read_below(tmp_path / "run", "a/file") == b"mine"
-    for name in ("link", "folder/file", "../secret", str(secret), "a/../../secret", "a", "none", "", "x\0"):
-        with pytest.raises(OSError, match=r"link|leads out|no regular|No such|null"):
-            read_below(tmp_path / "run", name)
-    with pytest.raises(OSError, match="larger than"):
-        read_below(tmp_path / "run", "a/file", 3)
+ROOT = Path(__file__).parents[3]
 
 
 def interrupted(target: Path) -> None:
@@ -69,19 +25,87 @@ def interrupted(target: Path) -> None:
         raise KeyboardInterrupt
 
 
-def test_a_folder_that_cannot_be_filled_is_not_left(tmp_path: Path) -> None:
-    for there in (False, True):
-        target = tmp_path / "deep/er/page"
-        if there:
-            target.mkdir(parents=True)
-        with pytest.raises(KeyboardInterrupt):
-            interrupted(target)
-        assert target.exists() == (tmp_path / "deep").exists() == there
-        if there:
-            assert [*target.iterdir()] == []
+@pytest.mark.parametrize("there", [False, True])
+def test_a_folder_that_cannot_be_filled_is_not_left(tmp_path: Path, there: bool) -> None:
+    target = tmp_path / "deep/er/page"
+    if there:
+        target.mkdir(parents=True)
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(target)
+    assert target.exists() == (tmp_path / "deep").exists() == there
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
     with new_folder(target) as folder:
         (folder / "whole").write_text("whole")
-    assert [file.name for file in target.iterdir()] == ["whole"]
-    with new_folder(tmp_path / "another/one") as folder:
-        (folder / "whole").write_text("whole")
-    assert [file.name for file in (tmp_path / "another").rglob("*")] == ["one", "whole"]
+    assert [file.name for file in target.parent.rglob("*")] == ["page", "whole"]
+
+
+@pytest.mark.parametrize("name", [FILE, "scores.csv", SUMS, f"recordings/{RECORDING}"])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device", "huge"])
+def test_special_files_block_nobody(run: Path, name: str, kind: str) -> None:
+    file = run / name
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    elif kind == "device":
+        file.symlink_to("/dev/zero")
+    else:
+        with file.open("wb") as handle:
+            handle.truncate(1 << 36)
+    assert main(["verify", str(run)]) == (2 if name == FILE else 1)
+    # A folder cannot be replaced.
+    refused = name == FILE or (kind == "folder" and "/" not in name)
+    assert main(["report", str(run)]) == (2 if refused else 1 if name.startswith("recordings") else 0)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link", "unreadable"])
+def test_a_lock_that_is_none_stops_no_verification(run: Path, kind: str) -> None:
+    (run / ".lock").unlink()
+    if kind == "pipe":
+        os.mkfifo(run / ".lock")
+    elif kind == "link":
+        (run / ".lock").symlink_to("nowhere")
+    else:
+        (run / ".lock").write_bytes(b"\xff")
+    assert main(["verify", str(run)]) == 0
+
+
+def test_a_report_says_the_same_in_any_locale(run: Path) -> None:
+    before = snapshot(run)
+    (run / "report.html").unlink()
+    env = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-m", "harness", "report", str(run)]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    page = str(run / "report.html")
+    assert snapshot(run)[page] == before[page]
+    assert "π" in (run / "report.html").read_text(encoding="utf-8")
+
+
+def test_files_obey_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_atomic(tmp_path / "new/file", "text")
+        with appending(tmp_path / "log"):
+            pass
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "new/file").stat().st_mode) == 0o640
+    assert stat.S_IMODE((tmp_path / "log").stat().st_mode) == 0o640
+    assert read(tmp_path / "new/file") == b"text"
+
+
+def test_a_short_write_is_an_error_and_an_old_file_stays_whole(tmp_path: Path) -> None:
+    write_atomic(tmp_path / "file", "old")
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, most[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"), appending(tmp_path / "log") as file:
+            file.write(b"x" * 101)
+        with pytest.raises(OSError, match="File too large"):
+            write_atomic(tmp_path / "file", b"x" * 101)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    assert {file.name for file in tmp_path.iterdir()} == {"file", "log"}
+    assert read(tmp_path / "file") == b"old"

@@ -3,25 +3,19 @@
 import contextlib
 import dataclasses
 import errno
-import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from harness.cli.main import main
-from harness.records import LEARNED, Cell, CellResult, Conditions, Row
+from harness.records import LEARNED, Cell, CellResult, Conditions
 from harness.registry import BadInput, packages
-from harness.registry.bounds import LARGEST
-from harness.store import marked
-from harness.store.codec import decode, encode
 from harness.store.database import FILE
-from harness.store.files import sha256_of
+from harness.store.files import SUMS, sha256_of
 from harness.store.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
 from harness.store.request import Request
-from harness.store.sums import SUMS
 from tests.harness.small_runs import (
     CONDITIONS,
     NAME,
@@ -32,52 +26,35 @@ from tests.harness.small_runs import (
     execute,
     names,
     recorded,
+    result,
     run,
     snapshot,
     store,
     stored,
+    strange,
 )
 
 __all__ = ["run"]
 
 CELL = Cell("cartpole", "bc", 0)
-FLOATS = st.floats(-LARGEST, LARGEST) | st.just(math.nan)
-
-
-def result(score: float = 1.5, cell: Cell = CELL) -> CellResult:
-    row = Row(cell.env, cell.method, cell.seed, "pi_star", "absorbing", return_mean=score)
-    return CellResult(
-        cell, [row], {"loss": [(0.0, score), (1.0, math.nan)]}, {"pi_star": {"fell": 3}}, ["low"]
-    )
+SECOND = "cartpole__bc__seed1"
 
 
 def with_learned(data: bytes = b"x") -> tuple[CellResult, dict[str, bytes]]:
     return dataclasses.replace(result(), learned=sha256_of(data)), {LEARNED: data}
 
 
-@given(FLOATS)
-def test_a_result_comes_back_bit_by_bit(score: float) -> None:
-    # repr tells every float from every other, and NaN equals NaN.
-    assert repr(decode(encode(result(score)))) == repr(result(score))
-
-
-@pytest.mark.parametrize("text", ["", "[]", "null", "3", "{}", "[" * 100_000, b"\xff\xfe\x00"])
-def test_anything_else_is_no_result(text: str | bytes) -> None:
-    with pytest.raises(ValueError, match=r"no JSON of a run|Expected|missing"):
-        decode(text)
-
-
 def test_a_damaged_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path) -> None:
     with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=(0, 1, 2))) as run:
         for seed in range(3):
-            run.save(result(seed, Cell("cartpole", "bc", seed)))
+            run.save(result(seed=seed))
         damage(tmp_path)
-        execute(tmp_path, "UPDATE cells SET name = 'cartpole__bc__seed7' WHERE name = 'cartpole__bc__seed1'")
+        execute(tmp_path, "UPDATE cells SET name = 'cartpole__bc__seed7' WHERE name = ?", SECOND)
         results, unusable = run.load()
     assert list(results) == [Cell("cartpole", "bc", 2)]
     assert unusable == {
         run.place(NAME): "its checksum does not match",
-        run.place("cartpole__bc__seed7"): "holds the cell cartpole__bc__seed1",
+        run.place("cartpole__bc__seed7"): f"holds the cell {SECOND}",
     }
 
 
@@ -88,51 +65,66 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
         run.save(*with_learned())
         assert list(run.load()[0]) == [CELL]
         assert run.learned(CELL) == b"x"
-    with monkeypatch.context() as changed:
-        changed.setattr(packages, "version_of", lambda package: "0")
-        with open_for_run(tmp_path, REQUEST) as run:
-            results, unusable = run.load()
-            assert (results, list(unusable)) == ({}, [run.place(NAME)])
-            assert "version" in unusable[run.place(NAME)]
-            assert run.learned(CELL) == b""
-            run.save(result(2.5))
-            assert run.load()[0][CELL].rows[0].return_mean == 2.5
+    monkeypatch.setattr(packages, "version_of", lambda package: "0")
+    with open_for_run(tmp_path, REQUEST) as run:
+        results, unusable = run.load()
+        assert results == {}
+        assert "version" in unusable[run.place(NAME)]
+        assert run.learned(CELL) == b""
     with open_for_report(tmp_path) as run:
-        assert run.load()[0][CELL].rows[0].return_mean == 2.5
+        assert list(run.load()[0]) == [CELL]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "why"),
+    [
+        (NAME, {"protocol": "native"}, "it was computed under another protocol"),
+        ("cartpole__shaped__seed0", {"method": "shaped"}, "this run was not asked for it"),
+    ],
+)
+def test_cells_that_a_run_was_not_asked_for_are_left_out(
+    run: Path, name: str, changes: dict[str, str], why: str
+) -> None:
+    cell = stored(run)
+    cell["cell"]["method"] = changes.get("method", "bc")
+    cell["rows"][0] |= changes
+    store(run, cell, name)
+    with open_for_report(run) as directory:
+        assert directory.load()[1] == {directory.place(name): why}
 
 
 def test_what_nobody_can_write_to_is_read_all_the_same(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(errno.EROFS, "Read-only file system")
+    opening = os.open
 
-    monkeypatch.setattr(marked, "locked", refuse)
+    def refuse(path: Path, flags: int, *more: int) -> int:
+        if flags & (os.O_CREAT | os.O_RDWR):
+            raise PermissionError(errno.EROFS, "Read-only file system")
+        return opening(path, flags, *more)
+
+    monkeypatch.setattr(os, "open", refuse)
     with open_to_verify(run) as opened:
         assert opened.damaged() == {}
     with pytest.raises(BadInput, match="cannot write to"), open_for_report(run):
         pass
 
 
-@pytest.mark.parametrize("name", [RECORDING, "absent.rrd"])
-def test_a_cell_whose_recording_is_gone_is_computed_again(run: Path, name: str) -> None:
+def test_a_cell_whose_recording_is_gone_is_computed_again(run: Path) -> None:
     (run / "recordings" / RECORDING).write_bytes(b"another")
     with open_for_run(run, REQUEST) as opened:
-        opened.save(dataclasses.replace(result(), recordings={name: "0" * 64}))
+        opened.save(dataclasses.replace(result(), recordings={RECORDING: "0" * 64}))
         found, unusable = opened.load()
         assert found == {}
-        assert list(unusable.values()) == [f"recordings/{name} is missing or damaged"]
+        assert list(unusable.values()) == [f"recordings/{RECORDING} is missing or damaged"]
     with open_for_report(run) as opened:
         assert list(opened.load()[0]) == [CELL]
 
 
-@pytest.mark.parametrize("how", ["damaged", "deleted", "swapped"])
+@pytest.mark.parametrize("how", ["deleted", "swapped"])
 def test_a_cell_whose_artifact_is_damaged_is_computed_again(tmp_path: Path, how: str) -> None:
     with open_for_run(tmp_path, REQUEST) as run:
         run.save(*with_learned(b"1"))
         assert run.learned(CELL) == b"1"
-        assert run.load()[0]
-        if how == "damaged":
-            execute(tmp_path, "UPDATE learned SET data = CAST('2' AS BLOB)")
-        elif how == "deleted":
+        if how == "deleted":
             delete(tmp_path, NAME, "learned")
         else:
             store(tmp_path, b"of another cell", NAME, "learned")
@@ -152,19 +144,17 @@ def test_what_a_cell_had_before_goes_with_its_new_result(tmp_path: Path) -> None
         assert run.damaged() == {}
 
 
-def test_fields_that_a_stored_cell_lacks_have_their_defaults_and_others_are_refused(run: Path) -> None:
-    cell = stored(run)
-    for name in ("learned", "seconds", "settings"):
-        del cell[name]
-    found = decode(encode(cell))
-    assert (found.learned, found.seconds, found.settings) == ("", {}, {})
-    with pytest.raises(ValueError, match="holds more than a CellResult"):
-        decode(encode(cell | {"another": 1}))
-    with pytest.raises(ValueError, match="seconds"):  # time does not run back
-        decode(encode(cell | {"seconds": {"fit": -1.0}}))
+def test_a_cell_is_whole_or_absent_where_its_transaction_fails(tmp_path: Path) -> None:
+    with open_for_run(tmp_path, REQUEST) as run:
+        run.save(*with_learned())
+        with contextlib.suppress(KeyboardInterrupt), run._database.writing():
+            run._database.put("cells", NAME, "half")
+            raise KeyboardInterrupt
+        assert run.damaged() == {}
+        assert run.learned(CELL) == b"x"
 
 
-@pytest.mark.parametrize("seeds", [[], [1, 0], [0, 0], [-1], [1000], 0, 1001, True, "3", [0.5]])
+@pytest.mark.parametrize("seeds", [[], [1, 0], [-1], [1000], 0, "3", [0.5]])
 def test_a_request_that_is_none_is_damaged(tmp_path: Path, seeds: object) -> None:
     with open_for_run(tmp_path, REQUEST):
         pass
@@ -188,12 +178,7 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [
-        ({"budget": "full"}, "budget full, not smoke"),
-        ({"protocol": "native"}, "protocol native, not absorbing"),
-        ({"rl": "sb3"}, "rl sb3, not sbx"),
-        ({"record": "none"}, "record none, not both"),
-    ],
+    [({"budget": "full"}, "budget full, not smoke"), ({"record": "none"}, "record none, not both")],
 )
 def test_another_run_is_refused_and_left_as_it_was(
     tmp_path: Path, changes: dict[str, str], message: str
@@ -208,22 +193,12 @@ def test_another_run_is_refused_and_left_as_it_was(
     assert snapshot(tmp_path) == before
 
 
-def test_a_run_of_an_earlier_version_is_refused_and_its_tables_are_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import irl_bench
-
-    (tmp_path / "run.json").write_text("{}")
-    for name in ("scores.csv", "leaderboard.csv"):
-        (tmp_path / name).write_text("env,score\ncartpole,1.0\n")
-    before = snapshot(tmp_path)
-    for command in (["report"], ["verify"], ["compare", str(tmp_path)], ["run", "--out"]):
-        assert main([*command, str(tmp_path)]) == 2
-        said = capsys.readouterr().err
-        assert "holds a run of an earlier version: its numbers are in scores.csv" in said
-        assert said.count("\n") == 1
-    assert snapshot(tmp_path) == before
-    assert len(irl_bench.load(tmp_path).scores) == 1
+def test_a_run_that_would_grow_beyond_what_can_be_read_is_refused(tmp_path: Path) -> None:
+    many = Request(tuple(f"m{i}" for i in range(200)), ("cartpole",), (0,), CONDITIONS)
+    with open_for_run(tmp_path, many):
+        pass
+    with pytest.raises(BadInput, match="cannot hold so much"), open_for_run(tmp_path, REQUEST):
+        pass
 
 
 def test_a_path_where_no_directory_can_be_is_refused(tmp_path: Path) -> None:
@@ -234,13 +209,29 @@ def test_a_path_where_no_directory_can_be_is_refused(tmp_path: Path) -> None:
     assert snapshot(tmp_path) == {str(tmp_path / "file"): b""}
 
 
-def test_the_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST):
-        for another in (open_for_run(tmp_path, REQUEST), open_for_report(tmp_path), open_to_verify(tmp_path)):
-            with pytest.raises(BadInput, match=f"in use by another run .process {os.getpid()}"), another:
+def test_one_may_write_and_many_may_read(run: Path) -> None:
+    in_use = f"in use by another run .process {os.getpid()}"
+    with open_for_run(run, REQUEST):
+        for another in (open_for_run(run, REQUEST), open_for_report(run), open_to_verify(run)):
+            with pytest.raises(BadInput, match=in_use), another:
                 pass
-    with open_for_report(tmp_path):
-        pass
+    with open_to_verify(run):
+        assert main(["verify", str(run)]) == 0
+        with pytest.raises(BadInput, match="in use"), open_for_report(run):
+            pass
+
+
+def test_a_run_does_not_write_into_another_one_that_took_its_place(tmp_path: Path) -> None:
+    with open_for_run(tmp_path / "run", REQUEST) as directory:
+        (tmp_path / "run").rename(tmp_path / "moved")
+        for _ in range(2):  # gone, and another's
+            for write in (lambda: directory.save(*recorded()), lambda: directory.seal([], [])):
+                before = snapshot(tmp_path)
+                with pytest.raises(OSError, match="moved, deleted or changed while the run goes on"):
+                    write()
+                assert snapshot(tmp_path) == before
+            with open_for_run(tmp_path / "run", REQUEST):
+                pass
 
 
 @pytest.mark.parametrize("begun", [b"", b"half a page"])
@@ -252,12 +243,57 @@ def test_a_run_killed_before_its_first_whole_file_can_be_started_again(tmp_path:
         assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", FILE]
 
 
-def test_a_cell_is_whole_or_absent_where_its_transaction_fails(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST) as run:
-        run.save(*with_learned())
-        with contextlib.suppress(KeyboardInterrupt), run._database.writing():
-            run._database.put("cells", NAME, "half")
-            raise KeyboardInterrupt
-        assert run.damaged() == {}
-        assert run.learned(CELL) == b"x"
-    assert SUMS not in os.listdir(tmp_path)
+@pytest.mark.parametrize("gone", ["recordings/*", "scores.csv", "report.html", SUMS])
+def test_whatever_a_run_had_and_has_no_more_is_damage(
+    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in run.glob(gone):
+        path.unlink()
+    capsys.readouterr()
+    assert main(["verify", str(run)]) == 1
+    assert capsys.readouterr().out.endswith(": missing\n")
+    assert main(["report", str(run)]) == (1 if "recordings" in gone else 0)
+    assert main(["verify", str(run)]) == (1 if "recordings" in gone else 0)
+
+
+@pytest.mark.parametrize("how", [delete, damage])
+def test_a_cell_that_was_stored_and_is_gone_is_damage_and_no_full_report(
+    tmp_path: Path, how: Callable[[Path, str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=(0, 1))) as directory:
+        for seed in (0, 1):
+            directory.save(result(seed=seed))
+    assert main(["report", str(tmp_path)]) == 0
+    assert main(["verify", str(tmp_path)]) == 0
+    how(tmp_path, SECOND)
+    assert main(["verify", str(tmp_path)]) == 1
+    capsys.readouterr()
+    assert main(["report", str(tmp_path)]) == (how is damage)
+    assert how is delete or SECOND in capsys.readouterr().err
+    assert "not complete: 1 of the 18 cells" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("how", ["another run's", "stored since", "a changed list", "the report's note"])
+def test_tables_of_other_cells_or_lists_are_damage_and_mended_by_report(
+    run: Path, how: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = f"{run / 'scores.csv'}: cells were stored or lost since it was written"
+    if how == "another run's":  # valid in itself
+        strange(run, return_mean=9.0)
+    elif how == "stored since":
+        with open_for_run(run, dataclasses.replace(REQUEST, seeds=(0, 1))) as directory:
+            directory.save(result(seed=1))
+    elif how == "a changed list":
+        lines = (run / SUMS).read_text().splitlines(keepends=True)
+        (run / SUMS).write_text("".join(line for line in lines if not line.endswith("  scores.csv\n")))
+        said = f"{run / SUMS}: its checksum does not match"
+    else:
+        damage(run, "report", "run")
+        said = f"{run / FILE}/run/report: its checksum does not match"
+    capsys.readouterr()
+    assert main(["verify", str(run)]) == 1
+    assert said in capsys.readouterr().out
+    with open_for_run(run, REQUEST) as directory:
+        assert not directory.is_sealed()
+    assert main(["report", str(run)]) == 0
+    assert main(["verify", str(run)]) == 0
