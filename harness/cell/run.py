@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from harness.cell.fitting import fit, fit_control
-from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
-from harness.cell.retraining import Retrained, reference, retrain
-from harness.cell.scoring import Scored, means, score
+from harness.cell.retraining import reference, retrain
+from harness.cell.scoring import Scored, score
 from harness.cell.settings import settings_of
 from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
@@ -41,64 +41,54 @@ def run_cell(
     the cell's method raises.
     """
     inputs = Inputs(cell, conditions, Shared(shared), report)
-    scored = score(inputs, _retrained(inputs))
-    learned, unstored, storing = learned_file(inputs, scored)
-    recordings, unrecorded, recording = _record(inputs, scored)
+    if cell.method == REFERENCE:
+        scored = score(inputs, reference(inputs))
+    else:
+        scored = score(inputs, retrain(inputs, (fit_control if cell.method in CONTROLS else fit)(inputs)))
+    with inputs.stage("record", scored.means):
+        learned, unstored = _artifact(inputs, scored)
+        recordings = _recordings(inputs, scored)
     warnings = [warning for one in scored.candidates for warning in one.warnings]
-    warnings += [*filter(None, [scored.below_bar, _effort(inputs)]), *unstored, *unrecorded]
     result = CellResult(
         cell,
-        rows=list(scored.rows),
+        rows=[*scored.rows],
         curves={name: curve for one in scored.candidates for name, curve in one.curves.items()},
         endings={name: evaluation.endings for name, evaluation in scored.evaluations.items()},
-        warnings=warnings,
+        warnings=[*warnings, *filter(None, [scored.below_bar, _effort(inputs)]), *unstored],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         learned=sha256_of(learned) if learned else "",
         below_bar=bool(scored.below_bar),
         details={name: value for one in scored.candidates for name, value in one.details.items()},
         like=list(plugins.like(cell.method)),
-        solves=list(scored.solves),
-        seconds=added(scored.seconds, storing, recording),
+        solves=[*scored.solves],
+        seconds=inputs.seconds,
         settings=settings_of(cell.method, cell.env, conditions),
     )
     files = {f"recordings/{name}": data for name, data in recordings.items()}
     return result, files | ({LEARNED: learned} if learned else {})
 
 
-def _retrained(inputs: Inputs) -> Retrained:
-    """Return the policies that the cell scores."""
-    if inputs.cell.method == REFERENCE:
-        return reference(inputs)
-    return retrain(inputs, fit_control(inputs) if inputs.cell.method in CONTROLS else fit(inputs))
-
-
-def learned_file(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str], Seconds]:
-    """Return what was learned as bytes, warnings of what is not in them, and the wall time."""
-    candidates = scored.candidates
+def _artifact(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str]]:
+    """Return what was learned as bytes, and warnings of what is not in them."""
     learned: dict[str, Policy | Reward | None] = {
-        one.name: one.policy for one in candidates if one.policy and one.name != "random"
+        one.name: one.policy for one in scored.candidates if one.policy and one.name != "random"
     }
     if learned and inputs.cell.method not in (REFERENCE, "control_true"):
-        learned["reward"] = candidates[0].reward
-    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
-        data, warnings = artifact(inputs.cell, inputs.conditions, learned)
-    return data, warnings, {"record": stopwatch.seconds}
+        learned["reward"] = scored.candidates[0].reward
+    return artifact(inputs.cell, inputs.conditions, learned)
 
 
-def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
-    """Return the recordings by file name, warnings of those that are missing, and the wall time."""
-    if not scored.watched:
-        return {}, [], {}
+def _recordings(inputs: Inputs, scored: Scored) -> Files:
+    """Return the recordings of seed 0 by file name."""
+    if inputs.cell.seed != 0 or inputs.conditions.record == "none":
+        return {}
     from harness.cell.recording import record  # imports rerun, 30 MB that other seeds do without
 
-    files, warnings = Files(), list[str]()
-    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
-        for one in scored.candidates:
-            if watched := scored.watched.get(one.name):
-                recordings, missing = record(inputs, one, scored.evaluations[one.name], watched)
-                files |= recordings
-                warnings += missing
-    return files, warnings, {"record": stopwatch.seconds}
+    files = Files()
+    for one in scored.candidates:
+        if one.policy:
+            files |= record(inputs, one, scored.evaluations[one.name])
+    return files
 
 
 def _effort(inputs: Inputs) -> str:
