@@ -69,11 +69,8 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
             solves.append(Solve(judged, result.own_return, float(result.returns.mean()), solved(result)))
     rows = []
     for one in candidates:
-        values: dict[str, Any] = {
-            "status": "skipped",
-            "expert": inputs.shared.expert.column(inputs.cell.method),
-        }
-        values |= columns | one.columns
+        name = inputs.shared.expert.column(inputs.cell.method)
+        values: dict[str, Any] = {"status": "skipped", "expert": name, **columns, **one.columns}
         if found := evaluations.get(one.name):
             values |= {"status": "ok", **found.columns()}
             values |= {"solved": solved(found)} if one.name == "pi_R" else {}
