@@ -111,11 +111,7 @@ def shaped_parts(reward: Reward | None, obs: Array) -> tuple[Array | None, Array
 
 
 def advantages(
-    spec: EnvSpec,
-    expert: Policy,
-    played: Sequence[Trajectory],
-    seeds: Sequence[int],
-    reward: Reward | None,
+    spec: EnvSpec, expert: Policy, played: Sequence[Trajectory], seeds: Sequence[int], reward: Reward | None
 ) -> list[Advantage | None]:
     """Return the advantage of each episode's actions over the expert's, under both rewards.
 
