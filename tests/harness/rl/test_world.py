@@ -14,7 +14,7 @@ import pytest
 
 from envs import EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, Learner
-from envs.models import Model, Tabular
+from envs.models import Tabular
 from harness.registry import SPECS, Library
 from harness.rl.exact import ExactSolver
 from harness.rl.simulator import Simulator, Trajectory
@@ -127,43 +127,6 @@ def test_where_the_model_is_known_an_agent_begins_with_nothing() -> None:
             world.agent(rng(), **beginning)
     with pytest.raises(ValueError, match="nothing is explored"):
         world.agent(rng()).behaviour  # noqa: B018
-
-
-def test_rollouts_are_fresh_episodes_without_rewards(steady: EnvSpec) -> None:
-    world, generator = TaskWorld(steady, "absorbing", "sb3"), rng()
-    one, other = (world.rollout(on_target, 2, generator) for _ in range(2))
-    fields = {f.name for f in dataclasses.fields(one)}
-    assert fields == {"obs", "act", "terminated", "times", "steps"}
-    assert len({obs.tobytes() for obs in (*one.obs, *other.obs)}) == 4
-    again = world.rollout(on_target, 2, rng())
-    np.testing.assert_array_equal(again.obs[0], one.obs[0])
-
-
-def test_what_it_shows_of_the_task_is_no_reward(steady: EnvSpec) -> None:
-    public = {
-        name: value for name, value in vars(TaskWorld(steady, "absorbing", "sb3")).items() if name[0] != "_"
-    }
-    assert set(public) == {
-        *("obs_size", "act_size", "horizon", "gamma", "phi", "model", "discrete", "solve_steps"),
-        *("env_steps", "check_steps", "rl_solves", "answers", "budget"),
-    }
-    assert public.pop("model") is None
-    assert public.pop("budget") == "full"
-    assert all(isinstance(value, int | float) for name, value in public.items() if name != "phi")
-
-
-def test_random_actions_are_the_environments(steady: EnvSpec) -> None:
-    for spec in (steady, SPECS["gridworld"]):
-        drawn = TaskWorld(spec, "absorbing", "sb3").random_actions(9, rng())
-        np.testing.assert_array_equal(drawn, spec.random_actions(9, rng()))
-
-
-def test_what_it_shows_of_a_known_model_is_no_reward() -> None:
-    world = TaskWorld(SPECS["gridworld"], "absorbing", "sb3")
-    assert type(world.model) is Model
-    assert set(vars(world.model)) == {"P", "start", "obs"}
-    policy: Any = world.solve(ZERO, rng(), 1)
-    assert set(vars(policy)) == {"obs", "values"}
 
 
 def reachable(start: list[Any]) -> list[Any]:
