@@ -42,7 +42,6 @@ def measures() -> Iterator[Measure]:
         yield from _solves(env, bar)
     workers = partial(_grid, 2), partial(_grid, 1)
     yield compare("8 equal cells, 2 workers against 1", *workers, bar=1.8, repeats=2)
-    yield Measure("cells of cart-pole, share of time beside fit and RL", "%", _beside_the_work(), bar=3)
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
         command(cached)
@@ -90,11 +89,3 @@ def _solve(env: str, seed: int) -> tuple[float, float]:
 def _grid(workers: int) -> int:
     cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
     return len(compute(cells, QUICK, Processes(workers)))
-
-
-def _beside_the_work() -> list[float]:
-    """Return the share, in %, of each cell's time that is neither fit nor RL. The first cell, which compiles,
-    does not count."""
-    cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    times = [result.seconds for result in compute(cells, QUICK, Processes(1))[1:]]
-    return [100 * (1 - (stages["fit"] + stages["retrain"]) / sum(stages.values())) for stages in times]

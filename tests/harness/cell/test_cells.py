@@ -54,13 +54,6 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert timeless(again) == timeless(result)
 
 
-def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
-    one = run(Cell("cartpole", "bc", 1), tmp_path / "one")
-    assert recordings(tmp_path / "one") == []
-    two = run(Cell("cartpole", "bc", 2), tmp_path / "two")
-    assert one.rows[0].return_mean != two.rows[0].return_mean
-
-
 def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     cell = Cell("cartpole", "shaped", 1)
     result = run(cell, tmp_path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -139,11 +138,3 @@ def test_results_of_two_versions_of_experts_are_never_mixed(
         assert [path.stem for path in unusable] == ["cartpole__shaped__seed0"]
     assert main(["report", str(out)]) == 1
     assert "computed by another version" in capsys.readouterr().err
-
-
-def test_the_package_brings_them_where_they_are_looked_for() -> None:
-    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    repository, installed = EXPERTS
-    assert setup["package-dir"] == {installed.replace("/", "."): repository}
-    assert installed.replace("/", ".") in setup["packages"]
-    assert setup["package-data"][installed.replace("/", ".")] == ["*.safetensors", "LICENSE"]

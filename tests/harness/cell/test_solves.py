@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,18 +14,16 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
-from harness.cell.experts import Expert, Trained, task_for
+from harness.cell.experts import task_for
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
-from harness.process.environment import CACHE_VARIABLE
-from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Solve, row_of
+from harness.records import NOMINAL, REFERENCE, Cell, Conditions
 from harness.registry import BUDGETS, SPECS, BadInput
 from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.rl.solving import Solution
-from harness.store.cache import Kept
 from harness.store.codec import decode, encode
 from harness.store.opening import merged, open_for_run, stored_request
 from harness.store.request import Request
@@ -219,18 +216,6 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
         assert task_for("cartpole", conditions).rl == rl
 
 
-def test_what_experts_of_another_learner_show_is_kept_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    content = Kept({"x": np.zeros(1)}, {})
-    for learner in ("own", "ddpg"):
-        source = Trained("cartpole", 0, dataclasses.replace(SMOKE, learner=learner, experts="trained"))
-        vars(source)["expert"] = Expert("trained:0", Push(0.5))
-        assert source.kept("demonstrations", 5, lambda: content) is content
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))
 
 
@@ -243,15 +228,3 @@ def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, An
     if changes:
         with pytest.raises(BadInput, match=r"holds a run with (solves 3|learner ddpg), not (by task|own)"):
             merged(tmp_path, ASKED)
-
-
-def test_cells_of_earlier_versions_have_no_solves() -> None:
-    result = CellResult(CELL, [row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
-    stored = json.loads(encode(result))
-    del stored["solves"]
-    for row in stored["rows"]:
-        for name in ("own_return_random", "solves", "solved"):
-            del row[name]
-    earlier = decode(json.dumps(stored))
-    assert earlier.solves == []
-    assert math.isnan(earlier.rows[0].solved)
