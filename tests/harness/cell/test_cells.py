@@ -14,7 +14,7 @@ from harness.cell.experts import source_for
 from harness.cell.phases import Phase
 from harness.cell.run import prepare, run_cell
 from harness.judge.evaluation import evaluate, totals
-from harness.records import CONTROLS, LEARNED, Cell, CellResult, Row, failed_rows, policies_of
+from harness.records import LEARNED, Cell, CellResult
 from harness.registry import SPECS
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import solver_for
@@ -176,17 +176,3 @@ def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None
         *("demonstrations0", "ranking0")
     }
     assert "gridworld__maxmargin__seed0__pi_star.median.rrd" in recordings(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("method", "policies"),
-    [("reference", ("expert", "random")), ("bc", ("pi_star", "pi_R")), *((c, ("pi_R",)) for c in CONTROLS)],
-)
-def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[str, ...]) -> None:
-    cell = Cell("cartpole", method, 4)
-    result = failed_rows(cell, "native", "no luck")
-    assert policies_of(cell) == policies
-    assert result.cell == cell
-    failed = {"status": "failed", "reason": "no luck"}
-    rows = [Row("cartpole", method, 4, policy, "native", **failed) for policy in policies]  # type: ignore[arg-type]
-    assert repr(result.rows) == repr(rows)

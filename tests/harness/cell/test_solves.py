@@ -21,12 +21,10 @@ from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
 from harness.records import NOMINAL, REFERENCE, Cell, Conditions
-from harness.registry import BUDGETS, SPECS, BadInput
+from harness.registry import BUDGETS, SPECS
 from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.rl.solving import Solution
 from harness.store.codec import decode, encode
-from harness.store.opening import merged, open_for_run, stored_request
-from harness.store.request import Request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 
@@ -127,15 +125,13 @@ def test_the_solve_that_earns_most_on_judging_episodes_counts(
     assert decode(encode(result)).solves == result.solves
 
 
-def test_of_equals_the_first_counts_and_what_earns_no_number_never_does(
+def test_what_earns_no_number_is_never_chosen(
     tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for earned_by, expected in (([1.0, 2.0, 2.0, 2.0], 0.9), ([math.nan, -3.0, -3.0, -2.0], -0.5)):
-        solved.clear()
-        monkeypatch.setattr(retraining, "judge", lambda *given, its=earned_by: (its, 0))
-        result = run(CELL, tmp_path, many(4))
-        assert result.curves["pi_R_chosen"] == [(float(STEPS), expected)]
-        assert decode(encode(result)).solves[1:] == result.solves[1:]
+    monkeypatch.setattr(retraining, "judge", lambda *asked: ([math.nan, -3.0, -3.0, -2.0], 0))
+    result = run(CELL, tmp_path, many(4))
+    assert result.curves["pi_R_chosen"] == [(float(STEPS), -0.5)]
+    assert decode(encode(result)).solves[1:] == result.solves[1:]
 
 
 def test_a_solve_is_the_same_whatever_others_there_are(
@@ -214,17 +210,3 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
         assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
         assert (task.place is task.spec) == (dynamics == NOMINAL)
         assert task_for("cartpole", conditions).rl == rl
-
-
-ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))
-
-
-@pytest.mark.parametrize("changes", [{}, {"solves": 3}, {"learner": "ddpg"}])
-def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, Any]) -> None:
-    request = dataclasses.replace(ASKED, conditions=dataclasses.replace(ASKED.conditions, **changes))
-    with open_for_run(tmp_path, request):
-        pass
-    assert stored_request(tmp_path) == merged(tmp_path, request) == request
-    if changes:
-        with pytest.raises(BadInput, match=r"holds a run with (solves 3|learner ddpg), not (by task|own)"):
-            merged(tmp_path, ASKED)
