@@ -27,7 +27,7 @@ def measures() -> Iterator[Measure]:
 
 
 def largest_process(env: str) -> float:
-    """Return the most memory, in MB, that a process of this one's held resident, for a cell at full."""
+    """Return the most memory, in MB, that one process held resident to compute a cell at full."""
     compute([Cell(env, "shaped", 1)], FULL, Processes(1))
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 

@@ -33,8 +33,8 @@ def test_returns_are_sums_of_true_rewards(steady: EnvSpec) -> None:
 
 def test_later_rewards_are_discounted_more(steady: EnvSpec) -> None:
     scored = evaluate(steady, lambda obs: 0 * obs, [3])
-    rewards = 1 - np.abs(scored.first.obs[:-1, 0])
-    np.testing.assert_allclose(scored.first.rewards, rewards, rtol=1e-6)
+    rewards = 1 - np.abs(scored.episodes[0].obs[:-1, 0])
+    np.testing.assert_allclose(scored.episodes[0].rewards, rewards, rtol=1e-6)
     assert scored.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
 
 
@@ -51,7 +51,7 @@ def test_endings_are_counted(fragile: EnvSpec) -> None:
     assert set(scored.endings) <= {"missed", "time limit"}
     assert sum(scored.endings.values()) == 30
     assert scored.endings["missed"] >= (scored.lengths < 10).sum() > 10
-    assert len(scored.first.obs) == scored.lengths[0] + 1
+    assert len(scored.episodes[0].obs) == scored.lengths[0] + 1
     columns = scored.columns()
     assert columns["length_std"] == pytest.approx(scored.lengths.std())
     assert columns["return_mean"] == pytest.approx(scored.returns.mean())
