@@ -8,7 +8,7 @@ from harness.cell.fitting import fit, fit_control
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import reference, retrain
-from harness.cell.scoring import Scored, score
+from harness.cell.scoring import Scored, means, score
 from harness.cell.settings import settings_of
 from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
@@ -45,7 +45,7 @@ def run_cell(
         scored = score(inputs, reference(inputs))
     else:
         scored = score(inputs, retrain(inputs, (fit_control if cell.method in CONTROLS else fit)(inputs)))
-    with inputs.stage("record", scored.means):
+    with inputs.stage("record", means(scored.evaluations)):
         learned, unstored = _artifact(inputs, scored)
         recordings = _recordings(inputs, scored)
     warnings = [warning for one in scored.candidates for warning in one.warnings]

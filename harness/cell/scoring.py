@@ -32,11 +32,6 @@ class Scored:
     solves: Sequence[Solve]
     below_bar: str
 
-    @property
-    def means(self) -> dict[str, float]:
-        """The mean return of each policy."""
-        return means(self.evaluations)
-
 
 def means(evaluations: Mapping[PolicyName, Evaluation]) -> dict[str, float]:
     """Return the mean return of each policy."""
@@ -71,9 +66,9 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
     for one in candidates:
         name = inputs.shared.expert.column(inputs.cell.method)
         values: dict[str, Any] = {"status": "skipped", "expert": name, **columns, **one.columns}
-        if found := evaluations.get(one.name):
-            values |= {"status": "ok", **found.columns()}
-            values |= {"solved": solved(found)} if one.name == "pi_R" else {}
+        if scored := evaluations.get(one.name):
+            values |= {"status": "ok", **scored.columns()}
+            values |= {"solved": solved(scored)} if one.name == "pi_R" else {}
         rows.append(row_of(inputs.cell, one.name, inputs.conditions.protocol, **values))
     below_bar = _below_bar(inputs, evaluations["expert"]) if "expert" in evaluations else ""
     return Scored(candidates, evaluations, rows, solves, below_bar)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -78,10 +78,11 @@ class TaskWorld:
         return np.array(self._spec.executed(self._expert(obs.copy())))
 
     def agent(self, rng: np.random.Generator, **options: Unpack[Options]) -> WorldAgent:
+        def told(done: int) -> None:
+            self._told(self.env_steps + done)
+
         parts = self._spec, self._protocol, rng, self._library
-        return WorldAgent(
-            self, solver_for(*parts, told=lambda done: self._told(self.env_steps + done), **options)
-        )
+        return WorldAgent(self, solver_for(*parts, told=told, **options))
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         agent = self.agent(rng)
@@ -137,20 +138,28 @@ def solver_for(
     *,
     told: Callable[[int], None] = lambda done: None,
     kind: Kind = "own",
-    **options: Any,
+    init: Policy | StochasticPolicy | None = None,
+    demonstrations: Episodes | None = None,
+    entropy: float = 0.0,
 ) -> Agent | ExactSolver:
     """Return a solver of an environment: dynamic programming where its model is known, else RL by the
     library.
 
-    `kind`, `options`: as for `methods.base.World.agent`. `told`: as for `Agent`. Raises ValueError for a
+    `told`: as for `Agent`. The other options: as for `methods.base.World.agent`. Raises ValueError for a
     beginning that the solver cannot have.
     """
     if spec.tabular is None:
         # The PPO of Stable-Baselines3 keeps no steps.
         suits = kind == "own" or (kind == "stochastic" and isinstance(spec.rl, PPO) and library == "sbx")
         settings = spec.rl if suits else soft(spec.rl, spec.discrete)
-        return Agent(spec, protocol, rng, library, settings, told=told, **options)
-    if any(options.get(name) is not None for name in ("init", "demonstrations")):
+        return Agent(
+            *(spec, protocol, rng, library, settings),
+            told=told,
+            init=init,
+            demonstrations=demonstrations,
+            entropy=entropy,
+        )
+    if init is not None or demonstrations is not None:
         raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
     return ExactSolver(spec.tabular, spec.gamma, rng)
 

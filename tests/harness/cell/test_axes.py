@@ -7,6 +7,8 @@ import dataclasses
 import itertools
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,7 @@ from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
 from harness.cli.arguments import parser
 from harness.cli.main import main
+from harness.judge.leaderboard import leaderboard, scored_rows
 from harness.process.environment import CACHE_VARIABLE
 from harness.records import (
     CONTROLS,
@@ -38,6 +41,7 @@ from harness.store.names import files_of
 from harness.store.opening import open_to_verify
 from harness.store.request import Request
 from methods.base import Episodes
+from methods.maxmargin import feature_expectations
 
 SMOKE = Conditions("smoke", "absorbing", "sbx")
 MANY = Request(
@@ -109,6 +113,38 @@ def test_of_steps_that_are_not_shown_nothing_is_left() -> None:
         *range(20)
     }
     assert [len(act) for act in whole(2, 3).every(20, np.random.default_rng(2)).act] == [1, 1]
+
+
+def test_times_that_do_not_ascend_or_do_not_fit_are_refused() -> None:
+    shown = (np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,)
+    assert len(Episodes(*shown, times=(np.array([3, 8]),), steps=(9,)).pairs()[0]) == 2
+    for times in ([0, 0], [3, 9], [3]):
+        with pytest.raises(ValueError, match="ascend"):
+            Episodes(*shown, times=(np.array(times),), steps=(9,))
+
+
+def test_features_of_few_steps_stand_for_all() -> None:
+    world: Any = SimpleNamespace(horizon=60, gamma=0.95, phi=lambda obs, act: np.column_stack([act, act**2]))
+    every = feature_expectations(whole(50), world, world.phi)
+    some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world, world.phi)
+    np.testing.assert_allclose(some, every, atol=0.03)
+
+
+def test_each_board_has_its_own_scale() -> None:
+    results = []
+    for dynamics, expert, true in ((NOMINAL, 100.0, 90.0), ("flipped", -50.0, 60.0)):
+        results += [made(Cell("swingup", REFERENCE, 0, dynamics=dynamics), expert=expert, random=0.0)]
+        results += [made(Cell("swingup", "control_true", 0, dynamics=dynamics), pi_R=true)]
+        for demos in (0, 5):
+            cell = Cell("swingup", "shaped", 0, Shown(demos), dynamics)
+            results += [made(cell, pi_star=30.0 + demos, pi_R=45.0)]
+    found = {(e.board, e.method, e.policy): e for e in leaderboard(scored_rows(results))}
+    scores = {board: found[board, "shaped", "pi_star"].score_mean for board, _, _ in found}
+    expected = {"swingup": 0.30, "swingup, 5 demonstrations": 0.35, "swingup.flipped": 30 / 60}
+    assert scores == pytest.approx(expected | {"swingup.flipped, 5 demonstrations": 35 / 60})
+    assert found["swingup.flipped", "shaped", "pi_R"].share_of_true == pytest.approx(0.75)
+    for board in scores:  # also what nothing is shown to
+        assert found[board, "control_true", "pi_R"].seeds == 1
 
 
 @pytest.fixture
