@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
 from collections.abc import Iterator
 
@@ -108,19 +107,3 @@ def test_what_fails_is_a_line_and_what_was_measured_is_told(
     output = capsys.readouterr()
     assert "FAILED: Command" in output.err
     assert len(json.loads(output.out)["measures"]) == 1
-
-
-def test_of_a_stopped_bench_nothing_is_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def stop() -> Iterator[Measure]:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(speed, "measures", stop)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        assert cli.main(["bench"]) == 130
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    assert capsys.readouterr().err == "\nstopped; nothing is kept\n"

