@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.cell import scoring
+from harness.cell import run as running
 from harness.cell.experts import source_for
 from harness.cell.phases import Phase
 from harness.cell.run import prepare, run_cell
@@ -130,7 +130,7 @@ def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
     scored = dataclasses.replace(
         scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
     )
-    monkeypatch.setattr(scoring, "evaluate", lambda *of: scored)
+    monkeypatch.setattr(running, "evaluate", lambda *of: scored)
     assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
 
 
