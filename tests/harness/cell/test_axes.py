@@ -164,8 +164,8 @@ def test_demonstrators_show_what_they_are_called() -> None:
             assert np.array_equal(obs[0], other[0]), "the same episodes"
     off = noisy.act[0][0] - expert.act[0][0]
     assert off != 0
-    first = np.array([n[0] - e[0] for n, e in zip(shown(100, 1, "noisy").act, shown(100).act, strict=True)])
-    assert first.std() == pytest.approx(0.3, rel=0.25)
+    first = np.array([n[0] - e[0] for n, e in zip(shown(40, 1, "noisy").act, shown(40).act, strict=True)])
+    assert first.std() == pytest.approx(0.3, rel=0.3)
     for one_act, other_act in zip(shown(2).act, expert.act, strict=False):  # the first ones, but for rounding
         np.testing.assert_allclose(one_act, other_act, atol=1e-6)
     few = shown(6, 20)
@@ -194,11 +194,11 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
 ) -> None:
     out = tmp_path / "run"
     words = ["run", "--methods", "shaped,bc", "--envs", "swingup", "--budget", "smoke", "--rl", "sb3"]
-    words += ["--demos", "0,2", "--subsample", "7", "--transfer", "flipped", "--engine", "inline"]
+    words += ["--demos", "2", "--subsample", "7", "--transfer", "flipped", "--engine", "inline"]
     words += ["--out", str(out)]
     assert main(words) == 0, capsys.readouterr().err
     rows = pd.read_csv(out / "scores.csv")
-    assert (rows["status"] == "skipped").sum() == 2 * 2  # bc learns no reward
+    assert (rows["status"] == "skipped").sum() == 2  # bc learns no reward
     shaped = rows[(rows["method"] == "shaped") & (rows["demos"] == 2)].set_index(["dynamics", "policy"])
     assert 2 * 28 <= shaped.loc[(NOMINAL, "pi_star"), "pairs"] <= 2 * 29  # of 200 steps
     assert shaped["return_mean"][NOMINAL, "pi_star"] != shaped["return_mean"]["flipped", "pi_star"]
