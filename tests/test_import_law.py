@@ -73,7 +73,7 @@ def test_every_package_is_installed() -> None:
 
 
 def test_each_heavy_library_has_one_home() -> None:
-    at_home = [f"harness/rl/{name}.py" for name in ("models", "on_policy", "solving", "training_env")]
+    at_home = [f"harness/rl/{name}.py" for name in ("models", "training_env")]
     assert importers("stable_baselines3") == at_home
     assert importers("sbx") == ["harness/rl/models.py"]
     assert {Path(file).parent.as_posix() for file in importers("rerun")} == {"harness/recordings"}

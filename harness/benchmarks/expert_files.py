@@ -12,9 +12,8 @@ from pathlib import Path
 
 from pebble.concurrent import process as in_a_process
 
-from envs import EnvSpec
-from envs.spec import Shipped
 from harness.benchmarks.expert_training import Candidate, Measured, is_good, measure, meets_bar, train
+from harness.benchmarks.expert_training import shipped_of as shipped
 from harness.cell.experts import source_for
 from harness.cell.shipped import ShippedExpert, from_file, to_file
 from harness.engines.cell_environment import as_in_cells
@@ -25,7 +24,6 @@ from harness.rl.seeds import held_out_seeds, rng_for
 from harness.schedule.progress import say, tell
 from harness.store.files import LARGEST_OF_CELL, SUMS, as_lines, read, sha256, write_atomic
 from harness.store.marked import open_marked
-from methods.base import Policy
 
 MOST_TRIED = 20
 """Agents that are trained for a task's experts, at most."""
@@ -50,13 +48,20 @@ def train_all(envs: tuple[str, ...], out: Path, workers: int) -> None:
     Raises BadInput where too few meet the bar, where `out` holds anything else, or where another process has
     it.
     """
-    with (
-        open_marked(out, CANDIDATES, HEADER.encode(), "experts", _is_list),
-        as_in_cells(),
-    ):
+
+    def is_list(data: bytes) -> bool:
+        return data.isascii() and data.startswith(HEADER.encode())
+
+    def is_whole(env: str) -> bool:
+        try:
+            return len(_experts(out, env)) == shipped(SPECS[env]).experts
+        except BadInput:
+            return False
+
+    with open_marked(out, CANDIDATES, HEADER.encode(), "experts", is_list), as_in_cells():
         launch = in_a_process(context=get_context("spawn"))(train)  # type: ignore[call-overload]
         for env in envs:
-            if not _is_whole(out / f"{env}{KIND}", env):
+            if not is_whole(env):
                 _write_task(out, env, _trained(env, workers, launch))
         files = sorted(path.name for path in out.glob(f"*{KIND}") if path.stem in SPECS)
         write_atomic(out / SUMS, as_lines((sha256(out / name), name) for name in (CANDIDATES, *files)))
@@ -66,7 +71,7 @@ def _trained(env: str, workers: int, launch: Callable[[str, int], Training]) -> 
     """Return agents, trained side by side and in the order of their seeds until enough meet the bar."""
     agents, running, waiting = Agents(), dict[Training, int](), [*range(MOST_TRIED)]
     while True:
-        missing = _shipped(env).experts - sum(is_good(one) for one, _ in agents.values())
+        missing = shipped(SPECS[env]).experts - sum(is_good(one) for one, _ in agents.values())
         while waiting and len(running) < min(workers, missing):
             seed = waiting.pop(0)
             running[launch(env, seed)] = seed
@@ -82,18 +87,18 @@ def _trained(env: str, workers: int, launch: Callable[[str, int], Training]) -> 
 
 def _write_task(out: Path, env: str, agents: Agents) -> None:
     """Write all agents into the list, and the first that meet the bar, by their seeds, as experts."""
-    count = _shipped(env).experts
+    count = shipped(SPECS[env]).experts
     good = [seed for seed in sorted(agents) if is_good(agents[seed][0])][:count]
-    numbers = {seed: str(number) for number, seed in enumerate(good) if len(good) == count}
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        agents[seed][0]._replace(number=numbers.get(seed, "")) for seed in sorted(agents)
-    )
+    for seed, (one, _) in sorted(agents.items()):
+        number = str(good.index(seed)) if seed in good and len(good) == count else ""
+        csv.writer(text, lineterminator="\n").writerow(one._replace(number=number))
     listed = read(out / CANDIDATES).decode().splitlines(keepends=True)[1:]
-    others = [line for line in listed if not line.startswith(f"{env},")]
-    lines = [*others, *text.getvalue().splitlines(keepends=True)]
-    write_atomic(out / CANDIDATES, "".join([HEADER, *sorted(lines, key=lambda line: line.split(",")[0])]))
-    if not numbers:
+    lines = [line for line in listed if not line.startswith(f"{env},")]
+    lines += text.getvalue().splitlines(keepends=True)
+    lines.sort(key=lambda line: line.split(",")[0])
+    write_atomic(out / CANDIDATES, "".join([HEADER, *lines]))
+    if len(good) < count:
         raise BadInput(f"{env}: {len(good)} of {len(agents)} agents meet the bar, {count} are needed")
     write_atomic(out / f"{env}{KIND}", to_file(env, [agents[seed][1] for seed in good]))
 
@@ -103,26 +108,21 @@ def train_for_runs(envs: Sequence[str], seeds: Sequence[int], budget: str) -> No
     lacks them. Say what they reach on episodes that nothing else uses."""
     conditions, held_out = Conditions(budget, "absorbing", "sbx"), held_out_seeds(JUDGED)
     for env in envs:
-        spec = SPECS[env]
-        random = measure(spec, _random(spec), held_out).mean_return
+        spec, rng = SPECS[env], rng_for(0, env, "held out")
+        random = measure(spec, lambda obs: spec.random_actions(len(obs), rng), held_out).mean_return  # noqa: B023
         for seed in seeds:
             expert = source_for(env, seed, conditions).expert
             reached = f"{measure(spec, expert.policy, held_out)}, a random policy {random:.2f}"
             say(f"{env}, seed {seed}: {reached}; {expert.env_steps:,} steps of RL in {expert.seconds:.0f} s")
 
 
-def _random(spec: EnvSpec) -> Policy:
-    rng = rng_for(0, spec.name, "held out")
-    return lambda obs: spec.random_actions(len(obs), rng)
-
-
 def check(envs: tuple[str, ...], where: Path) -> bool:
     """Say what each expert in a folder reaches on episodes that nothing else uses. Returns whether all meet
     their bar. Raises BadInput where a task has none there, or they are damaged."""
-    experts = {env: _experts(where / f"{env}{KIND}", env) for env in envs}
+    experts = {env: _experts(where, env) for env in envs}
     missed = []
     for env in envs:
-        spec, seeds = SPECS[env], held_out_seeds(_shipped(env).episodes)
+        spec, seeds = SPECS[env], held_out_seeds(shipped(SPECS[env]).episodes)
         for number, one in enumerate(experts[env]):
             for kind, policy in (("expert", one.expert), ("medium", one.medium)):
                 measured, name = measure(spec, policy, seeds), f"{env} {kind}{number}"
@@ -134,30 +134,11 @@ def check(envs: tuple[str, ...], where: Path) -> bool:
     return not missed
 
 
-def _experts(path: Path, env: str) -> list[ShippedExpert]:
+def _experts(where: Path, env: str) -> list[ShippedExpert]:
+    path = where / f"{env}{KIND}"
     try:
         return from_file(read(path, LARGEST_OF_CELL), env)
     except FileNotFoundError as error:
-        raise BadInput(f"{path.parent} holds no experts of {env}") from error
+        raise BadInput(f"{where} holds no experts of {env}") from error
     except (OSError, ValueError) as error:
         raise BadInput(f"{path} is damaged: {error}") from error
-
-
-def _is_whole(path: Path, env: str) -> bool:
-    """Return whether all experts of a task are there."""
-    try:
-        return len(_experts(path, env)) == _shipped(env).experts
-    except BadInput:
-        return False
-
-
-def _shipped(env: str) -> Shipped:
-    """Return how a task's experts are made. Raises BadInput where it has none."""
-    if (shipped := SPECS[env].shipped) is None:
-        raise BadInput(f"{env} has no experts that are shipped")
-    return shipped
-
-
-def _is_list(data: bytes) -> bool:
-    """Return whether that may be what `candidates.csv` holds."""
-    return data.isascii() and data.startswith(HEADER.encode())

@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from envs import EnvSpec
+from envs.spec import Shipped
 from harness.cell.shipped import ShippedExpert
 from harness.judge.evaluation import evaluate
-from harness.registry import SPECS
+from harness.registry import SPECS, BadInput
 from harness.registry.bounds import thinned
 from harness.registry.machine import origin
 from harness.rl.seeds import rng_for, tuning_seeds
-from harness.rl.solving import Agent, Solution, disturbed
+from harness.rl.solving import Agent, disturbed
 from methods.base import Policy
 from methods.network import Network
 
@@ -67,6 +68,13 @@ class Measured(NamedTuple):
         return f"mean return {self.mean_return:.2f}, {self.terminated:.1%} ended early"
 
 
+def shipped_of(spec: EnvSpec) -> Shipped:
+    """Return how a task's experts are made. Raises BadInput where it has none."""
+    if spec.shipped is None:
+        raise BadInput(f"{spec.name} has no experts that are shipped")
+    return spec.shipped
+
+
 def measure(spec: EnvSpec, policy: Policy, seeds: range) -> Measured:
     """Return what a policy reaches on the episodes of these seeds."""
     scored = evaluate(spec, policy, seeds)
@@ -77,57 +85,65 @@ def measure(spec: EnvSpec, policy: Policy, seeds: range) -> Measured:
 def meets_bar(spec: EnvSpec, measured: Measured, margin: float = 1.0) -> bool:
     """Return whether an expert does what a shipped one must do. margin: share of the early endings
     allowed."""
-    assert spec.shipped is not None
-    allowed = spec.shipped.terminated
+    shipped = shipped_of(spec)
     ended_early = round(measured.terminated, 9)  # 10 of 1,000 are 1 %, and no more
-    return measured.mean_return >= spec.shipped.bar and (allowed is None or ended_early <= margin * allowed)
+    seldom = shipped.terminated is None or ended_early <= margin * shipped.terminated
+    return measured.mean_return >= shipped.bar and seldom
 
 
 def is_good(one: Candidate) -> bool:
     """Return whether an agent may become an expert, by its tuning episodes, and has a medium checkpoint."""
     share = (one.medium_return - one.random_return) / (one.mean_return - one.random_return)
-    spec, shares = SPECS[one.env], (one.terminated, one.confirmed)
-    both = all(meets_bar(spec, Measured(one.mean_return, early), MARGIN) for early in shares)
-    return both and abs(share - MEDIUM) <= MEDIUM_OFF
+    worst = Measured(one.mean_return, max(one.terminated, one.confirmed))
+    return meets_bar(SPECS[one.env], worst, MARGIN) and abs(share - MEDIUM) <= MEDIUM_OFF
 
 
 def confirm(spec: EnvSpec, policy: Policy, judged: Measured) -> float:
     """Return the share of further tuning episodes that end early, where it matters and those before do not
     rule the policy out."""
-    assert spec.shipped is not None
+    shipped = shipped_of(spec)
     if not meets_bar(spec, judged, MARGIN):
         return 1.0
-    if spec.shipped.terminated is None:
+    if shipped.terminated is None:
         return judged.terminated
-    episodes = spec.shipped.episodes
-    return measure(spec, policy, tuning_seeds((1 + MORE) * episodes)[episodes:]).terminated
+    seeds = tuning_seeds((1 + MORE) * shipped.episodes)[shipped.episodes :]
+    return measure(spec, policy, seeds).terminated
 
 
 def train(env: str, seed: int) -> tuple[Candidate, ShippedExpert]:
     """Return an agent trained on the true reward, judged on tuning episodes, and its policies."""
     spec, started = SPECS[env], time.perf_counter()
-    assert spec.shipped is not None
-    settings = spec.shipped.rl or spec.rl
-    if every := spec.shipped.checkpoint_every:
+    shipped = shipped_of(spec)
+    settings = shipped.rl or spec.rl
+    if every := shipped.checkpoint_every:
         settings = dataclasses.replace(settings, checkpoint_every=every)
     learner = Agent(spec, "absorbing", rng_for(seed, env, "shipped expert"), "sbx", settings)
-    solution = learner.solve(None, spec.shipped.steps)
-    few, rng = tuning_seeds(spec.shipped.episodes // FEWER), rng_for(seed, env, "random")
+    solution = learner.solve(None, shipped.steps)
+    policies, checked = solution.checkpoints, np.array([value for _, value in solution.true_curve])
+    few, rng = tuning_seeds(shipped.episodes // FEWER), rng_for(seed, env, "random")
     random_return = measure(spec, lambda obs: spec.random_actions(len(obs), rng), few).mean_return
-    ties, noisy = _near_ties(spec, solution, random_return, settings.noise)
+
+    # Of near-ties, those come first that meet the bar and bear noise best.
+    scale = checked.max() - random_return
+    near = np.flatnonzero(checked >= checked.max() - NEAR * scale).tolist()
+    plain = {i: measure(spec, policies[i], few) for i in thinned(near, MOST_NEAR)}
+    least = max(one.mean_return for one in plain.values()) - NEAR * scale
+    ties = [i for i, one in plain.items() if one.mean_return >= least]
+    noisy = {i: measure(spec, disturbed(policies[i], spec, settings.noise), few).mean_return for i in ties}
+    ties.sort(key=lambda i: (meets_bar(spec, plain[i], MARGIN), noisy[i], i), reverse=True)
     for chosen in ties:
-        judged = measure(spec, solution.checkpoints[chosen], tuning_seeds(spec.shipped.episodes))
-        confirmed = confirm(spec, solution.checkpoints[chosen], judged)
+        judged = measure(spec, policies[chosen], tuning_seeds(shipped.episodes))
+        confirmed = confirm(spec, policies[chosen], judged)
         if meets_bar(spec, judged._replace(terminated=confirmed), MARGIN):
             break
+
     half = random_return + MEDIUM * (judged.mean_return - random_return)
-    medium, medium_return = _nearest(spec, solution, half)
-    candidate = Candidate(
-        *(env, seed, "", *judged, confirmed, noisy[chosen], medium_return, random_return),
-        env_steps=solution.env_steps,
-        check_steps=solution.check_steps,
-        seconds=round(time.perf_counter() - started, 1),
-    )
+    nearest = np.abs(checked - half).argsort(kind="stable")[:MEDIUM_TRIED].tolist()
+    returns = {i: measure(spec, policies[i], few).mean_return for i in nearest}
+    medium = min(returns, key=lambda i: abs(returns[i] - half))
+    took = solution.env_steps, solution.check_steps, round(time.perf_counter() - started, 1)
+    reached = *judged, confirmed, noisy[chosen], returns[medium], random_return
+    candidate = Candidate(env, seed, "", *reached, *took)
     facts = {
         **candidate._asdict(),
         "settings": dataclasses.asdict(settings),
@@ -136,36 +152,7 @@ def train(env: str, seed: int) -> tuple[Candidate, ShippedExpert]:
         "checkpoint": solution.true_curve[chosen][0],
         "medium_checkpoint": solution.true_curve[medium][0],
     }
-    expert, half_way = solution.checkpoints[chosen], solution.checkpoints[medium]
+    expert, half_way = policies[chosen], policies[medium]
     assert isinstance(expert, Network)
     assert isinstance(half_way, Network)
     return candidate, ShippedExpert(expert, half_way, facts)
-
-
-def _near_ties(
-    spec: EnvSpec, solution: Solution, random_return: float, noise: float
-) -> tuple[list[int], dict[int, float]]:
-    """Return the checkpoints among the best, those first that meet the bar and bear noise best, and their
-    returns with noise on their actions."""
-    assert spec.shipped is not None
-    few = tuning_seeds(spec.shipped.episodes // FEWER)
-    checked = np.array([value for _, value in solution.true_curve])
-    scale = checked.max() - random_return
-    near = np.flatnonzero(checked >= checked.max() - NEAR * scale)
-    plain = {i: measure(spec, solution.checkpoints[i], few) for i in thinned(near.tolist(), MOST_NEAR)}
-    best = max(one.mean_return for one in plain.values())
-    ties = [i for i, one in plain.items() if one.mean_return >= best - NEAR * scale]
-    policies = {i: disturbed(solution.checkpoints[i], spec, noise) for i in ties}
-    noisy = {i: measure(spec, policy, few).mean_return for i, policy in policies.items()}
-    return sorted(ties, key=lambda i: (meets_bar(spec, plain[i], MARGIN), noisy[i], i), reverse=True), noisy
-
-
-def _nearest(spec: EnvSpec, solution: Solution, wanted: float) -> tuple[int, float]:
-    """Return the checkpoint whose return is nearest to that, and its return."""
-    assert spec.shipped is not None
-    few = tuning_seeds(spec.shipped.episodes // FEWER)
-    checked = np.array([value for _, value in solution.true_curve])
-    near = np.abs(checked - wanted).argsort(kind="stable")[:MEDIUM_TRIED]
-    returns = {int(i): measure(spec, solution.checkpoints[i], few).mean_return for i in near}
-    nearest = min(returns, key=lambda i: abs(returns[i] - wanted))
-    return nearest, returns[nearest]

@@ -22,11 +22,7 @@ for _ in sys.stdin:
     print("killed", flush=True)
 cluster.shutdown()
 """
-VARIABLES = {
-    "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-    "RAY_AUTH_MODE": "disabled",
-}
+VARIABLES = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
 ENDING = 60.0
 """Seconds that its process has to end."""
 
@@ -63,9 +59,7 @@ def local_cluster(nodes: int) -> Iterator[LocalCluster]:
         try:
             yield LocalCluster(process)
         finally:
-            assert process.stdin
-            process.stdin.close()
             try:
-                process.wait(ENDING)
+                process.communicate(timeout=ENDING)
             except subprocess.TimeoutExpired:
                 process.kill()

@@ -8,14 +8,11 @@ import multiprocessing
 import statistics
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
-
-import psutil
 
 from harness.engines.jobs import Engine
 from harness.records import Cell, CellResult, Conditions
@@ -29,8 +26,6 @@ REPEATS = 5
 SCORE = "of the expert"
 """Unit of normalised scores."""
 MEGABYTE = 1 << 20
-LOOK_EVERY = 0.2
-"""Seconds between looks at processes' memory."""
 
 
 @dataclass(frozen=True)
@@ -65,16 +60,16 @@ def compare(
 ) -> Measure:
     """Return how many times as fast ours is. Both return how much work they did, and take turns, because a
     machine's speed changes. The first turn does not count."""
+
+    def rate(work: Callable[[], int]) -> float:
+        started = time.perf_counter()
+        return work() / (time.perf_counter() - started)
+
     ratios = []
     for repeat in range(repeats + 1):
-        rates = {work: _rate(work) for work in ((ours, theirs) if repeat % 2 else (theirs, ours))}
+        rates = {work: rate(work) for work in ((ours, theirs) if repeat % 2 else (theirs, ours))}
         ratios.append(rates[ours] / rates[theirs])
     return Measure(name, "times", ratios[1:], bar)
-
-
-def _rate(work: Callable[[], int]) -> float:
-    started = time.perf_counter()
-    return work() / (time.perf_counter() - started)
 
 
 def command(arguments: Sequence[str]) -> float:
@@ -99,9 +94,9 @@ def compute(cells: list[Cell], conditions: Conditions, engine: Engine) -> list[C
     sink = Collected()
     with contextlib.redirect_stdout(io.StringIO()):
         Grid(conditions, sink, engine).run(cells)
-    reasons = [row.reason for result in sink.results for row in result.rows if row.status == "failed"]
-    if reasons:
-        raise RuntimeError(f"a cell failed: {reasons[0]}")
+    for row in (row for result in sink.results for row in result.rows):
+        if row.status == "failed":
+            raise RuntimeError(f"a cell failed: {row.reason}")
     return sink.results
 
 
@@ -109,31 +104,3 @@ def apart(work: Callable[[A], T], argument: A) -> T:
     """Return what the work returns in a process of its own."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         return process.submit(work, argument).result()
-
-
-@contextlib.contextmanager
-def watch() -> Iterator[list[float]]:
-    """Watch the memory of this process's descendants until the context ends.
-
-    Keep two numbers, in MB: the most that one process holds resident, shared libraries included, and the most
-    that all hold, shared pages counted once where the system says (Linux).
-    """
-    peak, over = [0.0, 0.0], threading.Event()
-
-    def look() -> None:
-        while not over.wait(LOOK_EVERY):
-            sizes = []
-            for child in psutil.Process().children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    sizes.append(child.memory_full_info())
-            resident, own = [s.rss for s in sizes], [getattr(s, "pss", s.rss) for s in sizes]
-            peak[0] = max(peak[0], max(resident, default=0) / MEGABYTE)
-            peak[1] = max(peak[1], sum(own) / MEGABYTE)
-
-    watcher = threading.Thread(target=look)
-    watcher.start()
-    try:
-        yield peak
-    finally:
-        over.set()
-        watcher.join()

@@ -34,11 +34,7 @@ TASKS, METHODS = 10, ("bc", "shaped")
 """Ten cells a task and seed, with the controls."""
 Shape = tuple[int, int, int, int]
 """Tasks, methods, ways to show demonstrations, and seeds of a run."""
-SHAPES: dict[str, Shape] = {
-    "of many seeds": (5, 10, 1, 689),
-    "of many boards": (5, 10, 100, 8),
-    "of one seed": (5, 100, 100, 1),
-}
+SHAPES: dict[str, Shape] = {"of many seeds": (5, 10, 1, 689), "of many boards": (5, 10, 100, 8)}
 """Runs of 100,000 rows."""
 FAULTS = 0.01
 """The share of jobs that fail, and of those that are lost the first time."""
@@ -104,32 +100,31 @@ def drive(count: int) -> tuple[int, float, float]:
     process adds. Raises RuntimeError where a cell does not come, or comes twice.
     """
     request, account, work = request_of(count), Account(), Faulty()
-    cpu, megabytes = _driven(request, account, work)
-    cells = len(request.cells)
+    memory = psutil.Process().memory_info().rss
+    cpu = _driven(request, account, work)
+    cells, came = len(request.cells), account.saved.total()
     if account.saved != Counter(request.cells) or account.failed != work.errors:
-        came = account.saved.total()
         raise RuntimeError(f"of {cells} cells {came} came, {account.failed} of them failed")
-    return cells, cpu, megabytes
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return cells, cpu, max(0, most - memory) / MEGABYTE
 
 
 def drive_and_store(count: int) -> tuple[int, float]:
     """Do the same with a store on disk. Raises RuntimeError where a cell cannot be loaded."""
     request = request_of(count)
     with tempfile.TemporaryDirectory() as folder, open_for_run(Path(folder) / "run", request, {}) as run:
-        cpu, _ = _driven(request, run, Faulty())
+        cpu = _driven(request, run, Faulty())
         loaded, _ = run.load()
     if loaded.keys() != {*request.cells}:
         raise RuntimeError(f"of {len(request.cells)} cells {len(loaded)} can be loaded")
     return len(loaded), cpu
 
 
-def _driven(request: Request, sink: Sink, work: Faulty) -> tuple[float, float]:
-    memory, began = psutil.Process().memory_info().rss, time.process_time()
+def _driven(request: Request, sink: Sink, work: Faulty) -> float:
+    began = time.process_time()
     with contextlib.redirect_stdout(io.StringIO()):
         Grid(request.conditions, sink, Simulated(WORKERS, work)).run(request.cells)
-    cpu = time.process_time() - began
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return 1000 * cpu / len(request.cells), max(0, most - memory) / MEGABYTE
+    return 1000 * (time.process_time() - began) / len(request.cells)
 
 
 def made_up(shape: Shape) -> tuple[Request, list[CellResult]]:

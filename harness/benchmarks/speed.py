@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -31,8 +30,6 @@ SOLVES = {
 """Tasks whose true reward is solved at full, and the seconds of one core that a solve may take."""
 SEEDS = range(100, 100 + REPEATS)
 """Seeds of those solves."""
-FIT_STEPS = 100_000
-"""Environment steps that the seconds of a fit are given for."""
 
 
 def measures() -> Iterator[Measure]:
@@ -43,10 +40,8 @@ def measures() -> Iterator[Measure]:
         yield compare(name, partial(_together, spec, policy), partial(_one_by_one, spec, policy), bar)
     for env, bar in SOLVES.items():
         yield from _solves(env, bar)
-    yield _fit("halfcheetah", "gail", bar=300)
     workers = partial(_grid, 2), partial(_grid, 1)
     yield compare("8 equal cells, 2 workers against 1", *workers, bar=1.8, repeats=2)
-    yield Measure("cells of cart-pole, share of time beside fit and RL", "%", _beside_the_work(), bar=3)
     with tempfile.TemporaryDirectory() as directory:
         cached = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", directory]
         command(cached)
@@ -91,22 +86,6 @@ def _solve(env: str, seed: int) -> tuple[float, float]:
     return seconds, float((reached - least) / (most - least))
 
 
-def _fit(env: str, method: str, bar: float) -> Measure:
-    """Return a fit's seconds on one core for `FIT_STEPS` environment steps, compilation included."""
-    [result] = compute([Cell(env, method, 0)], replace(QUICK, retrain=False), Processes(1))
-    row = result.rows[0]
-    name = f"{env}, {method}, fit, for each {FIT_STEPS:,} of {row.env_steps:,} environment steps"
-    return Measure(name, "s", [FIT_STEPS * row.fit_seconds / row.env_steps], bar)
-
-
 def _grid(workers: int) -> int:
     cells = [Cell("cartpole", "control_true", seed) for seed in range(8)]
     return len(compute(cells, QUICK, Processes(workers)))
-
-
-def _beside_the_work() -> list[float]:
-    """Return the share, in %, of each cell's time that is neither fit nor RL. The first cell, which compiles,
-    does not count."""
-    cells = [Cell("cartpole", "shaped", seed) for seed in range(1, REPEATS + 2)]
-    times = [result.seconds for result in compute(cells, QUICK, Processes(1))[1:]]
-    return [100 * (1 - (stages["fit"] + stages["retrain"]) / sum(stages.values())) for stages in times]

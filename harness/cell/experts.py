@@ -152,11 +152,10 @@ class Shipped(Played):
 
     @cached_property
     def expert(self) -> Expert:
-        number, shipped = self.shipped
-        facts = {key: shipped.facts[key] for key in ("seconds", "env_steps", "check_steps")}
-        return Expert(
-            f"{experts_version(self.env)}:{number}", shipped.expert, _curve(shipped.facts["curve"]), **facts
-        )
+        number, one = self.shipped
+        took = [one.facts[name] for name in ("seconds", "env_steps", "check_steps")]
+        name = f"{experts_version(self.env)}:{number}"
+        return Expert(name, one.expert, _curve(one.facts["curve"]), *took)
 
     def medium(self) -> Policy:
         return self.shipped[1].medium
@@ -171,18 +170,16 @@ class Trained(Played):
         if self.spec.tabular:  # which is faster than reading it
             return self._train()
         asked = [self.conditions.rl, self.spec.rl_steps[self.conditions.budget], asdict(self.spec.rl)]
-        content = kept(f"expert{self.seed}", self.env, asked, lambda: to_kept(self._train()))
-        return from_kept(content)
+        return from_kept(kept(f"expert{self.seed}", self.env, asked, lambda: to_kept(self._train())))
 
     def _train(self) -> Expert:
         started = time.perf_counter()
         rng = rng_for(self.seed, self.env, "expert")
         solver = solver_for(self.spec, "absorbing", rng, self.conditions.rl)
         solution = solver.solve(None, self.spec.rl_steps[self.conditions.budget])
-        seconds = time.perf_counter() - started
+        took = time.perf_counter() - started, solution.env_steps, solution.check_steps
         name = "exact" if self.spec.tabular else f"trained:{self.seed}"
-        steps = solution.env_steps, solution.check_steps
-        return Expert(name, solution.policy, _curve(solution.curve), seconds, *steps)
+        return Expert(name, solution.policy, _curve(solution.curve), *took)
 
 
 class FromFile(Source):
@@ -207,11 +204,8 @@ class FromFile(Source):
         if shown.demos:
             order = rng_for(self.seed, self.env, "demonstrations given").permutation(count)
             numbers = np.sort(order[: shown.demos])
-            obs, act, terminated = (
-                tuple(column[i] for i in numbers)
-                for column in (episodes.obs, episodes.act, episodes.terminated)
-            )
-            episodes = Episodes(obs, act, terminated)
+            columns = (episodes.obs, episodes.act, episodes.terminated)
+            episodes = Episodes(*(tuple(column[i] for i in numbers) for column in columns))
         return self.thinned(episodes, shown)
 
 
@@ -222,10 +216,8 @@ class NoExpert(FromFile):
     @cached_property
     def expert(self) -> Expert:
         spec, conditions = self.spec, self.conditions
-        demos = self.demonstrations(ALL_SHOWN)
-        world = TaskWorld(
-            spec, conditions.protocol, conditions.rl, solve_steps=spec.rl_steps[conditions.budget]
-        )
+        demos, steps = self.demonstrations(ALL_SHOWN), spec.rl_steps[conditions.budget]
+        world = TaskWorld(spec, conditions.protocol, conditions.rl, solve_steps=steps)
         method = load_method(STAND_IN)(**settings_for(STAND_IN, self.env, conditions.budget))
         learned = method.fit(demos, world, rng_for(self.seed, self.env, STAND_IN, "fit"))
         check_learned(learned, spec, demos)
@@ -237,15 +229,14 @@ def source_for(env: str, seed: int, conditions: Conditions) -> Source:
     """Return where a run seed's expert and demonstrations come from under the conditions."""
     if conditions.experts == "none":
         return NoExpert(env, seed, conditions)
-    if conditions.demonstrations:
-        return FromFile(env, seed, conditions)
-    return played_for(env, seed, conditions)
+    kind = FromFile if conditions.demonstrations else played_for
+    return kind(env, seed, conditions)
 
 
 def played_for(env: str, seed: int, conditions: Conditions) -> Played:
     """Return a run seed's expert: a shipped one, unless the task has none or conditions say 'trained'."""
     known = conditions.experts == "shipped" and not SPECS[env].tabular and experts_version(env)
-    return Shipped(env, seed, conditions) if known else Trained(env, seed, conditions)
+    return (Shipped if known else Trained)(env, seed, conditions)
 
 
 def task_for(env: str, conditions: Conditions) -> EnvSpec:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
-from harness.records import REFERENCE, PolicyName, policies_of
+from harness.records import PolicyName
 from harness.registry import load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
@@ -60,7 +60,6 @@ class Fitted:
     reward: Reward | None
     skipped: str = ""
     columns: Mapping[str, float] = field(default_factory=dict)
-    seconds: Seconds = field(default_factory=dict)
 
 
 def fit(inputs: Inputs) -> Fitted:
@@ -70,55 +69,39 @@ def fit(inputs: Inputs) -> Fitted:
         fitted = Fitted(Candidate("pi_star", learned["pi_star"], learned["reward"]), learned["reward"])
     else:
         fitted = _fit_now(inputs)
-    if fitted.skipped:
-        return fitted
-    if fitted.reward is None:
-        return replace(fitted, skipped="learns no reward")
-    return fitted if inputs.conditions.retrain else replace(fitted, skipped="not asked for")
+    why = (
+        "learns no reward" if fitted.reward is None else "" if inputs.conditions.retrain else "not asked for"
+    )
+    return replace(fitted, skipped=fitted.skipped or why)
 
 
 def _fit_now(inputs: Inputs) -> Fitted:
-    demos, columns, seconds = demonstrations(inputs)
-    world = inputs.world()
-    reason = ""
-    with inputs.stage("fit") as stopwatch:
-        try:
-            learned = learned_by(inputs, inputs.cell.method, demos, world)
-        except Unsuitable as error:
-            reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
-    seconds = added(seconds, {"fit": stopwatch.seconds})
-    if reason:
-        return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason, seconds=seconds)
+    demos, world = demonstrations(inputs), inputs.world()
+    try:
+        learned = learned_by(inputs, inputs.cell.method, demos, world)
+    except Unsuitable as error:
+        reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
+        return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason)
     if inputs.is_transfer:  # the cell in the task's own dynamics has the columns of the fit
-        star = Candidate("pi_star", learned.policy, learned.reward)
-        return Fitted(star, learned.reward, seconds=seconds)
+        return Fitted(Candidate("pi_star", learned.policy, learned.reward), learned.reward)
+    columns = {"pairs": _pairs(demos)}
     if learned.reward is not None and demos.whole:
         paid = totals(fast(learned.reward), list(zip(demos.obs, demos.act, strict=True)))
-        columns = {**columns, "own_return_shown": float(paid.mean())}
-    star = _star(inputs, learned, world, stopwatch.seconds)
-    return Fitted(star, learned.reward, columns=columns, seconds=seconds)
+        columns["own_return_shown"] = float(paid.mean())
+    return Fitted(_star(inputs, learned, world), learned.reward, columns=columns)
 
 
-def _star(inputs: Inputs, learned: Learned, world: TaskWorld, seconds: float) -> Candidate:
+def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
     """Return pi* with what its fit took, and with the method's own curves and numbers."""
-    most = MOST_CURVES - OWN_CURVES
-    warnings: tuple[str, ...] = ()
-    if len(learned.curves) > most:
-        warnings = (f"{inputs.cell.name}: of {len(learned.curves)} curves the first {most} are kept",)
-    answers = {"answers of the expert": world.answers} if world.answers else {}
+    most, count = MOST_CURVES - OWN_CURVES, len(learned.curves)
+    warning = f"{inputs.cell.name}: of {count} curves the first {most} are kept"
+    took = {name: getattr(world, name) for name in ("env_steps", "check_steps", "rl_solves")}
     return Candidate(
-        "pi_star",
-        learned.policy,
-        learned.reward,
-        columns={
-            "fit_seconds": seconds,
-            "env_steps": world.env_steps,
-            "check_steps": world.check_steps,
-            "rl_solves": world.rl_solves,
-        },
-        curves={name: _curve(values) for name, values in list(learned.curves.items())[:most]},
-        details={**learned.details, **answers},
-        warnings=warnings,
+        *("pi_star", learned.policy, learned.reward),
+        columns={"fit_seconds": inputs.seconds["fit"], **took},
+        curves={name: _curve(values) for name, values in [*learned.curves.items()][:most]},
+        details={**learned.details, **({"answers of the expert": world.answers} if world.answers else {})},
+        warnings=(warning,) if count > most else (),
     )
 
 
@@ -127,58 +110,43 @@ def _curve(values: Sequence[float]) -> Curve:
     return [(float(x), float(y)) for x, y in thinned(list(enumerate(values, 1)), MOST_POINTS)]
 
 
-def demonstrations(inputs: Inputs) -> tuple[Episodes, dict[str, float], Seconds]:
-    """Return the demonstrations of the environment and seed, their count of pairs, and the wall time."""
-    with inputs.stage("demonstrate") as stopwatch:
-        demos = inputs.shared.demonstrations(inputs.cell.shown)
-    return demos, {"pairs": sum(map(len, demos.act))}, {"demonstrate": stopwatch.seconds}
+def _pairs(demos: Episodes) -> float:
+    return sum(map(len, demos.act))
+
+
+def demonstrations(inputs: Inputs) -> Episodes:
+    """Return the demonstrations of the environment and seed."""
+    with inputs.stage("demonstrate"):
+        return inputs.shared.demonstrations(inputs.cell.shown)
 
 
 def learned_by(inputs: Inputs, method: str, demos: Episodes, world: World) -> Learned:
     """Return what a method learns with the settings of its environment and budget."""
-    settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
-    rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_FIT.get(method, method), "fit")
-    own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
-    learned = load_method(method)(**settings).fit(own, world, rng)
-    check_learned(learned, inputs.spec, demos)
+    with inputs.stage("fit"):
+        settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
+        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_FIT.get(method, method), "fit")
+        own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
+        learned = load_method(method)(**settings).fit(own, world, rng)
+        check_learned(learned, inputs.spec, demos)
     return learned
 
 
 def fit_control(inputs: Inputs) -> Fitted:
     """Return the reward of a control, None for the true one."""
-    learned = inputs.shared.learned
+    learned, control = inputs.shared.learned, inputs.cell.method
     if (reward := learned.get("reward")) is not None:  # bc has none
-        return Fitted(None, cast(Reward, reward))
-    columns, seconds = dict[str, float](), list[Seconds]()
+        return Fitted(None, reward)
+    columns = dict[str, float]()
 
     def shown() -> Episodes:
-        demos, pairs, took = demonstrations(inputs)
-        columns.update(pairs)
-        seconds.append(took)
+        demos = demonstrations(inputs)
+        columns["pairs"] = _pairs(demos)
         return demos
 
     def fitted(method: str, demos: Episodes) -> Learned:
-        if inputs.cell.method == "control_clone" and "pi_star" in learned:
+        if control == "control_clone" and "pi_star" in learned:
             return Learned(learned["pi_star"], None)
-        with inputs.stage("fit") as stopwatch:
-            result = learned_by(inputs, method, demos, inputs.world())
-        seconds.append({"fit": stopwatch.seconds})
-        return result
+        return learned_by(inputs, method, demos, inputs.world())
 
-    control = inputs.cell.method
     reward = control_reward(control, shown, fitted, inputs.spec.random_actions, inputs.rng("control"))
-    return Fitted(None, reward, columns=columns, seconds=added(*seconds))
-
-
-def random_policy(inputs: Inputs) -> Policy:
-    """Return the random policy of the environment and seed, whose actions are the same in every cell."""
-    spec = inputs.place
-    rng = rng_for(inputs.cell.seed, inputs.cell.env, REFERENCE, "random policy")
-    return lambda obs: spec.random_actions(len(obs), rng)
-
-
-def skipped(inputs: Inputs, fitted: Fitted) -> list[Candidate]:
-    """Return the candidates of a cell in which RL does not follow the fit."""
-    assert fitted.star is not None
-    rest = [name for name in policies_of(inputs.cell) if name != "pi_star"]
-    return [fitted.star, *(Candidate(name, None, columns={"reason": fitted.skipped}) for name in rest)]
+    return Fitted(None, reward, columns=columns)

@@ -33,8 +33,7 @@ def store(summary: str, episodes: Episodes, rewards: Sequence[Array] | None) -> 
 
 def stored(summary: str) -> dict[str, NDArray[Any]]:
     """Return their arrays (`harness.demonstrations.arrays`). Raises ValueError where they are gone."""
-    content = load(file_of(summary))
-    if content is None:
+    if (content := load(file_of(summary))) is None:
         raise ValueError("the demonstrations are gone from the cache; give --demos-from again")
     return content.arrays
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,20 +14,11 @@ from envs import EnvSpec
 from harness.cell.experts import task_for
 from harness.cell.phases import Phase
 from harness.cell.shared import Shared
-from harness.records import NOMINAL, Cell, Conditions, takes_one_solve
+from harness.records import NOMINAL, REFERENCE, Cell, Conditions, takes_one_solve
 from harness.registry import ASKING
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import TaskWorld
-
-Seconds = Mapping[str, float]
-"""Wall time by stage."""
-
-
-@dataclass
-class Stopwatch:
-    """The wall time of a block of code, in seconds, known once the block has ended."""
-
-    seconds: float = 0.0
+from methods.base import Policy
 
 
 @dataclass(frozen=True)
@@ -35,22 +26,24 @@ class Inputs:
     """A cell, its conditions, and the expert, demonstrations and replays that it shares with others.
 
     `report`: a callable that receives the name of the stage that begins, and how far it is.
+    `seconds`: the wall time of each stage so far.
     """
 
     cell: Cell
     conditions: Conditions
     shared: Shared
     report: Callable[[Phase], None] = lambda phase: None
+    seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
-    def stage(self, name: str, returns: Mapping[str, float] | None = None) -> Iterator[Stopwatch]:
+    def stage(self, name: str, returns: Mapping[str, float] | None = None) -> Iterator[None]:
         """Report that a stage begins, and measure its wall time."""
         self.report(Phase(name, returns=returns or {}))
-        stopwatch, began = Stopwatch(), time.perf_counter()
+        began = time.perf_counter()
         try:
-            yield stopwatch
+            yield
         finally:
-            stopwatch.seconds = time.perf_counter() - began
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
     @cached_property
     def spec(self) -> EnvSpec:
@@ -87,6 +80,11 @@ class Inputs:
         """Return the random numbers of this cell for one purpose."""
         return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
 
+    def random_policy(self) -> Policy:
+        """Return the random policy of the environment and seed, whose actions are the same in every cell."""
+        rng, place = rng_for(self.cell.seed, self.cell.env, REFERENCE, "random policy"), self.place
+        return lambda obs: place.random_actions(len(obs), rng)
+
     def world(self) -> TaskWorld:
         """Return a new world for a method, in which the expert answers only methods that ask it."""
         expert = self.shared.expert.policy if self.cell.method in ASKING else None
@@ -96,9 +94,3 @@ class Inputs:
             solve_steps=self.rl_steps,
             budget=self.conditions.budget,
         )
-
-
-def added(*stages: Seconds) -> dict[str, float]:
-    """Return the wall time of each stage, summed over these measurements."""
-    names = dict.fromkeys(name for stage in stages for name in stage)
-    return {name: sum(stage.get(name, 0.0) for stage in stages) for name in names}

@@ -33,12 +33,10 @@ class Phase:
 
     def __str__(self) -> str:
         """Return words for people, such as 'RL step 12k of 40k'."""
-        words = [IN_WORDS.get(self.stage, self.stage)]
-        if self.step is not None:
-            words.append(f"step {short(self.step)}")
-        if self.of is not None:
-            words.append(f"of {short(self.of)}")
-        return "; ".join([" ".join(words), *filter(None, [returned(self.returns)])])
+        counts = [("step", self.step), ("of", self.of)]
+        words = [f"{word} {short(count)}" for word, count in counts if count is not None]
+        text = " ".join([IN_WORDS.get(self.stage, self.stage), *words])
+        return f"{text}; {returned(self.returns)}" if self.returns else text
 
 
 def returned(returns: Mapping[str, float]) -> str:

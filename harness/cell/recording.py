@@ -1,4 +1,4 @@
-"""Recordings of evaluation episodes, played again from their actions."""
+"""Recordings of evaluation episodes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from harness.cell.fitting import Candidate
 from harness.cell.inputs import Inputs
-from harness.cell.watched import Watched, chosen
 from harness.judge.advantage import policy_advantage
 from harness.judge.evaluation import Evaluation
-from harness.judge.numbers import as_text
 from harness.recordings.episode import Advantage, Episode
 from harness.recordings.episode import record as recording
 from harness.recordings.maps import maps
 from harness.recordings.scenes import scene
-from harness.registry.bounds import LARGEST
+from harness.registry import Record
+from harness.registry.bounds import LARGEST, MOST_EPISODES
 from harness.rl.exact import expected_rewards
 from harness.rl.simulator import Simulator, Trajectory
 from harness.store.names import recording_of
@@ -31,40 +30,24 @@ NO_NUMBERS = "It records episodes that were scored before."
 
 MOMENTS = 6
 """Parts of an episode whose advantage is recorded, where the model is not known."""
-LANES = 100
-"""The most episodes that are played side by side."""
-SLACK = 1e-9
-"""The largest difference, as a share, of an episode's return from the scored one when it is played again."""
 LEAST_WEIGHT = 0.05
 """The discount at which the expert's further rewards no longer count."""
 
 
-def record(
-    inputs: Inputs, candidate: Candidate, evaluation: Evaluation, watched: Watched
-) -> tuple[dict[str, bytes], list[str]]:
-    """Return the recordings of a policy's episodes by file name, and a warning for each that is missing.
-
-    An episode is not recorded where its actions earn another return when they are played again.
-    """
+def record(inputs: Inputs, candidate: Candidate, evaluation: Evaluation) -> dict[str, bytes]:
+    """Return the recordings of a policy's episodes by file name."""
     spec, reward, policy, expert = inputs.place, candidate.reward, candidate.policy, None
     assert policy is not None
-    has_expert = inputs.conditions.experts != "none" and candidate.name != "expert"
-    if has_expert and not inputs.is_transfer:
+    if inputs.conditions.experts != "none" and candidate.name != "expert" and not inputs.is_transfer:
         expert = inputs.shared.expert.policy
-    actions = watched.actions([int(length) for length in evaluation.lengths])
     numbers = chosen(inputs.conditions.record, evaluation.returns)
     seeds = [inputs.seeds[number] for number in numbers.values()]
-    played = play(spec, seeds, [actions[number] for number in numbers.values()])
+    played = [evaluation.episodes[number] for number in numbers.values()]
     worth: Sequence[Advantage | None] = [None] * len(played)
     if expert is not None:
         worth = advantages(spec, expert, played, seeds, reward)
-    files, warnings = dict[str, bytes](), list[str]()
-    for (which, number), seed, trajectory, advantage in zip(
-        numbers.items(), seeds, played, worth, strict=True
-    ):
-        if warning := _differs(trajectory, evaluation, number):
-            warnings.append(f"{inputs.cell.name}, {candidate.name}: {warning}")
-            continue
+    files = dict[str, bytes]()
+    for which, seed, trajectory, advantage in zip(numbers, seeds, played, worth, strict=True):
         obs = trajectory.obs[:-1]
         f, precision = shaped_parts(reward, obs)
         episode = Episode(
@@ -76,29 +59,24 @@ def record(
             precision=precision,
             advantage=advantage,
             maps=maps(spec, policy, reward, trajectory.obs),
-            facts=_place(evaluation, number),
+            facts=_place(evaluation, numbers[which]),
         )
         name = recording_of(inputs.cell, candidate.name, which)
         files[name] = recording(spec, inputs.cell, candidate.name, which, episode)
-    return files, warnings
+    return files
 
 
-def _differs(trajectory: Trajectory, evaluation: Evaluation, number: int) -> str:
-    """Return a warning where an episode that was played again earns another return, '' where it does not."""
-    again, once = float(trajectory.rewards.sum()), float(evaluation.returns[number])
-    if math.isclose(again, once, rel_tol=SLACK, abs_tol=SLACK):
-        return ""
-    return (
-        f"evaluation episode {number} returned {as_text(once, '.6g')}, and {as_text(again, '.6g')} when its "
-        "actions were played again: the task is not reproducible, nothing is recorded"
-    )
+def chosen(kind: Record, returns: Array) -> dict[str, int]:
+    """Return the numbers of the episodes to record, by what each is.
 
-
-def play(spec: EnvSpec, seeds: Sequence[int], acts: Sequence[Array]) -> list[Trajectory]:
-    """Return the episodes of these actions, (T, A) each, as a policy chose them."""
-    executed = [spec.executed(act) for act in acts]
-    simulator = Simulator(spec, min(LANES, len(seeds)))
-    return simulator.run(lambda obs: np.zeros((len(obs), spec.act_size)), seeds, executed)
+    The median is the lower of two. Ties go to the first episode.
+    """
+    order = np.argsort(returns, kind="stable")
+    named = {"median": int(order[(len(order) - 1) // 2]), "worst": int(order[0])}
+    if kind in named:
+        return {kind: named[kind]}
+    rest = range(min(len(returns), MOST_EPISODES)) if kind == "all" else ()
+    return named | {f"episode_{i}": i for i in rest if i not in named.values()}
 
 
 def _place(evaluation: Evaluation, number: int) -> dict[str, str | float]:
@@ -133,11 +111,7 @@ def shaped_parts(reward: Reward | None, obs: Array) -> tuple[Array | None, Array
 
 
 def advantages(
-    spec: EnvSpec,
-    expert: Policy,
-    played: Sequence[Trajectory],
-    seeds: Sequence[int],
-    reward: Reward | None,
+    spec: EnvSpec, expert: Policy, played: Sequence[Trajectory], seeds: Sequence[int], reward: Reward | None
 ) -> list[Advantage | None]:
     """Return the advantage of each episode's actions over the expert's, under both rewards.
 
@@ -151,7 +125,7 @@ def advantages(
     moments = [np.unique(np.linspace(0, len(one.act), MOMENTS + 1).astype(np.int64)) for one in played]
     begun = [one.act[:at] for one, times in zip(played, moments, strict=True) for at in times[:-1]]
     each = [seed for seed, times in zip(seeds, moments, strict=True) for _ in times[:-1]]
-    taken_over = iter(Simulator(spec, min(LANES, len(begun))).run(expert, each, begun, most))
+    taken_over = iter(Simulator(spec).run(expert, each, begun, most))
     result = list[Advantage | None]()
     for one, times in zip(played, moments, strict=True):
         others = [next(taken_over) for _ in times[:-1]]

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from harness.cell.fitting import Candidate, Fitted, random_policy, skipped
-from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.fitting import Candidate, Fitted
+from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.evaluation import totals
@@ -25,32 +25,22 @@ JUDGING_EPISODES = 20
 
 @dataclass(frozen=True)
 class Retrained:
-    """The policies of a cell, ready to be scored.
-
-    columns: columns of all rows of the cell.
-    """
+    """The policies of a cell, ready to be scored. columns: columns of all rows of the cell."""
 
     candidates: Sequence[Candidate]
     columns: Mapping[str, float] = field(default_factory=dict)
-    seconds: Seconds = field(default_factory=dict)
 
 
 def reference(inputs: Inputs) -> Retrained:
     """Return the expert, or the demonstrations that score 1 in its place, and the random policy."""
-    expert = inputs.shared.expert
-    random = Candidate("random", random_policy(inputs))
+    expert, random = inputs.shared.expert, Candidate("random", inputs.random_policy())
     if expert.returns:
-        return Retrained(
-            [Candidate("expert", None, columns={"status": "ok", **dict(expert.returns)}), random]
-        )
-    took = {
-        "fit_seconds": expert.seconds,
-        "env_steps": expert.env_steps,
-        "check_steps": expert.check_steps,
-        "rl_solves": 1,
-    }
-    curves = {"expert": list(expert.curve)}
-    return Retrained([Candidate("expert", expert.policy, columns=took, curves=curves), random])
+        columns = {"status": "ok", **dict(expert.returns)}
+        return Retrained([Candidate("expert", None, columns=columns), random])
+    took = {"env_steps": expert.env_steps, "check_steps": expert.check_steps, "rl_solves": 1}
+    columns = {"fit_seconds": expert.seconds, **took}
+    curves = {"expert": [*expert.curve]}
+    return Retrained([Candidate("expert", expert.policy, columns=columns, curves=curves), random])
 
 
 def retrain(inputs: Inputs, fitted: Fitted) -> Retrained:
@@ -58,40 +48,35 @@ def retrain(inputs: Inputs, fitted: Fitted) -> Retrained:
 
     Ties go to the first solve. Each solve learns from scratch with the expert's budget.
     """
+    star, reward = [fitted.star] if fitted.star else [], fitted.reward
     if fitted.skipped:
-        return Retrained(skipped(inputs, fitted), fitted.columns, fitted.seconds)
-    reward = fitted.reward
-    with inputs.stage("retrain") as stopwatch:
+        rest = Candidate("pi_R", None, columns={"reason": fitted.skipped})
+        return Retrained([*star, rest], fitted.columns)
+    with inputs.stage("retrain"):
         solutions = [solve(inputs, reward, number) for number in range(inputs.solves)]
         judged, judging_steps = [math.nan], 0
         if reward is not None and len(solutions) > 1:
             judged, judging_steps = judge(inputs, reward, [solution.policy for solution in solutions])
-    chosen = max(range(len(solutions)), key=lambda i: judged[i] if usable(judged[i]) else -math.inf)
-    distances, measuring = measure(inputs, reward)
+    best = max(range(len(solutions)), key=lambda i: judged[i] if usable(judged[i]) else -math.inf)
+    chosen, at = solutions[best], solutions[best].best
     trained = Candidate(
-        "pi_R",
-        solutions[chosen].policy,
-        reward,
+        *("pi_R", chosen.policy, reward),
         columns={
-            "fit_seconds": stopwatch.seconds,
+            "fit_seconds": inputs.seconds["retrain"],
             "env_steps": sum(solution.env_steps for solution in solutions),
             "check_steps": sum(solution.check_steps for solution in solutions) + judging_steps,
             "rl_solves": len(solutions),
             "solves": len(solutions),
-            **distances,
+            **measure(inputs, reward),
         },
-        curves=_curves(solutions[chosen]),
+        curves={
+            "pi_R": chosen.curve,
+            "pi_R_true": chosen.true_curve,
+            "pi_R_chosen": chosen.curve[at : at + 1],
+        },
         solves=[(solution.policy, earned) for solution, earned in zip(solutions, judged, strict=True)],
     )
-    candidates = [trained] if fitted.star is None else [fitted.star, trained]
-    seconds = added(fitted.seconds, {"retrain": stopwatch.seconds}, measuring)
-    return Retrained(candidates, fitted.columns, seconds)
-
-
-def _curves(solution: Solution) -> dict[str, list[tuple[float, float]]]:
-    """Return the learning curves of a solve, with the checkpoint that was chosen."""
-    chosen = solution.curve[solution.best : solution.best + 1]
-    return {"pi_R": solution.curve, "pi_R_true": solution.true_curve, "pi_R_chosen": chosen}
+    return Retrained([*star, trained], fitted.columns)
 
 
 def solve(inputs: Inputs, reward: Reward | None, number: int) -> Solution:
@@ -110,18 +95,17 @@ def solve(inputs: Inputs, reward: Reward | None, number: int) -> Solution:
 def judge(inputs: Inputs, reward: Reward, policies: Sequence[Policy]) -> tuple[list[float], int]:
     """Return the mean return of each policy under the reward on the judging episodes, and their steps."""
     seeds = judging_seeds(inputs.cell.seed, JUDGING_EPISODES)
-    played = list(Simulator(inputs.place).run_each(policies, seeds))
-    shown = [[(episode.obs, episode.act) for episode in episodes] for episodes in played]
+    shown = [[(e.obs, e.act) for e in played] for played in Simulator(inputs.place).run_each(policies, seeds)]
     earned = [float(totals(fast(reward), episodes).mean()) for episodes in shown]
-    return earned, sum(len(episode.act) for episodes in played for episode in episodes)
+    return earned, sum(len(act) for episodes in shown for _, act in episodes)
 
 
-def measure(inputs: Inputs, reward: Reward | None) -> tuple[dict[str, float], Seconds]:
+def measure(inputs: Inputs, reward: Reward | None) -> dict[str, float]:
     """Return the columns that compare the reward with the true one in the task's own dynamics."""
     if inputs.is_transfer:
-        return {}, {}
+        return {}
     spec = inputs.spec
-    with inputs.stage("measure") as stopwatch:
+    with inputs.stage("measure"):
         if spec.tabular:
             comparison = known_comparison(reward, spec.tabular, spec.gamma)
         else:
@@ -129,4 +113,4 @@ def measure(inputs: Inputs, reward: Reward | None) -> tuple[dict[str, float], Se
         columns = {f"reward_{name}": value for name, value in comparison._asdict().items()}
         if ranked := inputs.shared.ranked:
             columns["policy_ranking"] = ranked.ranking(reward)
-    return columns, {"measure": stopwatch.seconds}
+    return columns

@@ -2,25 +2,56 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from harness.cell.fitting import fit, fit_control
-from harness.cell.inputs import Inputs, Seconds, added
+from harness.cell.fitting import Candidate, fit, fit_control
+from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import Retrained, reference, retrain
-from harness.cell.scoring import Scored, means, score
 from harness.cell.settings import settings_of
 from harness.cell.shared import Shared
 from harness.cell.shared import prepare as shared_by
 from harness.judge import effort
-from harness.records import CONTROLS, LEARNED, REFERENCE, UNSHOWN, Cell, CellResult, Conditions
+from harness.judge.evaluation import Evaluation, evaluate, is_solved
+from harness.judge.numbers import as_text
+from harness.records import (
+    CONTROLS,
+    LEARNED,
+    REFERENCE,
+    UNSHOWN,
+    Cell,
+    CellResult,
+    Conditions,
+    PolicyName,
+    Row,
+    Solve,
+    row_of,
+)
 from harness.registry import plugins
 from harness.store.artifacts import artifact
 from harness.store.files import sha256_of
 from methods.base import Policy, Reward
+from methods.rewards import fast
 
 Files = dict[str, bytes]
 """Files that a cell adds to its run, by their path there."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The rows of a cell, with the evaluations that they come from.
+
+    `below_bar`: the reason why the expert cannot be trusted, '' where it meets its bar.
+    """
+
+    candidates: Sequence[Candidate]
+    evaluations: Mapping[PolicyName, Evaluation]
+    rows: Sequence[Row]
+    solves: Sequence[Solve]
+    below_bar: str
 
 
 def prepare(cells: Sequence[Cell], conditions: Conditions) -> Files:
@@ -41,64 +72,114 @@ def run_cell(
     the cell's method raises.
     """
     inputs = Inputs(cell, conditions, Shared(shared), report)
-    scored = score(inputs, _retrained(inputs))
-    learned, unstored, storing = learned_file(inputs, scored)
-    recordings, unrecorded, recording = _record(inputs, scored)
+    if cell.method == REFERENCE:
+        scored = score(inputs, reference(inputs))
+    else:
+        scored = score(inputs, retrain(inputs, (fit_control if cell.method in CONTROLS else fit)(inputs)))
+    with inputs.stage("record", means(scored.evaluations)):
+        learned, unstored = _artifact(inputs, scored)
+        recordings = _recordings(inputs, scored)
     warnings = [warning for one in scored.candidates for warning in one.warnings]
-    warnings += [*filter(None, [scored.below_bar, _effort(inputs)]), *unstored, *unrecorded]
     result = CellResult(
         cell,
-        rows=list(scored.rows),
+        rows=[*scored.rows],
         curves={name: curve for one in scored.candidates for name, curve in one.curves.items()},
         endings={name: evaluation.endings for name, evaluation in scored.evaluations.items()},
-        warnings=warnings,
+        warnings=[*warnings, *filter(None, [scored.below_bar, _effort(inputs)]), *unstored],
         recordings={name: sha256_of(data) for name, data in recordings.items()},
         learned=sha256_of(learned) if learned else "",
         below_bar=bool(scored.below_bar),
         details={name: value for one in scored.candidates for name, value in one.details.items()},
         like=list(plugins.like(cell.method)),
-        solves=list(scored.solves),
-        seconds=added(scored.seconds, storing, recording),
+        solves=[*scored.solves],
+        seconds=inputs.seconds,
         settings=settings_of(cell.method, cell.env, conditions),
     )
     files = {f"recordings/{name}": data for name, data in recordings.items()}
     return result, files | ({LEARNED: learned} if learned else {})
 
 
-def _retrained(inputs: Inputs) -> Retrained:
-    """Return the policies that the cell scores."""
-    if inputs.cell.method == REFERENCE:
-        return reference(inputs)
-    return retrain(inputs, fit_control(inputs) if inputs.cell.method in CONTROLS else fit(inputs))
+def means(evaluations: Mapping[PolicyName, Evaluation]) -> dict[str, float]:
+    """Return the mean return of each policy."""
+    return {str(name): float(result.returns.mean()) for name, result in evaluations.items()}
 
 
-def learned_file(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str], Seconds]:
-    """Return what was learned as bytes, warnings of what is not in them, and the wall time."""
-    candidates = scored.candidates
+def score(inputs: Inputs, retrained: Retrained) -> Scored:
+    """Return the rows of the cell, from native episodes of each policy."""
+    candidates, columns = retrained.candidates, {**retrained.columns}
+    evaluations = dict[PolicyName, Evaluation]()
+    with inputs.stage("score"):
+        trained = candidates[-1]
+        if inputs.cell.method not in (REFERENCE, *CONTROLS) and trained.policy:
+            by_chance = evaluated(inputs, inputs.random_policy(), trained.reward)
+            columns["own_return_random"] = by_chance.own_return
+        for one in candidates:
+            if one.policy:
+                evaluations[one.name] = evaluated(inputs, one.policy, one.reward)
+                inputs.report(Phase("score", returns=means(evaluations)))
+        star = evaluations["pi_star"].own_return if "pi_star" in evaluations else math.nan
+
+        def solved(result: Evaluation) -> float:
+            """Return whether RL solved R*, by a policy that it learned."""
+            return is_solved(result.own_return, star, columns.get("own_return_random", math.nan))
+
+        solves = []
+        for policy, judged in trained.solves:
+            is_chosen = policy is trained.policy
+            result = evaluations["pi_R"] if is_chosen else evaluated(inputs, policy, trained.reward)
+            solves.append(Solve(judged, result.own_return, float(result.returns.mean()), solved(result)))
+    rows = []
+    for one in candidates:
+        name = inputs.shared.expert.column(inputs.cell.method)
+        values: dict[str, Any] = {"status": "skipped", "expert": name, **columns, **one.columns}
+        if scored := evaluations.get(one.name):
+            values |= {"status": "ok", **scored.columns()}
+            values |= {"solved": solved(scored)} if one.name == "pi_R" else {}
+        rows.append(row_of(inputs.cell, one.name, inputs.conditions.protocol, **values))
+    below_bar = _below_bar(inputs, evaluations["expert"]) if "expert" in evaluations else ""
+    return Scored(candidates, evaluations, rows, solves, below_bar)
+
+
+def evaluated(inputs: Inputs, policy: Policy, reward: Reward | None) -> Evaluation:
+    """Return the evaluation of a policy, by the true reward and by its own."""
+    return evaluate(inputs.place, policy, inputs.seeds, reward and fast(reward))
+
+
+def _below_bar(inputs: Inputs, expert: Evaluation) -> str:
+    """Return the reason why the expert cannot be trusted, '' where it meets its bar."""
+    episodes, allowed = len(expert.returns), inputs.place.max_terminated[inputs.conditions.budget]
+    terminated = (episodes - expert.endings.get("time limit", 0)) / episodes
+    reached, bar = expert.returns.mean(), inputs.place.bar(inputs.seeds)
+    if reached >= bar and terminated <= allowed:
+        return ""
+    return (
+        f"{inputs.cell.env}, seed {inputs.cell.seed}: the expert misses its bar: mean return "
+        f"{as_text(reached, '.2f')} (at least {bar:.2f}), {terminated:.0%} of episodes terminated early "
+        f"(at most {allowed:.0%})"
+    )
+
+
+def _artifact(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str]]:
+    """Return what was learned as bytes, and warnings of what is not in them."""
     learned: dict[str, Policy | Reward | None] = {
-        one.name: one.policy for one in candidates if one.policy and one.name != "random"
+        one.name: one.policy for one in scored.candidates if one.policy and one.name != "random"
     }
     if learned and inputs.cell.method not in (REFERENCE, "control_true"):
-        learned["reward"] = candidates[0].reward
-    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
-        data, warnings = artifact(inputs.cell, inputs.conditions, learned)
-    return data, warnings, {"record": stopwatch.seconds}
+        learned["reward"] = scored.candidates[0].reward
+    return artifact(inputs.cell, inputs.conditions, learned)
 
 
-def _record(inputs: Inputs, scored: Scored) -> tuple[Files, list[str], Seconds]:
-    """Return the recordings by file name, warnings of those that are missing, and the wall time."""
-    if not scored.watched:
-        return {}, [], {}
+def _recordings(inputs: Inputs, scored: Scored) -> Files:
+    """Return the recordings of seed 0 by file name."""
+    if inputs.cell.seed != 0 or inputs.conditions.record == "none":
+        return {}
     from harness.cell.recording import record  # imports rerun, 30 MB that other seeds do without
 
-    files, warnings = Files(), list[str]()
-    with inputs.stage("record", means(scored.evaluations)) as stopwatch:
-        for one in scored.candidates:
-            if watched := scored.watched.get(one.name):
-                recordings, missing = record(inputs, one, scored.evaluations[one.name], watched)
-                files |= recordings
-                warnings += missing
-    return files, warnings, {"record": stopwatch.seconds}
+    files = Files()
+    for one in scored.candidates:
+        if one.policy:
+            files |= record(inputs, one, scored.evaluations[one.name])
+    return files
 
 
 def _effort(inputs: Inputs) -> str:

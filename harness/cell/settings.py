@@ -23,26 +23,24 @@ def settings_of(method: str, env: str, conditions: Conditions) -> Settings:
     spec, settings = task_for(env, conditions), Settings()
     name = CONTROL_METHODS.get(method, method)
     if name not in (REFERENCE, *CONTROLS):
-        made = load_method(name)(**plugins.settings_for(name, env, conditions.budget))
-        settings["method"] = _fields(made)
-    exact = spec.tabular is not None
-    settings["learner"] = {"name": "exact"} if exact else {"name": type(spec.rl).__name__, **_fields(spec.rl)}
-    settings["budget"] = {"name": conditions.budget}
-    settings["budget"] |= {limit: getattr(spec, limit)[conditions.budget] for limit in LIMITS}
+        settings["method"] = _fields(load_method(name)(**plugins.settings_for(name, env, conditions.budget)))
+    settings["learner"] = {"name": "exact"}
+    if spec.tabular is None:
+        settings["learner"] = {"name": type(spec.rl).__name__, **_fields(spec.rl)}
+    limits = {limit: getattr(spec, limit)[conditions.budget] for limit in LIMITS}
+    settings["budget"] = {"name": conditions.budget, **limits}
     if conditions.solves:
         settings["budget"]["solves"] = conditions.solves
     return settings
 
 
-def _fields(made: Any) -> dict[str, Setting]:
+def _fields(values: Any) -> dict[str, Setting]:
     """Return the fields of a dataclass as JSON holds them."""
-    return {field.name: _setting(getattr(made, field.name)) for field in dataclasses.fields(made)}
-
-
-def _setting(value: object) -> Setting:
-    if isinstance(value, tuple | list):
-        return [_scalar(item) for item in value[:100]]
-    return _scalar(value)
+    fields = {field.name: getattr(values, field.name) for field in dataclasses.fields(values)}
+    return {
+        name: [_scalar(item) for item in value[:100]] if isinstance(value, tuple | list) else _scalar(value)
+        for name, value in fields.items()
+    }
 
 
 def _scalar(value: object) -> bool | int | float | str:

@@ -32,19 +32,28 @@ EXPERT, REPLAYED, RANKING = "expert", "replays", "ranking"
 
 def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions) -> dict[str, bytes]:
     """Return what `Shared` reads, with these demonstrations; made now, or from the cache."""
-    source, spec = source_for(env, seed, conditions), SPECS[env]
+    source, spec, budget = source_for(env, seed, conditions), SPECS[env], conditions.budget
     inputs = {EXPERT: to_kept(source.expert)}
     inputs |= {name_of(one): Kept(to_arrays(source.demonstrations(one)), {}) for one in shown}
+
+    def add(name: str, count: int, play: Callable[[range, np.random.Generator], Replays | Ranked]) -> None:
+        """Add what is played on that many evaluation episodes, by the cache where that knows it."""
+        seeds, rng = evaluation_seeds(seed, count), rng_for(seed, env, name)
+        asked = [experts_version(env), count]
+        inputs[name] = source.kept(name, asked, lambda: Kept(play(seeds, rng).arrays(), {}))
+
     if conditions.retrain and not spec.tabular:
-        expert = source.expert.policy
-        inputs[REPLAYED] = _kept(
-            source, REPLAYED, REPLAYS[conditions.budget], lambda seeds, rng: replay(spec, expert, seeds, rng)
-        )
+        add(REPLAYED, REPLAYS[budget], lambda seeds, rng: replay(spec, source.expert.policy, seeds, rng))
     if conditions.retrain and (policies := _ranked_by(source)):
-        inputs[RANKING] = _kept(
-            source, RANKING, RANKED[conditions.budget], lambda seeds, rng: ranked(spec, policies, seeds, rng)
-        )
+        add(RANKING, RANKED[budget], lambda seeds, rng: ranked(spec, policies, seeds, rng))
     return {name: as_bytes(content) for name, content in inputs.items()}
+
+
+def _ranked_by(source: Source) -> Sequence[Policy]:
+    """Return the policies by whose ranking rewards are compared; none where there are none."""
+    if source.expert.returns:
+        return ()
+    return [source.expert.policy] if source.spec.tabular else shipped_policies(source.env)
 
 
 @dataclass(frozen=True)
@@ -78,22 +87,3 @@ class Shared:
         """Policies, equal for every reward; None where the task has none."""
         data = self.inputs.get(RANKING)
         return Ranked(**from_bytes(data).arrays) if data else None
-
-
-def _ranked_by(source: Source) -> Sequence[Policy]:
-    """Return the policies by whose ranking rewards are compared; none where there are none."""
-    if source.expert.returns:
-        return ()
-    return [source.expert.policy] if source.spec.tabular else shipped_policies(source.env)
-
-
-def _kept(
-    source: Source,
-    name: str,
-    count: int,
-    play: Callable[[range, np.random.Generator], Replays | Ranked],
-) -> Kept:
-    """Return what is played on that many evaluation episodes, by the cache where that knows it."""
-    seeds, rng = evaluation_seeds(source.seed, count), rng_for(source.seed, source.env, name)
-    asked = [experts_version(source.env), count]
-    return source.kept(name, asked, lambda: Kept(play(seeds, rng).arrays(), {}))

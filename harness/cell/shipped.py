@@ -13,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from numpy.typing import NDArray
-
 from harness.registry import BadInput
 from harness.registry.keys import expert_files
 from harness.rl.stored import compact
@@ -52,29 +50,29 @@ def shipped_policies(env: str) -> list[Network]:
 
 def to_file(env: str, experts: Sequence[ShippedExpert]) -> bytes:
     """Return the file of a task's experts."""
-    arrays = dict[str, NDArray[Any]]()
-    for number, one in enumerate(experts):
-        for kind, network in (("expert", one.expert), ("medium", one.medium)):
-            arrays |= {f"{kind}{number}/{name}": compact(a) for name, a in network.arrays().items()}
+    arrays = {
+        f"{kind}{number}/{name}": compact(array)
+        for number, one in enumerate(experts)
+        for kind, network in (("expert", one.expert), ("medium", one.medium))
+        for name, array in network.arrays().items()
+    }
     return as_bytes(Kept(arrays, {"env": env, "experts": [dict(one.facts) for one in experts]}))
 
 
 def from_file(data: bytes, env: str) -> list[ShippedExpert]:
     """Return the experts in a file. Raises ValueError for any other, and for another task's."""
     content = from_bytes(data)
+
+    def network(prefix: str) -> Network:
+        arrays = content.arrays.items()
+        return Network.from_arrays({n.removeprefix(prefix): a for n, a in arrays if n.startswith(prefix)})
+
     try:
         if content.facts["env"] != env:
             raise ValueError(f"it holds experts of {content.facts['env']!r:.80}")
         return [
-            ShippedExpert(_network(content, f"expert{number}/"), _network(content, f"medium{number}/"), facts)
+            ShippedExpert(network(f"expert{number}/"), network(f"medium{number}/"), facts)
             for number, facts in enumerate(content.facts["experts"])
         ]
     except (KeyError, TypeError) as error:
         raise ValueError(f"it holds no experts: {error}") from error
-
-
-def _network(content: Kept, prefix: str) -> Network:
-    arrays = content.arrays.items()
-    return Network.from_arrays(
-        {name.removeprefix(prefix): array for name, array in arrays if name.startswith(prefix)}
-    )

@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Evaluation:
-    """True returns and lengths, (N,), of N episodes, the number of endings by reason, and the first episode.
+    """N episodes, their true returns and lengths, (N,), and the number of endings by their reason.
 
     `own`: returns under another reward above absorption, (N,), if there is one.
     """
@@ -32,7 +32,7 @@ class Evaluation:
     discounted: Array
     lengths: Array
     endings: dict[str, int]
-    first: Trajectory
+    episodes: Sequence[Trajectory]
     own: Array | None = None
 
     def columns(self) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def evaluate(spec: EnvSpec, policy: Policy, seeds: Sequence[int], reward: Reward
         discounted=np.array([e.rewards @ spec.gamma ** np.arange(len(e.rewards)) for e in episodes]),
         lengths=np.array([float(len(e.act)) for e in episodes]),
         endings=dict(sorted(Counter(e.ending for e in episodes).items())),
-        first=episodes[0],
+        episodes=episodes,
         own=None if reward is None else totals(reward, [(e.obs, e.act) for e in episodes]),
     )
 

@@ -28,7 +28,7 @@ class ExactSolver:
         return steps
 
     def learn(self, steps: int, reward: Reward | Payment | None) -> None:
-        """Remember the reward; `steps` do not matter. Raises ValueError for a `Payment`."""
+        """Remember the reward. Raises ValueError for a `Payment`."""
         if reward is not None and not isinstance(reward, Reward):
             raise ValueError("where the model is known, an agent learns under rewards alone")
         self._reward, self._has_learned = reward, True
@@ -44,8 +44,7 @@ class ExactSolver:
         q = value_iteration(tabular.P, r, self.gamma)[1]
         best = q >= q.max(axis=1, keepdims=True) - TIE * np.abs(q).max()
         choice = np.where(best, self.rng.random(q.shape), -1).argmax(axis=1)
-        policy = TabularPolicy(tabular.obs, np.eye(q.shape[1])[choice])
-        return Solution(policy, curve=[], true_curve=[])
+        return Solution(TabularPolicy(tabular.obs, np.eye(q.shape[1])[choice]), curve=[], true_curve=[])
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """Do as `learn` and `best`."""
@@ -54,8 +53,8 @@ class ExactSolver:
 
     @property
     def policy(self) -> Policy:
-        """An optimal policy under the reward of the last `learn`. Raises ValueError where nothing was learned
-        yet, because without a reward it would be the expert's."""
+        """An optimal policy under the reward of the last `learn`. Raises ValueError before the first one,
+        because without a reward it would be the expert's."""
         if not self._has_learned:
             raise ValueError("an agent that has not learned yet has no policy")
         return self.best(self._reward).policy

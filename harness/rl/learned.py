@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numbers
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from methods.base import Episodes, Learned
+from methods.base import Array, Episodes, Learned, Reward
 
 ROWS = 5
 """Demonstrated pairs that it is tried on."""
@@ -24,9 +23,10 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = R
     """
     if not isinstance(learned, Learned):
         raise TypeError(f"fit must return a Learned, not {type(learned).__name__}")
+    for name, part in (("policy", learned.policy), ("reward", learned.reward)):
+        if not callable(part) and (name, part) != ("reward", None):
+            raise TypeError(f"the {name} of what fit returns cannot be called")
     obs, act = (values[:rows] for values in demos.pairs())
-    if not callable(learned.policy):
-        raise TypeError("the policy of what fit returns cannot be called")
     chosen = spec.executed(_real("actions", learned.policy(obs.copy())))
     if len(chosen) != len(obs):
         raise ValueError(f"a policy gave {len(chosen)} actions for {len(obs)} observations")
@@ -37,20 +37,17 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = R
         _check_reward(learned.reward, obs, act)
 
 
-def _check_reward(reward: Any, obs: NDArray[np.float64], act: NDArray[np.float64]) -> None:
-    if not callable(reward):
-        raise TypeError("the reward of what fit returns cannot be called")
-    if not hasattr(reward, "absorbing"):
+def _check_reward(reward: Reward, obs: Array, act: Array) -> None:
+    absorbing: object = getattr(reward, "absorbing", None)
+    if not isinstance(absorbing, numbers.Real):
         raise TypeError(
             "the reward of what fit returns lacks `absorbing`, what a step in the absorbing state pays "
-            "(docs/termination.md)"
+            f"(docs/termination.md): `absorbing` must be a number, not {absorbing!r:.60}"
         )
-    if not isinstance(reward.absorbing, numbers.Real):
-        raise TypeError(f"the reward's `absorbing` must be a number, not {reward.absorbing!r:.60}")
     paid = _real("rewards", reward(obs.copy(), act.copy(), obs.copy()))
     if paid.shape != (len(obs),):
         raise ValueError(f"the reward must give one number a step, ({len(obs)},), not {paid.shape}")
-    if not (np.abs([*paid, float(reward.absorbing)]) <= LARGEST).all():
+    if not (np.abs([*paid, float(absorbing)]) <= LARGEST).all():
         raise ValueError(
             f"the reward must give one finite number for each step, and one for absorption, up to {LARGEST:g}"
         )

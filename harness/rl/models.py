@@ -2,8 +2,9 @@
 
 DDPG (Lillicrap et al. 2015), TD3 (Fujimoto et al. 2018) and SAC (Haarnoja et al. 2018) are those of SBX,
 Stable-Baselines3 in JAX, or of Stable-Baselines3 itself. DQN (Mnih et al. 2013; thesis, figure 3.2), where
-actions are discrete, is the latter's. PPO is ours, or the latter's. All but PPO have n-step returns; SAC's
-leave out the entropy of the steps between.
+actions are discrete, is the latter's. PPO is ours (`harness.rl.on_policy`), or the latter's, which scales
+rewards by the deviation of their discounted sums. All but PPO have n-step returns; SAC's leave out the
+entropy of the steps between.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ import stable_baselines3 as sb3
 import torch
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import VecNormalize
 
 from envs import EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.registry import Library
-from harness.rl import on_policy
+from harness.rl import ppo
 from harness.rl.on_policy import OnPolicy
 from harness.rl.training_env import REWARD_SIZE, Replay, TrainingEnv
 from methods.base import Array, Episodes, Policy, StochasticPolicy
@@ -55,11 +58,10 @@ def build(
 ) -> Model:
     """Return an untrained model, which begins to learn after `warm_up` steps and asks for its learning rate
     at each update. Raises ValueError for PPO with demonstrations."""
-    if isinstance(s, PPO):
-        if demonstrations is not None:
-            raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
-        if library == "sbx":
-            return OnPolicy(env, s, seed)
+    if isinstance(s, PPO) and demonstrations is not None:
+        raise ValueError("PPO learns from its own steps alone, and not from demonstrations")
+    if isinstance(s, PPO) and library == "sbx":
+        return OnPolicy(env, s, seed)
     common: dict[str, Any] = {
         "policy": "MlpPolicy",
         # The library's own progress would be wrong after a warm start.
@@ -70,7 +72,7 @@ def build(
         "device": "cpu",
     }
     if isinstance(s, PPO):
-        model: OffPolicy | sb3.PPO = on_policy.by_sb3(s, env, common)
+        model: OffPolicy | sb3.PPO = _ppo(s, env, common)
     else:
         replay = {"source": env, "demonstrations": demonstrations, "n_steps": s.n_steps}
         common |= {
@@ -85,6 +87,26 @@ def build(
         }
         model = _off_policy(s, library, common, env.spec.act_size)
     model.set_logger(Logger(None, []))  # the default one leaves a folder behind
+    return model
+
+
+def _ppo(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
+    network = {
+        "net_arch": list(s.net),
+        "activation_fn": torch.nn.ReLU,
+        "log_std_init": float(np.log(s.std)),
+        "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
+    }
+    own: dict[str, Any] = {
+        "n_steps": s.steps,
+        "n_epochs": s.epochs,
+        "gae_lambda": s.gae_lambda,
+        "clip_range": ppo.CLIP,
+    }
+    scaled = VecNormalize(env, norm_obs=False, gamma=env.spec.gamma)
+    model = sb3.PPO(**common, **own, env=scaled, policy_kwargs=network)
+    if not env.spec.discrete:
+        model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
     return model
 
 
@@ -114,22 +136,21 @@ def _off_policy(s: DDPG | TD3 | SAC | DQN, library: Library, common: dict[str, A
             "target_policy_noise": s.target_noise,
             "target_noise_clip": s.target_noise_clip,
         }
-    return _torch(s, common, network) if library == "sb3" else _jax(s, common, network, size)
+    name = type(s).__name__
+    if library == "sbx":
+        model: OffPolicy = _jax(s, getattr(sbx, name), common, network, size)
+        return model
+    network["optimizer_kwargs"] = ADAM
+    theirs: sb3.TD3 | sb3.SAC = getattr(sb3, name)(**common, policy_kwargs=network)
+    if isinstance(theirs, sb3.SAC) and theirs.log_ent_coef is not None:
+        theirs.ent_coef_optimizer = torch.optim.Adam([theirs.log_ent_coef], s.learning_rate, **ADAM)
+    return theirs
 
 
-def _torch(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any]) -> sb3.TD3 | sb3.SAC:
-    kinds: dict[type[Learner], type[sb3.TD3 | sb3.SAC]] = {DDPG: sb3.DDPG, TD3: sb3.TD3, SAC: sb3.SAC}
-    model = kinds[type(s)](**common, policy_kwargs=network | {"optimizer_kwargs": ADAM})
-    if isinstance(model, sb3.SAC) and model.log_ent_coef is not None:
-        model.ent_coef_optimizer = torch.optim.Adam([model.log_ent_coef], s.learning_rate, **ADAM)
-    return model
-
-
-def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], size: int) -> Any:
+def _jax(s: DDPG | TD3 | SAC, kind: Any, common: dict[str, Any], network: dict[str, Any], size: int) -> Any:
     if not isinstance(s, SAC):  # whose learning rate is injected by SBX
         network["optimizer_class"] = optax.inject_hyperparams(optax.adam)
-    kinds = {DDPG: sbx.DDPG, TD3: sbx.TD3, SAC: sbx.SAC}
-    model = kinds[type(s)](**common, qf_learning_rate=None, policy_kwargs=network)
+    model = kind(**common, qf_learning_rate=None, policy_kwargs=network)
     states = [(model.policy, "actor_state"), (model.policy, "qf_state")]
     if isinstance(s, SAC):
         states.append((model, "ent_coef_state"))
@@ -147,16 +168,20 @@ def _jax(s: DDPG | TD3 | SAC, common: dict[str, Any], network: dict[str, Any], s
 
 def _put(model: Any, layers: Mapping[str, Mapping[str, Any]]) -> None:
     """Set the parameters of an actor in JAX, and of its target, where it has one."""
-    params = {"params": layers}
     fields = ("params",) if isinstance(model, sbx.SAC) else ("params", "target_params")
-    model.policy.actor_state = model.policy.actor_state.replace(**dict.fromkeys(fields, params))
+    values = {field: {"params": layers} for field in fields}
+    model.policy.actor_state = model.policy.actor_state.replace(**values)
 
 
 def follow_reward(model: Model, noise: float) -> None:
     """Go on under what its environment pays now, also for the steps that it remembers."""
     if isinstance(model, sb3.PPO):
-        on_policy.forget_rewards(model)
-        on_policy.explore(model, noise)
+        env = model.get_vec_normalize_env()
+        assert env is not None
+        env.ret_rms, env.returns = RunningMeanStd(shape=()), np.zeros(env.num_envs)
+        if hasattr(model.policy, "log_std"):
+            # After learning it is small, and another reward may need other actions.
+            model.policy.log_std.data.clamp_(min=np.log(noise))
     elif not isinstance(model, OnPolicy):
         replay(model).relabel()
 
@@ -181,21 +206,23 @@ def actor(model: Model, spec: EnvSpec) -> Network:
 
     Its outputs are (B, A), and SAC's (B, 2A), as `SquashedGaussian` has them. DQN's are values of choices.
     """
-    size = spec.obs_size
-    zeros, scale = np.zeros(size), np.array(spec.obs_scale)
     if isinstance(model, OnPolicy):
         return model.network
+    scaling = np.zeros(spec.obs_size), np.array(spec.obs_scale)
     if isinstance(model, sbx.TD3 | sbx.SAC):
-        net = Network.from_flax(model.policy.actor_state.params["params"], zeros, scale)
-    elif isinstance(model, sb3.PPO):
-        net = Network.from_torch(on_policy.layers(model), zeros, scale)
+        net = Network.from_flax(model.policy.actor_state.params["params"], *scaling)
     else:
-        net = Network.from_torch(model.q_net if isinstance(model, sb3.DQN) else model.actor, zeros, scale)
+        layers: Any = model.q_net if isinstance(model, sb3.DQN) else model.policy
+        if isinstance(model, sb3.PPO):
+            layers = torch.nn.ModuleList([layers.mlp_extractor.policy_net, layers.action_net])
+        elif not isinstance(model, sb3.DQN):
+            layers = layers.actor
+        net = Network.from_torch(layers, *scaling)
     weights, biases = [*net.weights], [*net.biases]
     if isinstance(model, sbx.SAC | sb3.SAC):
         weights[-2:] = [np.concatenate(weights[-2:], axis=1)]
         biases[-2:] = [np.concatenate(biases[-2:])]
-    weights[0] = weights[0][:size]
+    weights[0] = weights[0][: spec.obs_size]
     return replace(net, weights=tuple(weights), biases=tuple(biases))
 
 
@@ -233,12 +260,8 @@ def begin(model: Model, layers: Layers) -> None:
     if isinstance(model, sbx.TD3 | sbx.SAC):
         arrays = [{"kernel": w.astype(np.float32), "bias": b.astype(np.float32)} for w, b in layers]
         _put(model, {f"Dense_{i}": layer for i, layer in enumerate(arrays)})
-    else:
-        assert isinstance(model, sb3.TD3 | sb3.SAC)
-        _begin_torch(model, layers)
-
-
-def _begin_torch(model: sb3.TD3 | sb3.SAC, layers: Layers) -> None:
+        return
+    assert isinstance(model, sb3.TD3 | sb3.SAC)
     linear = [m for m in model.actor.modules() if isinstance(m, torch.nn.Linear)]
     with torch.no_grad():
         for layer, (weight, bias) in zip(linear, layers, strict=True):

@@ -1,5 +1,4 @@
-"""Agents that learn by PPO: ours (`harness.rl.ppo`), and that of Stable-Baselines3, which ours is checked
-against. The latter scales rewards by the deviation of their discounted sums, as is usual."""
+"""Our PPO (`harness.rl.ppo`) in one environment: it collects a bout of steps, pays them, and learns."""
 
 from __future__ import annotations
 
@@ -10,11 +9,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import stable_baselines3 as sb3
-import torch
-from gymnasium import spaces
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecNormalize
 
 from envs import EnvSpec
 from envs.dynamics import Dynamics
@@ -23,7 +17,7 @@ from harness.rl import ppo
 from harness.rl.ppo import Kind, Steps
 from harness.rl.training_env import TrainingEnv
 from methods.base import Array, Transitions
-from methods.network import ADAM, Network
+from methods.network import Network
 from methods.stochastic import Gaussian, Softmax
 
 REWARD_SIZE = 0.3
@@ -83,11 +77,13 @@ class OnPolicy:
 
     def _paid(self, seen: Steps, entropy: float) -> Array:
         """Remember a bout, and return the pay of its steps one after the other, (T * N,)."""
-        self.latest = _transitions(self._env.spec, seen)
+        spec, terminated = self._env.spec, np.asarray(seen.terminated).ravel()
+        act = _executed(spec, np.asarray(seen.act)).reshape(-1, spec.act_size)
+        obs, after = (np.asarray(o, np.float64).reshape(-1, spec.obs_size) for o in (seen.obs, seen.next_obs))
+        self.latest = Transitions.own(obs, act, after, np.zeros_like(terminated), terminated)
         paid = self._env.paid(self.latest, np.asarray(seen.true, np.float64).ravel())
         if entropy:
-            log_prob = np.asarray(seen.log_prob, np.float64).ravel()
-            paid = paid - entropy * (log_prob - self._uniform)
+            paid = paid - entropy * (np.asarray(seen.log_prob, np.float64).ravel() - self._uniform)
         return paid
 
     @property
@@ -154,51 +150,3 @@ def _executed(spec: EnvSpec, drawn: Any) -> Array:
     """Return the actions, (..., A), that drawn ones (..., A) or choices (...) amount to."""
     act: Array = np.eye(spec.act_size)[drawn] if spec.discrete else np.clip(drawn, -1, 1).astype(np.float64)
     return act
-
-
-def _transitions(spec: EnvSpec, seen: Steps) -> Transitions:
-    terminated = np.asarray(seen.terminated).ravel()
-    act = _executed(spec, np.asarray(seen.act)).reshape(-1, spec.act_size)
-    obs, after = (np.asarray(o, np.float64).reshape(-1, spec.obs_size) for o in (seen.obs, seen.next_obs))
-    return Transitions.own(obs, act, after, np.zeros_like(terminated), terminated)
-
-
-def by_sb3(s: PPO, env: TrainingEnv, common: dict[str, Any]) -> sb3.PPO:
-    """Return an untrained model of Stable-Baselines3. `common`: its other arguments."""
-    network = {
-        "net_arch": list(s.net),
-        "activation_fn": torch.nn.ReLU,
-        "log_std_init": float(np.log(s.std)),
-        "optimizer_kwargs": ADAM | {"eps": ppo.EPSILON},
-    }
-    common = common | {
-        "env": VecNormalize(env, norm_obs=False, gamma=env.spec.gamma),
-        "n_steps": s.steps,
-        "n_epochs": s.epochs,
-        "gae_lambda": s.gae_lambda,
-        "clip_range": ppo.CLIP,
-    }
-    model = sb3.PPO(**common, policy_kwargs=network)
-    if not env.spec.discrete:
-        model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
-    return model
-
-
-def forget_rewards(model: sb3.PPO) -> None:
-    """Let future rewards alone decide how rewards are scaled."""
-    env = model.get_vec_normalize_env()
-    assert env is not None
-    env.ret_rms = RunningMeanStd(shape=())
-    env.returns = np.zeros(env.num_envs)
-
-
-def explore(model: sb3.PPO, noise: float) -> None:
-    """Raise the standard deviation of continuous actions to `noise` at least. After learning it is small, and
-    another reward may need other actions."""
-    if isinstance(model.action_space, spaces.Box):
-        model.policy.log_std.data.clamp_(min=np.log(noise))
-
-
-def layers(model: sb3.PPO) -> torch.nn.Module:
-    """Return the actor's layers."""
-    return torch.nn.ModuleList([model.policy.mlp_extractor.policy_net, model.policy.action_net])

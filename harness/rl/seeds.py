@@ -10,14 +10,11 @@ EVALUATION = 10_000
 """First seed of evaluation. No hyper-parameter is tuned on these episodes; the rule that chooses checkpoints
 was changed after scores of seed 0 had been seen."""
 DEMONSTRATION = 1 << 20
-"""First seed of demonstrations."""
 JUDGING = 1 << 21
-"""First seed of the episodes that choose one of several solves."""
 TUNING = 1 << 22
-"""First seed of the episodes that choose shipped experts."""
 HELD_OUT = (1 << 23) + 1000
-"""First seed of the episodes that only measure shipped experts. (The thousand before had been seen when the
-rule that chooses experts was made stricter.)"""
+"""First seed of the episodes that measure shipped experts. The thousand before had been seen when the rule
+that chooses experts was made stricter."""
 TRAINING = 1 << 24
 """First seed of all other episodes, whose seeds are drawn from here to 2^31."""
 EACH = 1000
@@ -51,13 +48,13 @@ def tuning_seeds(episodes: int) -> range:
 
 
 def held_out_seeds(episodes: int) -> range:
-    """Return the episode seeds that shipped experts are measured on, and nothing else is."""
+    """Return the episode seeds that only measure shipped experts."""
     return _range(HELD_OUT, episodes)
 
 
 def training_seeds(rng: np.random.Generator, episodes: int) -> list[int]:
     """Draw seeds of training episodes, which are never those of another purpose."""
-    return [int(seed) for seed in rng.integers(TRAINING, 1 << 31, episodes)]
+    return [*map(int, rng.integers(TRAINING, 1 << 31, episodes))]
 
 
 def _range(first: int, episodes: int) -> range:

@@ -17,14 +17,16 @@ NO_NUMBERS = {"drawings": "It draws pictures.", "_copied": "It draws pictures."}
 
 @dataclass
 class Trajectory:
-    """One episode with its true rewards: obs (T+1, O), act (T, A), rewards (T,)."""
+    """One episode with its true rewards: obs (T+1, O), act (T, A), rewards (T,).
+
+    `ending`: why it ended, in the environment's words, or 'time limit'.
+    """
 
     obs: Array
     act: Array
     rewards: Array
     terminated: bool
     ending: str
-    """Why it ended: the environment's words, or 'time limit'."""
 
     def transitions(self) -> Transitions:
         """Return its steps."""
@@ -37,16 +39,11 @@ class Simulator:
     """Copies of an environment side by side, `lanes` at most."""
 
     def __init__(self, spec: EnvSpec, lanes: int = 100) -> None:
-        self.spec = spec
-        self.lanes = lanes
+        self.spec, self.lanes = spec, lanes
         self._batch = Copies(spec, lanes)
 
     def run(
-        self,
-        policy: Policy,
-        seeds: Sequence[int],
-        first: Sequence[Array] | None = None,
-        most: int | None = None,
+        self, policy: Policy, seeds: Sequence[int], first: Sequence[Array] = (), most: int | None = None
     ) -> list[Trajectory]:
         """Return one trajectory for each seed, in their order.
 
@@ -58,18 +55,18 @@ class Simulator:
 
     def run_each(self, policies: Sequence[Policy], seeds: Sequence[int]) -> Iterator[list[Trajectory]]:
         """Yield what `run` returns for each policy. As many run side by side as there are lanes for."""
-        together = max(1, self.lanes // len(seeds))
+        count = len(seeds)
+        together = max(1, self.lanes // count)
         for start in range(0, len(policies), together):
             some = policies[start : start + together]
-            episodes = self._run(partial(_each, some, len(seeds)), [*seeds] * len(some))
-            for i in range(0, len(episodes), len(seeds)):
-                yield episodes[i : i + len(seeds)]
+            episodes = self._run(partial(_each, some, count), [*seeds] * len(some))
+            yield from (episodes[i : i + count] for i in range(0, len(episodes), count))
 
     def _run(
         self,
         answer: Callable[[Array, list[int]], Array],
         seeds: Sequence[int],
-        first: Sequence[Array] | None = None,
+        first: Sequence[Array] = (),
         most: int | None = None,
     ) -> list[Trajectory]:
         """Run an episode for each seed. `answer`: gives the actions (B, A) for observations (B, O) of B
@@ -78,26 +75,22 @@ class Simulator:
         obs = np.empty((lanes, spec.horizon + 1, spec.obs_size))
         act, rewards = np.empty((lanes, spec.horizon, spec.act_size)), np.empty((lanes, spec.horizon))
         length = np.zeros(lanes, np.int64)
-        waiting = iter(range(len(seeds)))
-        begun = np.array([len(actions) for actions in first] if first is not None else [0] * len(seeds))
+        begun = np.array([*map(len, first)] or [0] * len(seeds))
         last = np.minimum(spec.horizon, begun + (spec.horizon if most is None else most))
+        waiting = iter(range(len(seeds)))
         playing: dict[int, int] = {}
         done: dict[int, Trajectory] = {}
 
         def enter(place: int) -> None:
-            if (index := next(waiting, None)) is not None:
-                playing[place] = index
-                obs[place, 0], length[place] = self._batch.reset(place, int(seeds[index])), 0
+            if (episode := next(waiting, None)) is not None:
+                playing[place] = episode
+                obs[place, 0], length[place] = self._batch.reset(place, int(seeds[episode])), 0
 
         def leave(place: int, terminated: bool) -> None:
             end, ending = length[place], self._batch.why_ended(place) if terminated else "time limit"
-            done[playing.pop(place)] = Trajectory(
-                obs[place, : end + 1].copy(),
-                act[place, :end].copy(),
-                rewards[place, :end].copy(),
-                terminated,
-                ending,
-            )
+            parts = obs[place, : end + 1], act[place, :end], rewards[place, :end]
+            own, acted, paid = (part.copy() for part in parts)
+            done[playing.pop(place)] = Trajectory(own, acted, paid, terminated, ending)
 
         for place in range(lanes):
             enter(place)
@@ -109,23 +102,21 @@ class Simulator:
             if len(chosen) != len(places):
                 raise ValueError(f"a policy gave {len(chosen)} actions for {len(places)} observations")
             act[places, now] = chosen
-            if first is not None:
-                for i in np.flatnonzero(now < begun[episodes]):
-                    act[places[i], now[i]] = first[episodes[i]][now[i]]
+            for i in np.flatnonzero(now < begun[episodes]):
+                act[places[i], now[i]] = first[episodes[i]][now[i]]
             stepped = self._batch.step(places.tolist(), act[places, now])
             obs[places, now + 1], rewards[places, now], terminated, truncated = stepped
             length[places] += 1
             for i in np.flatnonzero(terminated | truncated | (now + 1 == last[episodes])):
                 leave(int(places[i]), bool(terminated[i]))
                 enter(int(places[i]))
-        return [done[index] for index in range(len(seeds))]
+        return [done[episode] for episode in range(len(seeds))]
 
 
 def _each(policies: Sequence[Policy], count: int, obs: Array, episodes: list[int]) -> Array:
     """Return what each policy does in its own episodes, `count` of each."""
     owners = np.array(episodes) // count
-    parts = [policy(obs[own]) for i, policy in enumerate(policies) if (own := owners == i).any()]
-    return np.concatenate(parts)
+    return np.concatenate([policies[owner](obs[owners == owner]) for owner in np.unique(owners)])
 
 
 def drawings(spec: EnvSpec, seed: int, act: Array) -> list[dict[str, Shape]]:

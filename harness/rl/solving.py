@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 
 from envs import EnvSpec
 from envs.learners import DQN, PPO, SAC, Learner
@@ -91,6 +90,11 @@ class Agent:
         self._checkpoints: list[tuple[int, Network]] = []
         self._check_seeds: list[int] = []
 
+    def whole(self, steps: int) -> int:
+        """Return the least number of steps, at least `steps`, that `learn` takes."""
+        unit, least = self.settings.unit, 1 if isinstance(self.settings, PPO) else 2
+        return unit * max(least, -(-steps // unit))
+
     def learn(self, steps: int, reward: Reward | Payment | None) -> None:
         """Learn for `steps` environment steps under the reward; None is the environment's own.
 
@@ -122,9 +126,8 @@ class Agent:
 
     def _begin(self, steps: int, seed: int) -> int:
         """Build the model and let it take random steps. Return how many those are."""
-        s, warm_up = self.settings, 0
-        if not isinstance(s, PPO):
-            warm_up = min(WARM_UP, steps // 2) // s.unit * s.unit
+        s = self.settings
+        warm_up = 0 if isinstance(s, PPO) else min(WARM_UP, steps // 2) // s.unit * s.unit
         model = models.build(
             *(s, self._library, self._env, self._demonstrations, warm_up, seed),
             learning_rate=lambda: self._learning_rate,
@@ -138,23 +141,26 @@ class Agent:
 
     def _go_on(self, start: int, steps: int) -> None:
         """Learn from step `start` of a solve to its end, and keep checkpoints."""
-        model = self._built
-        if not isinstance(model, OnPolicy):
-            model.learn(steps - start, callback=_Keeper(self, start, steps), reset_num_timesteps=False)
-            self.keep(steps)
-            return
+        model, s, done = self._built, self.settings, start
 
-        def done(taken: int) -> None:
-            if taken % self.settings.checkpoint_every == 0 or taken == steps:
-                self.keep(taken)
+        def keep(done: int) -> None:
+            if done % s.checkpoint_every == 0 or done == steps:
+                self._checkpoints.append((done, self.policy))
+                self._told(done)
 
-        model.learn(steps, self.advance, done, self._entropy)
+        def after_step(*_: object) -> bool:
+            nonlocal done
+            done += s.copies
+            self._advance(done / steps)
+            if done < steps:
+                keep(done)
+            return True
 
-    def whole(self, steps: int) -> int:
-        """Return the least number of steps, at least `steps`, that `learn` takes."""
-        unit = self.settings.unit
-        least = 1 if isinstance(self.settings, PPO) else 2
-        return unit * max(least, -(-steps // unit))
+        if isinstance(model, OnPolicy):
+            model.learn(steps, self._advance, keep, self._entropy)
+        else:
+            model.learn(steps - start, callback=after_step, reset_num_timesteps=False)
+            keep(steps)  # after the last gradient steps
 
     def best(self, reward: Reward | None) -> Solution:
         """Return the last solve's best checkpoint under the reward. Raises ValueError where nothing was
@@ -162,21 +168,19 @@ class Agent:
         if not self._checkpoints:
             raise ValueError("an agent that has not learned yet has no best policy")
         self._env.reward = reward
-        steps_before = self.check_steps
-        checkpoints = tuple(policy for _, policy in self._checkpoints)
-        scores = self.check(checkpoints)
-        most = max(score for score, _ in scores)
-        equals = [i for i, (score, _) in enumerate(scores) if score == most]
-        best = equals[0] if 0 in equals or len(equals) == 1 else self._steadiest(equals)
-        done = [float(steps) for steps, _ in self._checkpoints]
-        curve = [(x, score) for x, (score, _) in zip(done, scores, strict=True)]
-        true_curve = [(x, truth) for x, (_, truth) in zip(done, scores, strict=True)]
-        took = self.check_steps - steps_before
+        before = self.check_steps
+        steps, checkpoints = zip(*self._checkpoints, strict=True)
+        scores, truths = zip(*self.check(checkpoints), strict=True)
+        most = max(scores)
+        equals = [i for i, score in enumerate(scores) if score == most]
+        best = equals[0]
+        if best != 0 and len(equals) > 1:
+            noisy = [disturbed(checkpoints[i], self.spec, self.settings.noise) for i in equals]
+            best = max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
+        done = [*map(float, steps)]
+        curve, true_curve = [*zip(done, scores, strict=True)], [*zip(done, truths, strict=True)]
+        took = self.check_steps - before
         return Solution(checkpoints[best], curve, true_curve, 0, took, checkpoints, best)
-
-    def _steadiest(self, equals: list[int]) -> int:
-        noisy = [disturbed(self._checkpoints[i][1], self.spec, self.settings.noise) for i in equals]
-        return max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
         """Do as `learn` and `best`."""
@@ -207,12 +211,7 @@ class Agent:
         s = self.settings
         return s.learning_rate + (s.final_learning_rate - s.learning_rate) * self._progress
 
-    def keep(self, done_steps: int) -> None:
-        """Make a checkpoint of the policy after this many steps of the solve."""
-        self._checkpoints.append((done_steps, self.policy))
-        self._told(done_steps)
-
-    def advance(self, progress: float) -> float:
+    def _advance(self, progress: float) -> float:
         """Set the learning rate after this share of the solve, and return it."""
         self._progress = progress
         models.follow_learning_rate(self._built, self._learning_rate)
@@ -222,9 +221,10 @@ class Agent:
     def policy(self) -> Network:
         """The present policy; the mean action in soft actor-critic. Raises ValueError where nothing was
         learned yet."""
+        actor = models.actor(self._built, self.spec)
         if isinstance(self.settings, SAC):
-            return SquashedGaussian(models.actor(self._built, self.spec)).mean
-        return replace(models.actor(self._built, self.spec), tanh=not self.spec.discrete)
+            return SquashedGaussian(actor).mean
+        return replace(actor, tanh=not self.spec.discrete)
 
     @property
     def behaviour(self) -> StochasticPolicy:
@@ -234,9 +234,9 @@ class Agent:
             return self._built.behaviour
         if isinstance(self.settings, DQN):
             return EpsilonGreedy(self.policy, self.settings.noise)
-        if not isinstance(self.settings, SAC):
-            raise ValueError(f"{type(self.settings).__name__} has no stochastic policy")
-        return SquashedGaussian(models.actor(self._built, self.spec))
+        if isinstance(self.settings, SAC):
+            return SquashedGaussian(models.actor(self._built, self.spec))
+        raise ValueError(f"{type(self.settings).__name__} has no stochastic policy")
 
     def check(self, policies: Sequence[Policy]) -> list[tuple[float, float]]:
         """Return each policy's mean undiscounted return under the reward that it learns from, and the true
@@ -260,19 +260,3 @@ def disturbed(policy: Policy, spec: EnvSpec, noise: float, rng: np.random.Genera
         return np.clip(chosen + noise * rng.standard_normal(chosen.shape), -1, 1)
 
     return act
-
-
-class _Keeper(BaseCallback):
-    """A callback that keeps checkpoints and advances the learning rate."""
-
-    def __init__(self, agent: Agent, start: int, steps: int) -> None:
-        super().__init__()
-        self.agent, self.done_steps, self.steps = agent, start, steps
-
-    def _on_step(self) -> bool:
-        settings = self.agent.settings
-        self.done_steps += settings.copies
-        self.agent.advance(self.done_steps / self.steps)
-        if self.done_steps % settings.checkpoint_every == 0 and self.done_steps < self.steps:
-            self.agent.keep(self.done_steps)
-        return True

@@ -29,7 +29,7 @@ def to_arrays(thing: object, name: str) -> tuple[dict[str, NDArray[Any]], Any]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
-    """Return what `to_arrays` was given. Raises ValueError for anything that it did not write."""
+    """Return what `to_arrays` received. Raises ValueError for anything that it did not write."""
     try:
         return _built(arrays, described)
     except (LookupError, TypeError, AttributeError, ImportError, RecursionError, ArithmeticError) as error:
@@ -53,8 +53,8 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
     kind = type(thing)
     if not dataclasses.is_dataclass(kind) or not _is_ours(kind.__module__):
         raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no dataclass of {', '.join(PACKAGES)}")
-    fields = {field.name: getattr(thing, field.name) for field in dataclasses.fields(kind) if field.init}
-    parts = {key: _described(value, f"{name}.{key}", arrays) for key, value in fields.items()}
+    fields = [field.name for field in dataclasses.fields(kind) if field.init]
+    parts = {field: _described(getattr(thing, field), f"{name}.{field}", arrays) for field in fields}
     return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": parts}
 
 
@@ -72,10 +72,9 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
         case {"class": str(target), "fields": dict(fields)}:
             module, _, attribute = target.partition(":")
             kind = getattr(importlib.import_module(module), attribute) if _is_ours(module) else None
-            if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
-                raise ValueError(f"{target!r} is no dataclass of {', '.join(PACKAGES)}")
-            return kind(**{key: _built(arrays, value) for key, value in fields.items()})
-    raise ValueError(f"{str(described)[:40]!r} is nothing that was stored here")
+            if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+                return kind(**{key: _built(arrays, value) for key, value in fields.items()})
+    raise ValueError(f"{str(described)[:80]!r} is nothing that was stored here")
 
 
 def compact(array: NDArray[Any]) -> NDArray[Any]:
@@ -91,4 +90,4 @@ def compact(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _is_ours(module: str) -> bool:
-    return f"{module}.".startswith(tuple(f"{room}." for room in PACKAGES))
+    return f"{module}.".startswith(tuple(f"{package}." for package in PACKAGES))

@@ -42,8 +42,8 @@ class TrainingEnv(VecEnv):
     """Copies of the environment, side by side, as an agent sees them.
 
     `staggered`: True where first episodes are cut at even intervals, which spreads the copies over an
-    episode. `reward`: what the agent is paid by; None is the environment's own. `obs`: their observations,
-    (N, O). `latest`: the last step of every copy, and what the environment paid for it, (N,).
+    episode. `reward`: pays the agent; None is the environment's own. `obs`: their observations, (N, O).
+    `latest`: the last step of every copy, and what the environment paid for it, (N,).
     """
 
     latest: tuple[Transitions, Array]
@@ -202,8 +202,8 @@ class Demonstrated(NStepReplayBuffer):
         steps, lengths = Transitions.of(episodes), episodes.lengths
         if source.absorbs:
             steps, lengths = steps.absorbed(), lengths + ABSORBING_STEPS * np.array(episodes.terminated)
-        obs = np.where(steps.absorbing[:, None], steps.next_obs, steps.obs)
-        act, last = steps.act.copy(), np.zeros(len(steps), bool)
+        obs, act = np.where(steps.absorbing[:, None], steps.next_obs, steps.obs), steps.act.copy()
+        last = np.zeros(len(steps), bool)
         act[steps.absorbing] = source.spec.random_actions(int(steps.absorbing.sum()), source.rng)
         last[lengths.cumsum() - 1] = True
         ended = last & steps.next_absorbing & ~steps.absorbing
@@ -225,21 +225,20 @@ class Replay(NStepReplayBuffer):
         self, *args: Any, source: TrainingEnv, demonstrations: Episodes | None = None, **settings: Any
     ) -> None:
         super().__init__(*args, **settings)
-        self._source = source
-        spec, shape = source.spec, (self.buffer_size, self.n_envs)
-        self._obs, self._next_obs = (np.empty((*shape, spec.obs_size)) for _ in range(2))
-        self._act, self._true = np.empty((*shape, spec.act_size)), np.empty(shape)
-        self._absorbing, self._next_absorbing = (np.empty(shape, bool) for _ in range(2))
+        self._source, shape = source, (self.buffer_size, self.n_envs)
+        sizes = source.spec.obs_size, source.spec.act_size, source.spec.obs_size
+        self._columns: list[Any] = [np.empty((*shape, size)) for size in sizes]
+        self._columns += [np.empty(shape, bool) for _ in ("absorbing", "next_absorbing")]
+        self._true = np.empty(shape)
         self._demonstrated: Demonstrated | None = None
         if demonstrations is not None:
             self._demonstrated = Demonstrated(demonstrations, source, self.n_steps, self.gamma)
 
     def add(self, *seen: Any) -> None:
         """Add the source's latest step. `seen`: the same in the library's form."""
-        at = self.pos
-        steps, self._true[at] = self._source.latest
-        self._obs[at], self._act[at], self._next_obs[at] = steps.obs, steps.act, steps.next_obs
-        self._absorbing[at], self._next_absorbing[at] = steps.absorbing, steps.next_absorbing
+        steps, self._true[self.pos] = self._source.latest
+        for column, values in zip(self._columns, vars(steps).values(), strict=False):
+            column[self.pos] = values
         super().add(*seen)
 
     def relabel(self) -> None:
@@ -268,8 +267,7 @@ class Replay(NStepReplayBuffer):
 
     def steps(self) -> Transitions:
         """Return its own steps, the oldest first."""
-        columns: list[Any] = [self._obs, self._act, self._next_obs, self._absorbing, self._next_absorbing]
-        return Transitions.own(*(c[self._order].reshape(-1, *c.shape[2:]) for c in columns))
+        return Transitions.own(*(c[self._order].reshape(-1, *c.shape[2:]) for c in self._columns))
 
     @property
     def _order(self) -> NDArray[np.int64]:

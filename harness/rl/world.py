@@ -18,9 +18,10 @@ from harness.rl.solving import Agent
 from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
 
 
-class Beginning(TypedDict, total=False):
+class Options(TypedDict, total=False):
     """Options of a new agent, as for `methods.base.World.agent`."""
 
+    kind: Kind
     init: Policy | StochasticPolicy | None
     demonstrations: Episodes | None
     entropy: float
@@ -55,9 +56,8 @@ class TaskWorld:
         budget: str = "full",
     ) -> None:
         self.obs_size, self.act_size, self.discrete = spec.obs_size, spec.act_size, spec.discrete
-        self.horizon, self.gamma, self.solve_steps = spec.horizon, spec.gamma, solve_steps
-        self.budget = budget
-        self.phi = Features(spec)
+        self.horizon, self.gamma, self.phi = spec.horizon, spec.gamma, Features(spec)
+        self.solve_steps, self.budget = solve_steps, budget
         self.model = spec.tabular.model if spec.tabular else None
         self.env_steps = self.check_steps = self.rl_solves = self.answers = 0
         self._spec, self._protocol, self._library = spec, protocol, library
@@ -77,22 +77,12 @@ class TaskWorld:
         self.answers += len(obs)
         return np.array(self._spec.executed(self._expert(obs.copy())))
 
-    def agent(
-        self,
-        rng: np.random.Generator,
-        *,
-        kind: Kind = "own",
-        init: Policy | StochasticPolicy | None = None,
-        demonstrations: Episodes | None = None,
-        entropy: float = 0.0,
-    ) -> WorldAgent:
-        solver = solver_for(
-            *(self._spec, self._protocol, rng, self._library),
-            kind=kind,
-            told=lambda done: self._told(self.env_steps + done),
-            **Beginning(init=init, demonstrations=demonstrations, entropy=entropy),
-        )
-        return WorldAgent(self, solver)
+    def agent(self, rng: np.random.Generator, **options: Unpack[Options]) -> WorldAgent:
+        def told(done: int) -> None:
+            self._told(self.env_steps + done)
+
+        parts = self._spec, self._protocol, rng, self._library
+        return WorldAgent(self, solver_for(*parts, told=told, **options))
 
     def solve(self, reward: Reward, rng: np.random.Generator, steps: int) -> Policy:
         agent = self.agent(rng)
@@ -146,22 +136,30 @@ def solver_for(
     rng: np.random.Generator,
     library: Library,
     *,
-    kind: Kind = "own",
     told: Callable[[int], None] = lambda done: None,
-    **beginning: Unpack[Beginning],
+    kind: Kind = "own",
+    init: Policy | StochasticPolicy | None = None,
+    demonstrations: Episodes | None = None,
+    entropy: float = 0.0,
 ) -> Agent | ExactSolver:
     """Return a solver of an environment: dynamic programming where its model is known, else RL by the
     library.
 
-    `kind`: as for `methods.base.World.agent`. `told`: as for `Agent`. Raises ValueError for a beginning that
-    the solver cannot have.
+    `told`: as for `Agent`. The other options: as for `methods.base.World.agent`. Raises ValueError for a
+    beginning that the solver cannot have.
     """
     if spec.tabular is None:
         # The PPO of Stable-Baselines3 keeps no steps.
         suits = kind == "own" or (kind == "stochastic" and isinstance(spec.rl, PPO) and library == "sbx")
         settings = spec.rl if suits else soft(spec.rl, spec.discrete)
-        return Agent(spec, protocol, rng, library, settings, told=told, **beginning)
-    if beginning.get("init") is not None or beginning.get("demonstrations") is not None:
+        return Agent(
+            *(spec, protocol, rng, library, settings),
+            told=told,
+            init=init,
+            demonstrations=demonstrations,
+            entropy=entropy,
+        )
+    if init is not None or demonstrations is not None:
         raise ValueError("where the model is known, nothing is learned from a policy or demonstrations")
     return ExactSolver(spec.tabular, spec.gamma, rng)
 

@@ -5,7 +5,7 @@
     python results/studies/rl_solves.py DIR
 
 Columns: env, method, seed, solve (its number), chosen (1 for pi_R), solved (by what it earns of R*,
-`harness.judge.solved`), score (normalised), score_star (of pi*), and own_return, own_return_star,
+`harness.judge.evaluation`), score (normalised), score_star (of pi*), and own_return, own_return_star,
 own_return_random (what solve, pi* and the random policy earn of R*).
 """
 

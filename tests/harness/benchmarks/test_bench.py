@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from harness.benchmarks import growth, measure, scale, speed, spread
 from harness.benchmarks.measure import SCORE, Measure
 from harness.cli import main as cli
-from harness.engines.jobs import Engine
 from harness.engines.processes import Processes
-from harness.records import Cell, CellResult, Conditions, Row
-from harness.registry import SPECS
+from harness.records import Cell
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -32,14 +29,6 @@ def test_a_ratio_is_of_rates_taken_in_turn() -> None:
     described = ratio.to_json()
     assert 2 < described["low"] <= described["median"] <= described["high"] < 32
     assert described["bar"] == 3
-
-
-def test_both_ways_to_evaluate_take_whole_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "EPISODES", 20)
-    spec = SPECS["highway"]
-    idle = lambda obs: 0 * obs[:, : spec.act_size]  # noqa: E731
-    assert 20 <= speed._together(spec, idle) <= 20 * spec.horizon
-    assert 2 <= speed._one_by_one(spec, idle) <= 2 * spec.horizon
 
 
 @pytest.mark.parametrize(
@@ -64,32 +53,10 @@ def test_a_solve_of_the_true_reward_is_scored(monkeypatch: pytest.MonkeyPatch) -
     assert not score.missed
 
 
-Compute = Callable[[list[Cell], Conditions, Engine], list[CellResult]]
-
-
-def cells_that_took(seconds: list[dict[str, float]], fit_seconds: float, env_steps: int) -> Compute:
-    def compute(cells: list[Cell], conditions: Conditions, engine: Engine) -> list[CellResult]:
-        assert engine.workers == 1
-        columns = {"fit_seconds": fit_seconds, "env_steps": env_steps}
-        rows = [Row(c.env, c.method, c.seed, "pi_star", "absorbing", **columns) for c in cells]
-        parts = zip(cells, rows, seconds, strict=True)
-        return [CellResult(cell, [row], seconds=stages) for cell, row, stages in parts]
-
-    return compute
-
-
-def test_a_share_is_of_what_a_cell_took(monkeypatch: pytest.MonkeyPatch) -> None:
-    seconds = [{"start": 1.0, "fit": 5.0 - i, "retrain": 2.0 + i, "score": 1.0 + i} for i in range(3)]
-    monkeypatch.setattr(speed, "REPEATS", 2)
-    monkeypatch.setattr(speed, "compute", cells_that_took(seconds, 0.0, 0))
-    assert speed._beside_the_work() == pytest.approx([30, 100 * 4 / 11])
-
-
-def test_a_fit_is_timed_with_the_steps_that_it_took(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "compute", cells_that_took([{}], 12.0, 8000))
-    fit = speed._fit("swingup", "gail", bar=1.0)
-    assert fit.name == "swingup, gail, fit, for each 100,000 of 8,000 environment steps"
-    assert (fit.samples, fit.missed) == ([150.0], True)
+def test_the_memory_of_processes_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growth, "FULL", measure.SMOKE)
+    assert 100 < growth.largest_process("cartpole") < 5000
+    assert min(growth.cells_in_a_row(2)) > 100
 
 
 @pytest.mark.parametrize(("seconds", "missed"), [({1: 60.0, 2: 40.0}, True), ({1: 60.0, 2: 30.0}, False)])
@@ -99,31 +66,6 @@ def test_two_nodes_are_compared_with_one(
     monkeypatch.setattr(spread, "_seconds", seconds.get)
     (ratio,) = spread.measures()
     assert (ratio.samples, ratio.missed) == ([seconds[1] / seconds[2]] * spread.REPEATS, missed)
-
-
-def hold(megabytes: int) -> int:
-    held = bytearray(megabytes * measure.MEGABYTE)
-    held[::4096] = b"x" * len(held[::4096])  # a byte of each page
-    time.sleep(3 * measure.LOOK_EVERY)
-    return megabytes
-
-
-def test_the_peak_of_a_process_is_seen_after_its_end() -> None:
-    with measure.watch() as idle:
-        time.sleep(2 * measure.LOOK_EVERY)
-    with measure.watch() as peak:
-        assert measure.apart(hold, 1) == 1
-        least, _ = peak
-        assert measure.apart(hold, 300) == 300
-    assert idle[0] < least  # Python's own helpers of other tests
-    assert 250 < peak[0] - least < 350
-    assert peak[1] > 300
-
-
-def test_cells_of_one_process_are_measured_one_by_one() -> None:
-    sizes = growth.cells_in_a_row(2)
-    assert len(sizes) == 2
-    assert min(sizes) > 100
 
 
 def test_a_cell_that_fails_is_not_measured() -> None:
@@ -165,19 +107,3 @@ def test_what_fails_is_a_line_and_what_was_measured_is_told(
     output = capsys.readouterr()
     assert "FAILED: Command" in output.err
     assert len(json.loads(output.out)["measures"]) == 1
-
-
-def test_of_a_stopped_bench_nothing_is_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def stop() -> Iterator[Measure]:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(speed, "measures", stop)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        assert cli.main(["bench"]) == 130
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    assert capsys.readouterr().err == "\nstopped; nothing is kept\n"

@@ -10,13 +10,9 @@ import pandas as pd
 import pytest
 
 from harness.benchmarks.reproduce import PROTOCOLS, STUDIED, TRAJECTORIES
-from harness.cell.run import prepare, run_cell
 from harness.cli.main import main
-from harness.process.environment import CACHE_VARIABLE
-from harness.records import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, Shown, row_of
-from harness.registry import SPECS
+from harness.records import CONTROLS, REFERENCE, UNSHOWN, Cell, CellResult, Conditions, Row, row_of
 from harness.store.opening import stored_request
-from methods.shaped import Shaped
 
 
 class InstantGrid:
@@ -84,23 +80,18 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
         assert line["low"] < line["score"] < line["high"]
     one = table[(table["env"] == "pendulum") & (table["protocol"] == "native")]
     assert list(dict.fromkeys(one["method"])) == [*STUDIED, *CONTROLS]
-    for method in STUDIED:
-        assert one[one["method"] == method]["trajectories"].is_monotonic_increasing
-    assert (tmp_path / "study.md").read_text().count("\n") == 2 + len(table)
-    assert "| cartpole | native | shaped | 100 | pi_R" in (tmp_path / "study.md").read_text()
+    text = (tmp_path / "study.md").read_text()
+    assert text.count("\n") == 2 + len(table)
+    assert "| cartpole | native | shaped | 100 | pi_R" in text
     *lines, where = capsys.readouterr().out.splitlines()[-5:]
     assert [line.partition(":")[0] for line in lines] == [
         *("cartpole, absorbing", "pendulum, absorbing", "cartpole, native", "pendulum, native"),
     ]
     # 100 a trajectory, and as many more as the seed, of 500.
-    assert (
-        lines[0]
-        .split(": ", 1)[1]
-        .startswith("pi* 0.40 [0.40, 0.41], pi_R 0.20 [0.20, 0.21]; control_survival ")
-    )
+    scored = "pi* 0.40 [0.40, 0.41], pi_R 0.20 [0.20, 0.21]; control_survival "
+    assert lines[0].startswith(f"cartpole, absorbing: {scored}")
     assert "; control_plus1 " in lines[3]
     assert where == f"look at {tmp_path / 'study.md'}, and the figures there"
-
     pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert {*pictures} == {f"{env}_figure_5_3.png" for env in ("cartpole", "pendulum")}
     computed = len(InstantGrid.computed)
@@ -119,25 +110,3 @@ def test_cells_that_a_later_run_added_to_its_directories_are_no_part_of_a_study(
     assert main([*more, "--out", str(tmp_path / "native")]) == 0
     assert reproduce() == 0
     assert (tmp_path / "study.md").read_text() == study
-
-
-def test_an_arm_is_a_method_on_so_many_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    fitted: list[tuple[Shaped, int]] = []
-    fit = Shaped.fit
-
-    def spy(self: Shaped, demos: Any, *rest: Any) -> Any:
-        fitted.append((self, len(demos.act)))
-        return fit(self, demos, *rest)
-
-    monkeypatch.setattr(Shaped, "fit", spy)
-    for name, shown in (("shaped_decay", Shown(1)), ("shaped", Shown())):
-        cell, conditions = Cell("cartpole", name, 1, shown), Conditions("smoke", "native", "sb3")
-        result, _ = run_cell(cell, conditions, prepare([cell], conditions))
-        assert [(row.method, row.policy, row.status) for row in result.rows] == [
-            (name, "pi_star", "ok"),
-            (name, "pi_R", "ok"),
-        ]
-    (thin, one), (usual, several) = fitted
-    assert (one, thin.weight_decay, thin.steps) == (1, 1e-3, usual.steps)
-    assert (several, usual.weight_decay) == (SPECS["cartpole"].demo_episodes["smoke"], 0)

@@ -31,7 +31,6 @@ from harness.records import (
     CellResult,
     Conditions,
     Shown,
-    before,
     name_of,
     needs,
     row_of,
@@ -39,7 +38,7 @@ from harness.records import (
 from harness.registry import BadInput
 from harness.rl.seeds import rng_for
 from harness.store.names import files_of
-from harness.store.opening import merged, open_for_report, open_for_run, open_to_verify, stored_request
+from harness.store.opening import open_to_verify
 from harness.store.request import Request, command_of
 from methods.base import Episodes
 from methods.maxmargin import feature_expectations
@@ -72,22 +71,6 @@ def test_a_run_asks_for_its_cells_and_no_others() -> None:
     dynamics = (NOMINAL, "flipped", "heavy")
     for combination in itertools.product(envs, methods, (0, 1, 3), shown, dynamics):
         assert MANY.asks_for(Cell(*combination)) == (Cell(*combination) in cells)
-
-
-def test_what_a_run_was_asked_for_is_remembered_and_grows(tmp_path: Path) -> None:
-    plain = Request(("bc",), ("swingup",), (0,), SMOKE)
-    for request, name in ((plain, "plain"), (MANY, "many")):
-        with open_for_run(tmp_path / name, request):
-            pass
-        assert stored_request(tmp_path / name) == request
-    grown = merged(
-        tmp_path / "plain", dataclasses.replace(plain, shown=(Shown(5),), variants=("swingup.light",))
-    )
-    assert (grown.shown, grown.variants) == ((Shown(), Shown(5)), ("swingup.light",))
-    without = dataclasses.replace(plain, conditions=dataclasses.replace(SMOKE, retrain=False))
-    with pytest.raises(BadInput, match="retrain"):
-        merged(tmp_path / "plain", without)
-    assert {cell.method for cell in without.cells} == {REFERENCE, "bc"}
 
 
 def test_the_command_says_it_all() -> None:
@@ -132,20 +115,12 @@ def test_of_steps_that_are_not_shown_nothing_is_left() -> None:
     assert [len(act) for act in whole(2, 3).every(20, np.random.default_rng(2)).act] == [1, 1]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"times": (np.array([0, 0]),)}, "ascend"),
-        ({"times": (np.array([3, 9]),)}, "ascend"),
-        ({"times": (np.array([3]),)}, "ascend"),
-        ({"times": None}, r"obs \(T\+1"),
-    ],
-)
-def test_times_that_cannot_be_are_refused(wrong: dict, message: str) -> None:
-    right = {"times": (np.array([3, 8]),), "steps": (9,)}
-    assert len(Episodes((np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,), **right).pairs()[0]) == 2
-    with pytest.raises(ValueError, match=message):
-        Episodes((np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,), **{**right, **wrong})
+def test_times_that_do_not_ascend_or_do_not_fit_are_refused() -> None:
+    shown = (np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,)
+    assert len(Episodes(*shown, times=(np.array([3, 8]),), steps=(9,)).pairs()[0]) == 2
+    for times in ([0, 0], [3, 9], [3]):
+        with pytest.raises(ValueError, match="ascend"):
+            Episodes(*shown, times=(np.array(times),), steps=(9,))
 
 
 def test_features_of_few_steps_stand_for_all() -> None:
@@ -153,12 +128,23 @@ def test_features_of_few_steps_stand_for_all() -> None:
     every = feature_expectations(whole(50), world, world.phi)
     some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world, world.phi)
     np.testing.assert_allclose(some, every, atol=0.03)
-    constant: Any = SimpleNamespace(**{**vars(world), "phi": lambda obs, act: np.ones((len(act), 1))})
-    for episodes in (whole(2), whole(2).every(7, np.random.default_rng(0))):
-        dead = dataclasses.replace(episodes, terminated=(True, False))
-        alive = (1 - 0.95**45) / (1 - 0.95**60)
-        found = feature_expectations(dead, constant, constant.phi)
-        np.testing.assert_allclose(found.sum(), (1 + alive) / 2)
+
+
+def test_each_board_has_its_own_scale() -> None:
+    results = []
+    for dynamics, expert, true in ((NOMINAL, 100.0, 90.0), ("flipped", -50.0, 60.0)):
+        results += [made(Cell("swingup", REFERENCE, 0, dynamics=dynamics), expert=expert, random=0.0)]
+        results += [made(Cell("swingup", "control_true", 0, dynamics=dynamics), pi_R=true)]
+        for demos in (0, 5):
+            cell = Cell("swingup", "shaped", 0, Shown(demos), dynamics)
+            results += [made(cell, pi_star=30.0 + demos, pi_R=45.0)]
+    found = {(e.board, e.method, e.policy): e for e in leaderboard(scored_rows(results))}
+    scores = {board: found[board, "shaped", "pi_star"].score_mean for board, _, _ in found}
+    expected = {"swingup": 0.30, "swingup, 5 demonstrations": 0.35, "swingup.flipped": 30 / 60}
+    assert scores == pytest.approx(expected | {"swingup.flipped, 5 demonstrations": 35 / 60})
+    assert found["swingup.flipped", "shaped", "pi_R"].share_of_true == pytest.approx(0.75)
+    for board in scores:  # also what nothing is shown to
+        assert found[board, "control_true", "pi_R"].seeds == 1
 
 
 @pytest.fixture
@@ -178,8 +164,8 @@ def test_demonstrators_show_what_they_are_called() -> None:
             assert np.array_equal(obs[0], other[0]), "the same episodes"
     off = noisy.act[0][0] - expert.act[0][0]
     assert off != 0
-    first = np.array([n[0] - e[0] for n, e in zip(shown(100, 1, "noisy").act, shown(100).act, strict=True)])
-    assert first.std() == pytest.approx(0.3, rel=0.25)
+    first = np.array([n[0] - e[0] for n, e in zip(shown(40, 1, "noisy").act, shown(40).act, strict=True)])
+    assert first.std() == pytest.approx(0.3, rel=0.3)
     for one_act, other_act in zip(shown(2).act, expert.act, strict=False):  # the first ones, but for rounding
         np.testing.assert_allclose(one_act, other_act, atol=1e-6)
     few = shown(6, 20)
@@ -190,46 +176,8 @@ def test_demonstrators_show_what_they_are_called() -> None:
         source_for("cartpole", 1, trained).demonstrations(Shown(2, 1, "medium"))
 
 
-def test_what_goes_on_from_what() -> None:
-    shown = Shown(5)
-    flipped = Cell("swingup", "shaped", 0, shown, "flipped")
-    assert before(flipped) == Cell("swingup", "shaped", 0, shown)
-    assert before(Cell("swingup", "shaped", 0, shown)) is None
-    assert before(Cell("swingup", "control_true", 0, dynamics="flipped")) is None
-    for dynamics in (NOMINAL, "flipped"):
-        clone = Cell("swingup", "control_clone", 0, shown, dynamics)
-        assert before(clone) == Cell("swingup", "bc", 0, shown)
-
-
 def made(cell: Cell, **returns: float) -> CellResult:
     return CellResult(cell, [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()])  # type: ignore[arg-type]
-
-
-def test_each_board_has_its_own_scale_and_what_nothing_is_shown_to() -> None:
-    results = []
-    for dynamics, expert, true in ((NOMINAL, 100.0, 90.0), ("flipped", -50.0, 60.0)):
-        results += [made(Cell("swingup", REFERENCE, 0, dynamics=dynamics), expert=expert, random=0.0)]
-        results += [made(Cell("swingup", "control_true", 0, dynamics=dynamics), pi_R=true)]
-        for demos in (0, 5):
-            cell = Cell("swingup", "shaped", 0, Shown(demos), dynamics)
-            results += [made(cell, pi_star=30.0 + demos, pi_R=45.0)]
-    entries = leaderboard(scored_rows(results))
-    boards = list(dict.fromkeys(entry.board for entry in entries))
-    assert boards == [
-        *("swingup", "swingup, 5 demonstrations"),
-        *("swingup.flipped", "swingup.flipped, 5 demonstrations"),
-    ]
-    found = {(e.board, e.method, e.policy): e for e in entries}
-    assert found["swingup", "shaped", "pi_star"].score_mean == pytest.approx(0.30)
-    assert found["swingup, 5 demonstrations", "shaped", "pi_star"].score_mean == pytest.approx(0.35)
-    assert found["swingup.flipped", "shaped", "pi_star"].score_mean == pytest.approx(30 / 60)
-    assert found["swingup.flipped", "control_true", "pi_R"].score_mean == 1
-    assert found["swingup.flipped", REFERENCE, "expert"].score_mean == pytest.approx(-50 / 60)
-    assert found["swingup", "shaped", "pi_R"].share_of_true == pytest.approx(0.5)
-    assert found["swingup.flipped", "shaped", "pi_R"].share_of_true == pytest.approx(0.75)
-    assert np.isnan(found["swingup", "shaped", "pi_star"].share_of_true)
-    for board in boards:
-        assert found[board, "control_true", "pi_R"].seeds == 1
 
 
 def test_a_cell_is_handed_what_it_is_shown_and_no_other_demonstrations() -> None:
@@ -246,41 +194,31 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
 ) -> None:
     out = tmp_path / "run"
     words = ["run", "--methods", "shaped,bc", "--envs", "swingup", "--budget", "smoke", "--rl", "sb3"]
-    words += ["--demos", "0,2", "--subsample", "7", "--transfer", "flipped", "--engine", "inline"]
+    words += ["--demos", "2", "--subsample", "7", "--transfer", "flipped", "--engine", "inline"]
     words += ["--out", str(out)]
     assert main(words) == 0, capsys.readouterr().err
     rows = pd.read_csv(out / "scores.csv")
-    assert set(rows["dynamics"]) == {NOMINAL, "flipped"}
-    assert set(rows[rows["method"] == "shaped"]["demos"]) == {0, 2}
-    assert set(rows["every"][rows["method"] == "shaped"]) == {7}
-    assert (rows["status"] == "skipped").sum() == 2 * 2  # bc learns no reward
+    assert (rows["status"] == "skipped").sum() == 2  # bc learns no reward
     shaped = rows[(rows["method"] == "shaped") & (rows["demos"] == 2)].set_index(["dynamics", "policy"])
-    pairs = shaped.loc[(NOMINAL, "pi_star"), "pairs"]
-    assert 2 * 28 <= pairs <= 2 * 29  # of 200 steps
-    returns = shaped["return_mean"]
-    assert returns[NOMINAL, "pi_star"] != returns["flipped", "pi_star"]
-    with open_to_verify(out) as run:
-        results, _ = run.load()
-        kept = {
-            cell.task: run.read_learned(result)
-            for cell, result in results.items()
-            if (cell.method, cell.shown.demos) == ("shaped", 2)
-        }
+    assert 2 * 28 <= shaped.loc[(NOMINAL, "pi_star"), "pairs"] <= 2 * 29  # of 200 steps
+    assert shaped["return_mean"][NOMINAL, "pi_star"] != shaped["return_mean"]["flipped", "pi_star"]
+    assert shaped["reward_distance"].notna()[NOMINAL, "pi_R"]
+    assert shaped["reward_distance"].isna()["flipped", "pi_R"]
     flipped = rows[rows["dynamics"] == "flipped"].set_index(["method", "policy"])
     for method in ("shaped", "bc"):  # which fit nothing there
-        assert flipped.loc[(method, "pi_star"), "fit_seconds"].isna().all()
+        assert np.isnan(flipped.loc[(method, "pi_star"), "fit_seconds"])
+    with open_to_verify(out) as run:
+        results, _ = run.load()
+        both = [
+            run.read_learned(results[cell])
+            for cell in results
+            if (cell.method, cell.shown.demos) == ("shaped", 2)
+        ]
     obs = rng_for(0, "any").normal(size=(20, 3))
-    act = kept["swingup"]["pi_star"](obs)
-    assert np.array_equal(act, kept["swingup.flipped"]["pi_star"](obs))
-    paid = [k["reward"](obs, act, obs) for k in kept.values()]
-    assert np.array_equal(*paid)
-    distances = shaped["reward_distance"]
-    assert distances.notna()[NOMINAL, "pi_R"]
-    assert distances.isna()["flipped", "pi_R"]
+    one, other = (its["pi_star"](obs) for its in both)
+    assert np.array_equal(one, other)
+    assert np.array_equal(*(its["reward"](obs, one, obs) for its in both))
     assert main(["verify", str(out)]) == 0
-    assert main(["report", str(out)]) == 0
-    page = (out / "report.html").read_text()
-    assert "swingup.flipped, 2 demonstrations, 1 of 7 steps" in page
 
 
 def test_a_variant_that_a_task_lacks_is_said(capsys: pytest.CaptureFixture[str]) -> None:
@@ -295,9 +233,7 @@ def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     base = ["run", "--methods", "bc", "--budget", "smoke", "--out", str(tmp_path / "run")]
     for more, message in (
         (["--demos", "5,x"], "not a whole number"),
-        (["--demos", "-1"], "between 0"),
         (["--subsample", "0"], "between 1"),
-        (["--demonstrator", "nobody"], "invalid choice"),
         (["--demonstrator", "medium", "--experts", "trained"], "shipped"),
         (["--envs", "gridworld", "--transfer"], "no other dynamics"),
         (["--envs", "swingup", "--transfer", "fliped"], "did you mean 'flipped'"),
@@ -306,8 +242,6 @@ def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
             "no medium demonstrators",
         ),
         (["--envs", "swingup", "--transfer", "--no-retrain"], "leave out --no-retrain"),
-        (["--envs", "swingup", "--transfer", ""], "no variant named"),
-        (["--envs", "swingup", "--transfer", "", "--no-retrain"], "leave out --no-retrain"),
         (["--demos", ",".join(map(str, range(1, 102)))], "cannot hold so much"),
     ):
         assert main([*base, *more]) == 2
@@ -315,19 +249,6 @@ def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert message in err
         assert err.count("\n") == 1
     assert not (tmp_path / "run").exists()
-
-
-def test_cells_of_other_axes_have_other_keys_and_are_of_one_version(tmp_path: Path) -> None:
-    cells = [cell for cell in MANY.cells if (cell.env, cell.method) == ("swingup", "shaped")]
-    with open_for_run(tmp_path / "run", MANY) as run:
-        for cell in cells:
-            run.save(made(cell, pi_star=1.0, pi_R=1.0))
-        one_seed = {run.keys[cell] for cell in cells if cell.seed == 0}
-        assert len(one_seed) == len(cells) / 2 == 4 * 3
-        assert len({key.partition(":")[0] for key in one_seed}) == 1
-    with open_for_report(tmp_path / "run") as run:
-        found, unusable = run.load()
-    assert (sorted(found), unusable) == (sorted(cells), {})
 
 
 @pytest.mark.usefixtures("cache")

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.cell import scoring
+from harness.cell import run as running
 from harness.cell.experts import source_for
 from harness.cell.phases import Phase
 from harness.cell.run import prepare, run_cell
 from harness.judge.evaluation import evaluate, totals
-from harness.records import CONTROLS, LEARNED, Cell, CellResult, Row, failed_rows, policies_of
+from harness.records import LEARNED, Cell, CellResult
 from harness.registry import SPECS
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import solver_for
@@ -52,13 +52,6 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
-
-
-def test_only_seed_0_is_recorded_and_seeds_differ(tmp_path: Path) -> None:
-    one = run(Cell("cartpole", "bc", 1), tmp_path / "one")
-    assert recordings(tmp_path / "one") == []
-    two = run(Cell("cartpole", "bc", 2), tmp_path / "two")
-    assert one.rows[0].return_mean != two.rows[0].return_mean
 
 
 def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
@@ -137,7 +130,7 @@ def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
     scored = dataclasses.replace(
         scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
     )
-    monkeypatch.setattr(scoring, "evaluate", lambda *of: scored)
+    monkeypatch.setattr(running, "evaluate", lambda *of: scored)
     assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
 
 
@@ -183,17 +176,3 @@ def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None
         *("demonstrations0", "ranking0")
     }
     assert "gridworld__maxmargin__seed0__pi_star.median.rrd" in recordings(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("method", "policies"),
-    [("reference", ("expert", "random")), ("bc", ("pi_star", "pi_R")), *((c, ("pi_R",)) for c in CONTROLS)],
-)
-def test_a_failed_cell_has_a_row_for_each_policy(method: str, policies: tuple[str, ...]) -> None:
-    cell = Cell("cartpole", method, 4)
-    result = failed_rows(cell, "native", "no luck")
-    assert policies_of(cell) == policies
-    assert result.cell == cell
-    failed = {"status": "failed", "reason": "no luck"}
-    rows = [Row("cartpole", method, 4, policy, "native", **failed) for policy in policies]  # type: ignore[arg-type]
-    assert repr(result.rows) == repr(rows)

@@ -12,10 +12,9 @@ from rerun.chunk import RrdReader
 
 from harness.cell import fitting
 from harness.cell.inputs import Inputs
-from harness.cell.recording import LEAST_WEIGHT, advantages, play
+from harness.cell.recording import LEAST_WEIGHT, advantages, chosen
 from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
-from harness.cell.watched import Watched, chosen
 from harness.judge.evaluation import evaluate
 from harness.recordings.ghosts import write_compared
 from harness.records import Cell, CellResult, Conditions
@@ -69,16 +68,14 @@ class Reusing:
         return buffer[:]
 
 
-@pytest.mark.parametrize("lanes", [1, 3, 20])
-def test_a_policy_that_hands_out_its_own_buffer_is_recorded_as_it_acted(lanes: int) -> None:
-    watched = Watched(Reusing())
-    episodes = Simulator(SPEC, lanes).run(watched, range(8))
-    actions = watched.actions([len(episode.act) for episode in episodes])
-    assert len(np.unique(actions[0])) == len(actions[0]) > 5
-    for episode, again in zip(episodes, play(SPEC, range(8), actions), strict=True):
+def test_what_a_policy_does_to_its_arrays_changes_no_episode() -> None:
+    episodes = Simulator(SPEC, 3).run(Reusing(), range(8))
+    assert len(np.unique(episodes[0].act)) == len(episodes[0].act) > 5
+    again = iter([one.act for one in episodes])
+    for seed, episode in enumerate(episodes):
+        (same,) = Simulator(SPEC, 1).run(lambda obs: np.zeros((len(obs), 1)), [seed], [next(again)])
         for name in ("obs", "act", "rewards"):
-            assert np.array_equal(getattr(again, name), getattr(episode, name)), name
-        assert again.ending == episode.ending
+            assert np.array_equal(getattr(same, name), getattr(episode, name)), name
 
 
 def test_first_actions_leave_a_policys_array_as_it_is() -> None:
@@ -86,20 +83,6 @@ def test_first_actions_leave_a_policys_array_as_it_is() -> None:
     first = [np.full((2, SPEC.act_size), -1.0)] * 3
     episodes = Simulator(SPEC).run(lambda obs: constant[: len(obs)], range(3), first)
     assert all((one.act[:2] == -1).all() and (one.act[2:] == 0.1).all() for one in episodes)
-
-
-def test_an_episode_that_plays_otherwise_is_told_and_not_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    acts = Watched.actions
-    flipped = lambda self, lengths: [-one for one in acts(self, lengths)]  # noqa: E731
-    monkeypatch.setattr(Watched, "actions", flipped)
-    result = ran("bc", tmp_path)
-    assert result.recordings == {}
-    assert len(result.warnings) == 2
-    assert "pi_star: evaluation episode" in result.warnings[0]
-    assert "when its actions were played again" in result.warnings[0]
-    assert math.isfinite(result.rows[0].return_mean)
 
 
 def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +95,7 @@ def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pyt
             return Learned(lambda obs: np.zeros((len(obs), SPEC.act_size)), None)
 
     task = Inputs(Cell("cartpole", "bc", 0), SMOKE, Shared(shared()))
-    demos = fitting.demonstrations(task)[0]
+    demos = fitting.demonstrations(task)
     before = [array.copy() for array in (*demos.obs, *demos.act)]
     monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Spoiling())
     fitting.learned_by(task, "bc", demos, task.world())
@@ -122,7 +105,6 @@ def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pyt
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("none", {}),
         ("median", {"median": 3}),
         ("worst", {"worst": 1}),
         ("both", {"median": 3, "worst": 1}),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,15 +12,12 @@ import pytest
 from harness.benchmarks.expert_training import Candidate, is_good, measure
 from harness.cell.experts import source_for
 from harness.cell.shipped import shipped_experts
-from harness.cli.main import main
 from harness.process.environment import CACHE_VARIABLE, numeric
-from harness.records import Cell, CellResult, Conditions, Row
+from harness.records import Cell, Conditions
 from harness.registry import SPECS, BadInput, all_specs, keys
 from harness.registry.keys import EXPERTS, ROOT, cell_keys, experts_version, program
 from harness.rl.seeds import held_out_seeds
 from harness.store.cache import as_bytes, from_bytes
-from harness.store.opening import open_for_report, open_for_run
-from harness.store.request import Request
 
 TASKS = tuple(spec.name for spec in all_specs() if spec.shipped)
 FOLDER = ROOT / EXPERTS[0]
@@ -110,40 +106,3 @@ def test_a_task_without_shipped_experts_trains_its_own(
     assert (experts_version("cartpole"), shipped_experts("cartpole")) == ("", [])
     conditions = dataclasses.replace(CONDITIONS, rl="sb3")
     assert source_for("cartpole", 2, conditions).expert.name == "trained:2"
-
-
-def result(method: str, seed: int = 0) -> CellResult:
-    policies = ("expert", "random") if method == "reference" else ("pi_star", "pi_R")
-    rows = [Row("cartpole", method, seed, policy, "absorbing", return_mean=1.0) for policy in policies]  # type: ignore[arg-type]
-    return CellResult(Cell("cartpole", method, seed), rows)
-
-
-def test_results_of_two_versions_of_experts_are_never_mixed(
-    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    request = Request(("bc", "shaped"), ("cartpole",), (0,), CONDITIONS)
-    out = tmp_path / "run"
-    with open_for_run(out, request) as run:
-        for method in ("reference", "bc", "shaped"):
-            run.save(result(method))
-    change(copy)
-    with open_for_run(out, request) as run:
-        found, unusable = run.load()
-        assert found == {}
-        assert all("its experts" in reason for reason in unusable.values())
-        for method in ("reference", "bc"):  # a run that asked for less
-            run.save(result(method))
-    with open_for_report(out) as run:  # which of no version knows that it is the present one
-        found, unusable = run.load()
-        assert [cell.method for cell in found] == ["bc", "reference"]
-        assert [path.stem for path in unusable] == ["cartpole__shaped__seed0"]
-    assert main(["report", str(out)]) == 1
-    assert "computed by another version" in capsys.readouterr().err
-
-
-def test_the_package_brings_them_where_they_are_looked_for() -> None:
-    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    repository, installed = EXPERTS
-    assert setup["package-dir"] == {installed.replace("/", "."): repository}
-    assert installed.replace("/", ".") in setup["packages"]
-    assert setup["package-data"][installed.replace("/", ".")] == ["*.safetensors", "LICENSE"]

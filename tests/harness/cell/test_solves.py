@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +14,17 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
-from harness.cell.experts import Expert, Trained, task_for
+from harness.cell.experts import task_for
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
-from harness.process.environment import CACHE_VARIABLE
-from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Conditions, Solve, row_of
-from harness.registry import BUDGETS, SPECS, BadInput
+from harness.records import NOMINAL, REFERENCE, Cell, Conditions
+from harness.registry import BUDGETS, SPECS
 from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.rl.solving import Solution
-from harness.store.cache import Kept
 from harness.store.codec import decode, encode
-from harness.store.opening import merged, open_for_run, stored_request
-from harness.store.request import Request
 from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import SMOKE, cache, run  # noqa: F401
 
@@ -130,15 +125,13 @@ def test_the_solve_that_earns_most_on_judging_episodes_counts(
     assert decode(encode(result)).solves == result.solves
 
 
-def test_of_equals_the_first_counts_and_what_earns_no_number_never_does(
+def test_what_earns_no_number_is_never_chosen(
     tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for earned_by, expected in (([1.0, 2.0, 2.0, 2.0], 0.9), ([math.nan, -3.0, -3.0, -2.0], -0.5)):
-        solved.clear()
-        monkeypatch.setattr(retraining, "judge", lambda *given, its=earned_by: (its, 0))
-        result = run(CELL, tmp_path, many(4))
-        assert result.curves["pi_R_chosen"] == [(float(STEPS), expected)]
-        assert decode(encode(result)).solves[1:] == result.solves[1:]
+    monkeypatch.setattr(retraining, "judge", lambda *asked: ([math.nan, -3.0, -3.0, -2.0], 0))
+    result = run(CELL, tmp_path, many(4))
+    assert result.curves["pi_R_chosen"] == [(float(STEPS), -0.5)]
+    assert decode(encode(result)).solves[1:] == result.solves[1:]
 
 
 def test_a_solve_is_the_same_whatever_others_there_are(
@@ -217,41 +210,3 @@ def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dyna
         assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
         assert (task.place is task.spec) == (dynamics == NOMINAL)
         assert task_for("cartpole", conditions).rl == rl
-
-
-def test_what_experts_of_another_learner_show_is_kept_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    content = Kept({"x": np.zeros(1)}, {})
-    for learner in ("own", "ddpg"):
-        source = Trained("cartpole", 0, dataclasses.replace(SMOKE, learner=learner, experts="trained"))
-        vars(source)["expert"] = Expert("trained:0", Push(0.5))
-        assert source.kept("demonstrations", 5, lambda: content) is content
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-ASKED = Request(("shaped",), ("cartpole",), (0,), Conditions("quick", "absorbing", "sbx"))
-
-
-@pytest.mark.parametrize("changes", [{}, {"solves": 3}, {"learner": "ddpg"}])
-def test_a_run_remembers_what_is_not_usual(tmp_path: Path, changes: dict[str, Any]) -> None:
-    request = dataclasses.replace(ASKED, conditions=dataclasses.replace(ASKED.conditions, **changes))
-    with open_for_run(tmp_path, request):
-        pass
-    assert stored_request(tmp_path) == merged(tmp_path, request) == request
-    if changes:
-        with pytest.raises(BadInput, match=r"holds a run with (solves 3|learner ddpg), not (by task|own)"):
-            merged(tmp_path, ASKED)
-
-
-def test_cells_of_earlier_versions_have_no_solves() -> None:
-    result = CellResult(CELL, [row_of(CELL, "pi_R", "absorbing")], solves=[Solve(1.0, 2.0, 3.0, 1.0)])
-    stored = json.loads(encode(result))
-    del stored["solves"]
-    for row in stored["rows"]:
-        for name in ("own_return_random", "solves", "solved"):
-            del row[name]
-    earlier = decode(json.dumps(stored))
-    assert earlier.solves == []
-    assert math.isnan(earlier.rows[0].solved)

@@ -25,7 +25,7 @@ def test_returns_are_sums_of_true_rewards(steady: EnvSpec) -> None:
         **{"length_mean": 10, "length_std": 0},
     }
     worse = evaluate(steady, lambda obs: 0 * obs, [3])
-    rewards = 1 - np.abs(worse.first.obs[:-1, 0])
+    rewards = 1 - np.abs(worse.episodes[0].obs[:-1, 0])
     assert worse.discounted[0] == pytest.approx(sum(0.9**t * r for t, r in enumerate(rewards)), rel=1e-6)
 
 
@@ -33,7 +33,7 @@ def test_endings_and_returns_under_another_reward_are_counted(fragile: EnvSpec) 
     scored = evaluate(fragile, lambda obs: -0.2 * obs, range(30), Constant(2.0, absorbing=0.5))
     assert scored.endings["missed"] >= (scored.lengths < 10).sum() > 10
     assert sum(scored.endings.values()) == 30
-    assert len(scored.first.obs) == scored.lengths[0] + 1
+    assert len(scored.episodes[0].obs) == scored.lengths[0] + 1
     np.testing.assert_allclose(scored.own, 1.5 * scored.lengths)
     columns = scored.columns()
     assert columns["own_return"] == pytest.approx(1.5 * scored.lengths.mean())

@@ -22,10 +22,11 @@ def ones(obs: np.ndarray, act: np.ndarray, next_obs: np.ndarray) -> np.ndarray:
 
 
 class Odd:
-    absorbing = float("nan")
+    def __init__(self, absorbing: float, *shape: int) -> None:
+        self.absorbing, self.shape = absorbing, shape
 
     def __call__(self, obs: np.ndarray, act: np.ndarray, next_obs: np.ndarray) -> np.ndarray:
-        return np.ones(len(obs))
+        return np.ones((len(obs), *self.shape))
 
 
 @pytest.mark.parametrize("reward", [None, Constant(1.0, absorbing=0.0)])
@@ -36,12 +37,14 @@ def test_what_a_method_must_return_passes(steady: EnvSpec, reward: Any) -> None:
 @pytest.mark.parametrize(
     ("learned", "error", "message"),
     [
-        (None, TypeError, "must return a Learned, not NoneType"),
         ((still, None), TypeError, "must return a Learned, not tuple"),
         (Learned(None, None), TypeError, "policy of what fit returns cannot be called"),  # type: ignore[arg-type]
         (Learned(still, 1.0), TypeError, "reward of what fit returns cannot be called"),  # type: ignore[arg-type]
         (Learned(still, ones), TypeError, "lacks `absorbing`"),  # type: ignore[arg-type]
-        (Learned(still, Odd()), ValueError, "one finite number"),
+        (Learned(still, Odd(np.nan)), ValueError, "one finite number"),
+        (Learned(still, Odd(0.0, 1)), ValueError, "one number a step"),
+        (Learned(lambda obs: still(obs)[:1], None), ValueError, "1 actions for 5 observations"),
+        (Learned(lambda obs: still(obs) * np.nan, None), ValueError, "actions must be finite"),
         (Learned(lambda obs: still(obs) + 2, None), ValueError, r"lie in \[-1, 1\]"),
         (Learned(lambda obs: still(obs)[0], None), ValueError, "shape"),
     ],

@@ -115,16 +115,6 @@ def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
     np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
 
 
-def test_the_bits_of_a_solve_depend_on_its_seed_alone() -> None:
-    def curve(seed: int) -> list[tuple[float, float]]:
-        settings = PPO(copies=8, steps=50, batch=100, net=(8,), checkpoint_every=400, check_episodes=2)
-        agent = Agent(SPECS["swingup"], "absorbing", np.random.default_rng(seed), "sbx", settings)
-        return agent.solve(None, 1200).curve
-
-    first, other, again = curve(100), curve(101), curve(100)
-    assert first == again != other
-
-
 def paid_with(entropy: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Array, Array, OnPolicy]:
     """What steps of the swing-up paid for the entropy of actions (N,), the logarithm of their density, and
     the agent after a bout."""

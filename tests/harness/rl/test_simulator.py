@@ -58,14 +58,6 @@ def test_lockstep_equals_one_by_one_in_the_order_of_the_seeds(fragile: EnvSpec, 
     assert_equal(simulator.run(contrary, SEEDS[::-1]), expected[::-1])
 
 
-def test_shapes_and_types(fragile: EnvSpec) -> None:
-    for episode in Simulator(fragile).run(contrary, SEEDS):
-        length = len(episode.rewards)
-        assert episode.obs.shape == (length + 1, 1)
-        assert episode.act.shape == (length, 1)
-        assert episode.obs.dtype == episode.act.dtype == episode.rewards.dtype == np.float64
-
-
 @pytest.mark.parametrize("spec", all_specs(), ids=lambda spec: spec.name)
 def test_what_is_recorded_is_what_was_done(spec: EnvSpec) -> None:
     rng, asked = np.random.default_rng(0), []
@@ -108,13 +100,6 @@ def test_an_episodes_drawings_are_the_scenes_it_went_through(fragile: EnvSpec) -
     (episode,) = Simulator(fragile).run(contrary, [3])
     frames = drawings(dataclasses.replace(fragile, draw=draw), 3, episode.act)
     assert [frame["target"].points[0, 0] for frame in frames] == episode.obs[:, 0].tolist()
-
-
-def test_endings_are_told_in_words(fragile: EnvSpec, steady: EnvSpec) -> None:
-    for episode in Simulator(steady).run(contrary, SEEDS):
-        assert (episode.ending, episode.terminated, len(episode.act)) == ("time limit", False, 10)
-    short = Simulator(fragile).run(lambda obs: -np.sign(obs), SEEDS)
-    assert {(e.ending, e.terminated, len(e.act)) for e in short} == {("missed", True, 1)}
 
 
 @pytest.mark.parametrize("lanes", [1, 7, 16, 100])

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import jax
 import numpy as np
 import pytest
 import sbx
 import stable_baselines3
-from gymnasium import spaces
 
 from envs import EnvSpec
 from envs.copies import Copies
-from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
+from envs.learners import DDPG, PPO, SAC, TD3, Learner
 from harness.registry import LIBRARIES, Library, all_specs
 from harness.rl import ppo
 from harness.rl.seeds import TRAINING, evaluation_seeds
@@ -31,7 +27,7 @@ OBS = np.linspace(-0.8, 0.8, 33)[:, None]
 
 
 both_libraries = pytest.mark.parametrize("library", LIBRARIES)
-LEARNERS = [DDPG(), TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
+LEARNERS = [TD3(), SAC(), PPO(copies=10, steps=2, batch=10)]
 learners = pytest.mark.parametrize("settings", LEARNERS, ids=lambda settings: type(settings).__name__)
 
 
@@ -41,16 +37,11 @@ def test_a_solve_says_what_it_took(steady: EnvSpec) -> None:
     assert xs == [STEPS / 2, 2 * DDPG().checkpoint_every, STEPS]
     # Twenty episodes of ten steps at each checkpoint.
     assert (solution.env_steps, solution.check_steps) == (STEPS, len(xs) * 20 * 10)
-
-
-def test_a_short_solve_is_checked_on_fewer_episodes(steady: EnvSpec) -> None:
-    short = solve(steady, Seek(), steps=300)
+    short = solve(steady, Seek(), steps=300)  # checked on fewer episodes
     assert (short.env_steps, short.check_steps) == (300, len(short.curve) * 4 * 10)
-    shortest = solve(steady, Seek(), steps=20)
-    assert (shortest.env_steps, shortest.check_steps) == (20, len(shortest.curve) * 1 * 10)
 
 
-@pytest.mark.parametrize("steps", [-10, 0, 10, 25])
+@pytest.mark.parametrize("steps", [0, 10, 25])
 def test_all_copies_take_whole_steps_and_learn_after_the_first(steady: EnvSpec, steps: int) -> None:
     with pytest.raises(ValueError, match=f"multiple of 10 steps, at least 20, not {steps}"):
         solve(steady, Seek(), steps=steps)
@@ -69,49 +60,6 @@ def test_no_reward_means_the_environments_own(steady: EnvSpec) -> None:
     own, learned = solve(steady, None), solve(steady, Seek())
     np.testing.assert_allclose(own.policy(OBS), learned.policy(OBS), atol=0.05)
     np.testing.assert_allclose(own.curve, learned.curve, atol=0.2)
-
-
-class Side(gym.Env):
-    """The observation (1,) is drawn from [-1, 1] at every step; choosing its sign, 1 for positive, pays 1."""
-
-    observation_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-    action_space = spaces.Discrete(2)
-
-    def _move(self) -> np.ndarray:
-        self.where = self.np_random.uniform(-1, 1, 1).astype(np.float32)
-        return self.where
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
-        super().reset(seed=seed)
-        return self._move(), {}
-
-    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict]:
-        paid = float(action == (self.where[0] > 0))
-        return self._move(), paid, False, False, {}
-
-
-def test_it_learns_to_choose(steady: EnvSpec) -> None:
-    gym.register("irl_bench_tests/Side-v0", Side, max_episode_steps=10, disable_env_checker=True)
-    spec = EnvSpec(
-        "Side", "irl_bench_tests/Side-v0", 1, 2, (1.0,), 10, gamma=steady.gamma, discrete=True, rl=DQN()
-    )
-    positive = OBS[:, 0] > 0
-
-    @dataclass(frozen=True)
-    class Other:
-        """Pays for the choice of the other sign: `act` is one-hot."""
-
-        absorbing = 0.0
-
-        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-            assert set(act.ravel()) <= {0.0, 1.0}
-            assert (act.sum(axis=1) == 1).all()
-            return act[np.arange(len(act)), (obs[:, 0] < 0).astype(int)]
-
-    sure = np.abs(OBS[:, 0]) > 0.2
-    own, other = (solve(spec, reward).policy(OBS).argmax(axis=1) == positive for reward in (None, Other()))
-    assert own[sure].all()
-    assert not other[sure].any()
 
 
 @both_libraries
@@ -193,65 +141,34 @@ def test_the_learning_rate_falls_within_each_solve(
     assert rates[0] > 9e-4
 
 
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
-def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec, protocol: str) -> None:
-    one = solve(fragile, Seek(absorbing=-0.5), protocol, 500)
-    other = solve(fragile, Seek(scale=8.0, absorbing=-4.0), protocol, 500)
+def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec) -> None:
+    one, other = (solve(fragile, Seek(1.0, size, -0.5 * size), steps=500) for size in (1.0, 8.0))
     assert same(one.policy, other.policy)
     assert [(x, 8 * y) for x, y in one.curve] == other.curve
 
 
-def test_only_the_difference_from_absorption_counts(fragile: EnvSpec) -> None:
-    @dataclass(frozen=True)
-    class Shifted(Seek):
-        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-            return super().__call__(obs, act, next_obs) + 64.0
-
-    one = solve(fragile, Seek(absorbing=-0.5), steps=500)
-    other = solve(fragile, Shifted(absorbing=63.5), steps=500)
-    np.testing.assert_allclose(other.policy(OBS), one.policy(OBS), atol=1e-2)
-
-
-@learners
-def test_what_one_agent_compiled_serves_the_next(
-    steady: EnvSpec, caplog: pytest.LogCaptureFixture, settings: Learner
-) -> None:
-    spec = dataclasses.replace(steady, rl=settings)
-    update = "learn" if isinstance(settings, PPO) else "_train"
+def test_what_one_agent_compiled_serves_the_next(steady: EnvSpec, caplog: pytest.LogCaptureFixture) -> None:
+    spec = dataclasses.replace(steady, rl=TD3())
 
     def compiled() -> int:
         caplog.clear()
         with jax.log_compiles():
             solve(spec, Seek(), steps=200, library="sbx")
-        return caplog.text.count(f"Compiling jit({update})")
+        return caplog.text.count("Compiling jit(_train)")
 
     jax.clear_caches()
     assert [compiled() > 0, compiled()] == [True, 0]
 
 
-WRONG = [
-    lambda obs, act, next_obs: np.full(len(obs), np.nan),
-    lambda obs, act, next_obs: np.where(obs[:, 0] > 0.5, np.inf, 0.0),
-    lambda obs, act, next_obs: np.zeros((len(obs), 1)),
-]
+class Wide(Seek):
+    """Pays a column."""
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return super().__call__(obs, act, next_obs)[:, None]
 
 
-@pytest.mark.parametrize(
-    ("protocol", "wrong", "absorbing"),
-    [
-        *((protocol, wrong, 0.0) for protocol in ("absorbing", "native") for wrong in WRONG),
-        ("absorbing", lambda obs, act, next_obs: np.ones(len(obs)), np.nan),
-    ],
-)
-def test_a_reward_that_is_no_number_is_refused(
-    steady: EnvSpec, protocol: str, wrong: Callable[..., Array], absorbing: float
-) -> None:
-    class Wrong:
-        def __init__(self) -> None:
-            self.absorbing = absorbing
-
-        def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-            return wrong(obs, act, next_obs)
-
+@pytest.mark.parametrize("protocol", ["absorbing", "native"])
+@pytest.mark.parametrize("reward", [Seek(scale=np.nan), Seek(scale=np.inf), Wide()])
+def test_a_reward_that_is_no_number_is_refused(steady: EnvSpec, protocol: str, reward: Seek) -> None:
     with pytest.raises(FloatingPointError, match="finite"):
-        solve(steady, Wrong(), protocol, 40)
+        solve(steady, reward, protocol, 40)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from envs import EnvSpec, Quantity
-from envs.learners import SAC
+from envs import EnvSpec
 from harness.judge.controls import Distance
 from harness.records import Cell, Conditions
 from harness.registry import SPECS
@@ -24,7 +23,6 @@ from methods.fourier import FourierFeatures
 from methods.network import Network
 from methods.rewards import Constant, LinearReward, MeanReward, NetworkReward, StateReward
 from methods.shaped import ShapedReward
-from methods.stochastic import SquashedGaussian
 
 CELL, CONDITIONS = Cell("cartpole", "shaped", 0), Conditions("smoke", "absorbing", "sbx")
 RNG = np.random.default_rng(0)
@@ -91,24 +89,6 @@ def test_a_policy_that_was_kept_acts_the_same_bit_for_bit() -> None:
         assert np.array_equal(its(obs), policy(obs))
 
 
-def test_a_linear_reward_is_kept_with_the_name_of_its_features() -> None:
-    data, _ = artifact(CELL, CONDITIONS, {"reward": linear()})
-    assert len(data) < 2000
-    found = kept(reward=linear())["reward"]
-    assert found.phi._spec is SPECS["cartpole"]
-
-
-def test_what_was_fitted_in_32_bits_is_kept_in_32() -> None:
-    small, large = (to_arrays(network(4, 1, half=half), "x")[0] for half in (True, False))
-    assert {a.dtype for a in small.values()} == {np.dtype(np.float32)}
-    assert large["x.weights.0"].dtype == np.float64
-
-
-def test_the_same_things_are_the_same_bytes() -> None:
-    one = [artifact(CELL, CONDITIONS, {"reward": REWARDS["shaped"]})[0] for _ in range(20)]
-    assert len(set(one)) == 1
-
-
 @dataclasses.dataclass(frozen=True)
 class Strange:
     """Of no package that is loaded."""
@@ -122,10 +102,6 @@ class Strange:
         (lambda obs: obs, "builtins.function is no dataclass"),
         (Strange(), "Strange is no dataclass of envs, methods, harness"),
         (Constant(1.0, np.array(["x"])), "an array of <U1 cannot be stored"),  # type: ignore[arg-type]
-        (Constant([1.0], 0.0), "builtins.list is no dataclass"),  # type: ignore[arg-type]
-        (Constant(np.ma.array([1.0]), 0.0), "MaskedArray is no dataclass"),
-        (Constant(np.array([1], ">i8"), 0.0), "an array of >i8 cannot be stored"),  # type: ignore[arg-type]
-        (Constant(Quantity("x"), 0.0), "Quantity is no dataclass"),  # type: ignore[arg-type]
     ],
 )
 def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(thing: Any, reason: str) -> None:
@@ -136,34 +112,10 @@ def test_what_cannot_be_kept_is_told_and_the_rest_is_kept(thing: Any, reason: st
     assert artifact(CELL, CONDITIONS, {"reward": thing})[0] == b""
 
 
-def test_arrays_come_back_with_their_shape_and_layout() -> None:
-    number = np.array(1.5)
-    found = kept(reward=Constant(number, 0.0))["reward"]  # type: ignore[arg-type]
-    assert found.value.shape == ()
-    gaussian = SquashedGaussian(dataclasses.replace(network(4, 6, half=False), tanh=False))
-    its = kept(pi_star=gaussian.mean)["pi_star"]
-    for obs in np.random.default_rng(0).standard_normal((300, 1, 4)):
-        assert np.array_equal(its(obs), gaussian.mean(obs))
-        assert gaussian.mean.weights[-1].flags.c_contiguous
-
-
-def test_a_reward_that_holds_itself_is_told() -> None:
-    reward = Distance(network(4, 1))
-    object.__setattr__(reward, "policy", reward)
-    _, (trouble,) = artifact(CELL, CONDITIONS, {"reward": reward})
-    assert "reward is not kept" in trouble
-
-
-def test_features_are_kept_whatever_learns_in_their_task() -> None:
-    arrays, described = to_arrays(Features(SPECS["cartpole"].by_ddpg()), "x")
-    assert from_arrays(arrays, described) == Features(SPECS["cartpole"])
-    other = dataclasses.replace(SPECS["cartpole"], rl=SAC())
-    assert to_arrays(Features(other), "x") == (arrays, described)
-
-
-def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpec) -> None:
-    other = dataclasses.replace(SPECS["cartpole"], summary="another")
-    for spec in (steady, other):
+def test_features_are_of_a_registered_task_whatever_learns_there(steady: EnvSpec) -> None:
+    stored = to_arrays(Features(SPECS["cartpole"].by_ddpg()), "x")
+    assert from_arrays(*stored) == Features(SPECS["cartpole"])
+    for spec in (steady, dataclasses.replace(SPECS["cartpole"], summary="another")):
         with pytest.raises(TypeError, match="no registered environment"):
             to_arrays(LinearReward(Features(spec), np.ones(2)), "x")
 
@@ -172,29 +124,18 @@ def test_features_of_a_task_that_is_not_registered_cannot_be_kept(steady: EnvSpe
     "described",
     [
         {"class": "os:system", "fields": {"command": "true"}},
-        {"class": "subprocess:Popen", "fields": {}},
         {"class": "harness.cell.run:run_cell", "fields": {}},
-        {"class": "harness.engines.containment:Popen", "fields": {}},
         {"class": "methods.rewards:np", "fields": {}},
-        {"class": "methods.rewards:Absent", "fields": {}},
         {"class": "methods.absent:Constant", "fields": {}},
-        {"class": "methods.rewards:Constant", "fields": {"value": 1.0, "absorbing": 0.0, "more": 1}},
         {"class": "methods.rewards:Constant", "fields": {"value": 1.0}},
-        {"class": 7, "fields": {}},
         {"env": "nowhere"},
         {"array": "absent"},
-        {"tuple": "text"},
-        "hello",
-        5,
-        None,
-        {},
         [1, 2],
     ],
 )
 def test_what_was_not_written_by_it_is_refused_and_runs_nothing(described: Any) -> None:
-    if isinstance(described, dict | list):
-        with pytest.raises(ValueError, match=r"stored here|no dataclass|Error|unexpected|missing"):
-            from_arrays({}, described)
+    with pytest.raises(ValueError, match="stored here"):
+        from_arrays({}, described)
     with pytest.raises(ValueError, match=r"."):
         learned_in(as_bytes(Kept({}, {"format": artifacts.FORMAT, "learned": {"reward": described}})))
 
@@ -230,10 +171,3 @@ def test_what_is_too_large_to_be_kept_is_named_and_fails_no_cell(monkeypatch: py
     nothing, (trouble,) = artifact(CELL, CONDITIONS, learned)
     assert nothing == b""
     assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: the file would be larger than")
-
-
-def test_where_nothing_can_be_kept_there_is_no_file_and_variants_fit_again() -> None:
-    """A method without a reward, whose policy is a function: the one of the README."""
-    nothing, (trouble,) = artifact(CELL, CONDITIONS, {"pi_star": lambda obs: obs, "reward": None})
-    assert nothing == b""
-    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: builtins.function is no dataclass")
