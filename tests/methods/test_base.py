@@ -1,12 +1,12 @@
+"""Demonstrations, and what methods make of them: rows, features, and what ends pay."""
+
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from methods.base import Episodes, Transitions
+from methods.base import Array, Episodes, Transitions
+from methods.fourier import FourierFeatures
 from methods.rewards import default_absorbing
-from methods.stochastic import roughened
-from methods.visits import seen_by_both
+from methods.visits import seen_by_both, visitations, visited
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -16,16 +16,6 @@ def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
         tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
         tuple(terminated for _ in lengths),
     )
-
-
-@given(st.lists(st.integers(1, 9), min_size=1, max_size=5))
-def test_pairs_hold_every_step_once_and_never_the_last_observation(lengths: list[int]) -> None:
-    demos = episodes(lengths)
-    obs, act = demos.pairs()
-    assert len(obs) == len(act) == sum(lengths)
-    assert demos.lengths.tolist() == lengths
-    for last in (o[-1] for o in demos.obs):
-        assert not (obs == last).all(axis=1).any()
 
 
 def test_transitions_are_of_steps_that_follow_each_other() -> None:
@@ -44,74 +34,23 @@ def test_transitions_are_of_steps_that_follow_each_other() -> None:
     np.testing.assert_array_equal(done, [act[0][0], act[1][5]])
 
 
-def test_episodes_cannot_be_written_to() -> None:
-    demos = episodes([4])
-    with pytest.raises(ValueError, match="read-only"):
-        demos.obs[0][0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("obs", "act"),
     [
         ([], []),
-        ([np.zeros((1, 3))], [np.zeros((0, 2))]),
         ([np.zeros((4, 3))], [np.zeros((4, 2))]),
         ([np.full((4, 3), np.nan)], [np.zeros((3, 2))]),
         ([np.zeros((4, 3))], [np.full((3, 2), 1.5)]),
-        ([np.zeros((4, 3)), np.zeros((4, 2))], [np.zeros((3, 2))] * 2),
     ],
-    ids=["none", "no step", "no last observation", "NaN", "action out of range", "unequal sizes"],
+    ids=["none", "no last observation", "NaN", "action out of range"],
 )
 def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
     with pytest.raises(ValueError, match="episode"):
         Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
 
 
-def test_steps_are_not_demonstrated_unless_they_say_so() -> None:
-    no = np.zeros(4, bool)
-    steps = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3)), no, no
-    assert Transitions.own(*steps).demonstrated.tolist() == [False] * 4
-    assert Transitions(*steps, ~no).demonstrated.tolist() == [True] * 4
-
-
 def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(-1, 1, (count, 2))
-
-
-def right(count: int, rng: np.random.Generator) -> np.ndarray:
-    return np.tile([0.0, 1.0], (count, 1))
-
-
-class Quadratic:
-    absorbing = 0.0
-
-    def __call__(self, obs: np.ndarray, act: np.ndarray, next_obs: np.ndarray) -> np.ndarray:
-        return -(act**2).sum(1)
-
-
-def test_absorption_pays_the_mean_over_uniform_actions() -> None:
-    demos = episodes([20_000])
-    rng = np.random.default_rng(1)
-    assert default_absorbing(Quadratic(), demos, uniform, rng) == pytest.approx(-2 / 3, abs=0.02)
-
-
-def test_what_is_uniform_is_for_the_environment_to_say() -> None:
-    assert default_absorbing(Quadratic(), episodes([50]), right, np.random.default_rng(1)) == -1
-
-
-def test_absorption_pays_what_the_demonstrations_got_where_they_terminate_themselves() -> None:
-    demos = episodes([50, 7], terminated=True)
-    expected = -(demos.pairs()[1] ** 2).sum(1).mean()
-    assert default_absorbing(Quadratic(), demos, uniform, np.random.default_rng(1)) == pytest.approx(expected)
-
-
-def test_noise_replaces_the_share_of_actions_that_was_asked_for() -> None:
-    obs = np.zeros((5000, 3))
-    still = lambda obs: np.zeros((len(obs), 2))  # noqa: E731
-    act = roughened(still, 0.3, uniform, np.random.default_rng(0))(obs)
-    assert act.any(axis=1).mean() == pytest.approx(0.3, abs=0.03)
-    assert (act.any(axis=1) == act.all(axis=1)).all()
-    assert not roughened(still, 0.0, uniform, np.random.default_rng(0))(obs).any()
 
 
 def test_rollouts_and_demonstrations_are_seen_alike() -> None:
@@ -119,3 +58,70 @@ def test_rollouts_and_demonstrations_are_seen_alike() -> None:
     both = seen_by_both(demos, rollouts, np.random.default_rng(0))
     np.testing.assert_array_equal(both[70:], rollouts.pairs()[0])
     assert {tuple(row) for row in both[:70]} == {tuple(row) for row in demos.pairs()[0]}
+
+
+MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
+
+
+def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -> None:
+    rng = np.random.default_rng(0)
+    lengths, terminated = (4, 10, 3, 10), (True, False, False, True)
+    episodes = Episodes(
+        tuple(rng.normal(size=(n + 1, 3)) for n in lengths),
+        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
+        terminated,
+    )
+    visits = visitations(episodes, 10 - episodes.lengths, MEAN, STD)
+    alive, absorbed = visits[: sum(lengths)], visits[sum(lengths) :]
+    obs, act = episodes.pairs()
+    np.testing.assert_allclose(alive[:, :3] * STD + MEAN, obs)
+    np.testing.assert_array_equal(alive[:, 3:5], act)
+    assert (alive[:, 5] == 0).all()
+    # Only the first episode terminated before the horizon, six steps early.
+    np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
+
+
+def test_of_few_steps_that_are_shown_the_absorbing_ones_are_as_rare() -> None:
+    rng = np.random.default_rng(0)
+    terminated = Episodes((rng.normal(size=(41, 3)),) * 5, (rng.uniform(-1, 1, (40, 2)),) * 5, (True,) * 5)
+    few = terminated.every(10, rng)
+    assert visitations(terminated, 10, MEAN, STD)[:, -1].tolist() == [0] * 200 + [1] * 50
+    assert visitations(few, 10, MEAN, STD)[:, -1].tolist() == [0] * 20 + [1] * 5
+
+
+def test_steps_of_an_agent_are_described_as_those_of_episodes_are() -> None:
+    rng = np.random.default_rng(0)
+    episodes = Episodes((rng.normal(size=(5, 3)),), (rng.uniform(-1, 1, (4, 2)),), (True,))
+    obs, act = episodes.pairs()
+    absorbing = np.array([False] * 4 + [True] * 2)
+    there = np.full((2, 3), 7.0), np.full((2, 2), 0.5)
+    obs, act = np.concatenate([obs, there[0]]), np.concatenate([act, there[1]])
+    steps = Transitions.own(obs, act, obs, absorbing, absorbing)
+    for actions in (True, False):
+        rows = visitations(episodes, 2, MEAN, STD, actions)
+        np.testing.assert_array_equal(visited(steps, MEAN, STD, actions), rows)
+
+
+def test_an_end_pays_the_mean_of_uniform_actions_unless_all_demonstrations_end() -> None:
+    class Quadratic:
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
+            return np.asarray(-np.square(act).sum(1))
+
+    lives, dies, rng = episodes([20_000]), episodes([50, 7], terminated=True), np.random.default_rng(1)
+    assert default_absorbing(Quadratic(), lives, uniform, rng) == pytest.approx(-2 / 3, abs=0.02)
+    shown = -np.square(dies.pairs()[1]).sum(1).mean()
+    assert default_absorbing(Quadratic(), dies, uniform, rng) == pytest.approx(shown)
+
+
+def test_products_of_random_waves_are_a_kernels_and_follow_the_tasks_own_features() -> None:
+    rng, width = np.random.default_rng(0), 1.7
+    obs, act = MEAN + STD * rng.normal(size=(200, 3)), rng.uniform(-1, 1, (200, 2))
+    own = lambda obs, act: np.column_stack([obs[:, 0], act[:, 1]])  # noqa: E731
+    features = FourierFeatures.drawn(own, obs, 2, 20_000, width, rng)(obs, act)
+    np.testing.assert_array_equal(features[:, :2], own(obs, act))
+    x = np.column_stack([(obs - obs.mean(axis=0)) / obs.std(axis=0), act])
+    squares = np.square(x[:, None] - x).sum(axis=2)
+    kernel = np.exp(-squares / (2 * width**2))
+    np.testing.assert_allclose(features[:, 2:] @ features[:, 2:].T, kernel, atol=0.05)

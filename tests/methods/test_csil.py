@@ -1,6 +1,5 @@
 """A cloned policy read as a reward."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,11 @@ from scipy.stats import multivariate_normal
 from envs.gridworld import objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
-from methods.base import Array, Episodes
-from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel
+from methods.base import Array
+from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, coherent_table, evidence
 from methods.settings import settings_for
-from methods.tabular.csil import coherent_reward
 from methods.tabular.model import soft_policy, soft_value_iteration
+from tests.methods.worlds import demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 METHOD = CSIL(steps=200, places=100, rollouts=5)
@@ -34,7 +33,7 @@ def fitted(noise: float = 0.0, count: int = 500) -> GaussianProcess:
 def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -> None:
     tabular = objectworld(4, 3, 2, 0.3, np.random.default_rng(0))
     counts = np.random.default_rng(1).integers(0, 6, tabular.P.shape[:2])
-    reward = coherent_reward(counts, tabular.model)
+    reward = coherent_table(counts, tabular.model)
     states, actions = counts.shape
     obs = np.repeat(tabular.obs, actions, axis=0)
     r = reward(obs, np.tile(np.eye(actions), (states, 1)), obs).reshape(states, actions)
@@ -59,21 +58,10 @@ def test_evidence_is_the_density_of_what_was_demonstrated() -> None:
     np.testing.assert_allclose(np.array(found) - constant, expected, rtol=1e-6)
 
 
-def test_with_all_places_it_is_the_gaussian_process() -> None:
-    q, rng = fitted(noise=0.1, count=40), np.random.default_rng(0)
-    obs = rng.uniform(-1, 1, (40, 3))
-    act = wave(obs) + 0.1 * rng.normal(size=(40, 2))
-    at = np.random.default_rng(1).uniform(-1, 1, (20, 3))
-    prior = UNIFORM**2 - q.noise**2
-    within, across = prior * kernel(obs, obs, q.width), prior * kernel(at, obs, q.width)
-    gain = across @ np.linalg.inv(within + q.noise**2 * np.eye(40))
-    mean, variance = q(at)
-    np.testing.assert_allclose(mean, gain @ act, atol=1e-3)
-    np.testing.assert_allclose(variance[:, 0], UNIFORM**2 - (gain * across).sum(axis=1), atol=1e-3)
-
-
 def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
+    assert fitted(noise=0.1).noise == 0.1
     q, rng = fitted(), np.random.default_rng(1)
+    assert q.noise == 0.01
     near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
     mean, variance = q(near)
     assert np.abs(mean - wave(near)).mean() < 0.05
@@ -81,19 +69,6 @@ def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
     mean, variance = q(far)
     np.testing.assert_allclose(np.sqrt(variance), UNIFORM)
     np.testing.assert_allclose(mean, 0, atol=1e-9)
-
-
-def test_noise_is_found() -> None:
-    assert fitted(noise=0.1).noise == 0.1
-    assert fitted().noise == 0.01
-
-
-def test_no_step_pays_less_than_an_end(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    reward = METHOD.fit(demonstrate(wave, count=30), world, np.random.default_rng(0)).reward
-    assert isinstance(reward, CoherentReward)
-    obs = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
-    assert reward(obs, wave(obs), obs).min() > 0
-    assert reward(obs, -wave(obs), obs).min() == reward.absorbing
 
 
 def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> None:
@@ -110,28 +85,23 @@ def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> Non
     np.testing.assert_allclose(reward(many, wave(many), many)[:200], shown)
 
 
-def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
+def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(world: Any) -> None:
     demos = demonstrate(wave, count=30)
-    learned = METHOD.fit(demos, world, np.random.default_rng(0))
+    learned: Any = METHOD.fit(demos, world, np.random.default_rng(0))
     ((reward, steps, warm),) = world.solves
     assert reward is learned.reward
     assert (steps, warm) == (METHOD.rl_steps, False)
-    (given,) = world.given
+    (given,) = world.options
     assert given["kind"] == "soft"
     assert given["demonstrations"] is demos
     obs = np.random.default_rng(1).uniform(-0.8, 0.8, (100, 3))
     assert np.abs(given["init"](obs) - wave(obs)).mean() < 0.1
-
-
-def test_it_learns_from_itself_alone_where_some_steps_are_not_shown(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
-    METHOD.fit(
-        demonstrate(wave, count=30).every(2, np.random.default_rng(0)), world, np.random.default_rng(0)
-    )
-    assert world.given[0]["demonstrations"] is None
+    # No step pays less than an end.
+    paid = learned.reward(obs, -wave(obs), obs)
+    assert paid.min() == learned.reward.absorbing
+    # Where some steps are not shown it learns from itself alone.
+    METHOD.fit(demos.every(2, np.random.default_rng(0)), world, np.random.default_rng(0))
+    assert world.options[1]["demonstrations"] is None
 
 
 @pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])

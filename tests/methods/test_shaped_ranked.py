@@ -104,12 +104,6 @@ def test_what_reinforcement_learning_finds_pays_less() -> None:
     assert after(*at(1.0)) < after(*at(0.7)) - 0.5
 
 
-def test_what_it_finds_that_is_as_f_does_pays_as_well() -> None:
-    _, after = taught(0.7)
-    assert after(*at(0.7)) > after(*at(0.0)) + 0.2
-    assert after(*at(0.7)) > after(*at(-0.7)) + 0.5
-
-
 @pytest.mark.parametrize("every", [1, 4])
 def test_where_noise_kills_death_pays_less(every: int) -> None:
     world: Any = Line(mortal=True)

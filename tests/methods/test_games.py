@@ -1,0 +1,162 @@
+"""Games of a discriminator against an agent, and what all of them promise."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from methods.adversarial import Game, contrast_among_living
+from methods.airl import AIRL
+from methods.base import Array, Episodes, Transitions
+from methods.f_irl import FIRL
+from methods.gail import GAIL
+from methods.network import contrast, mlp
+from methods.rewards import MeanReward, NetworkReward
+from tests.methods.worlds import constant, demonstrate
+
+pytestmark = pytest.mark.usefixtures("fused_adam")
+
+
+def rows(obs: np.ndarray, absorbing: int) -> np.ndarray:
+    """Of these standardised observations (N, O), and steps in the absorbing state."""
+    there = np.zeros((absorbing, obs.shape[1] + 1))
+    there[:, -1] = 1
+    return np.concatenate([np.pad(obs, ((0, 0), (0, 1))), there])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_end_pays_less_than_a_fall(seed: int) -> None:
+    """Demonstrations stay about the mean of observations, where the absorbing state's zeros are as well;
+    what falls leaves it, and ends."""
+    rng = np.random.default_rng(seed)
+    shown = rows(rng.normal(0, 0.1, (1000, 3)), 0)
+    falling = rng.normal(0, 0.1, (500, 3)) + rng.uniform(0, 3, (500, 1))
+    generator = torch.Generator().manual_seed(seed)
+    game = Game(reward_steps=400)
+    discriminator = game.discriminator(mlp(4, *game.layers, 1, generator=generator), generator)
+    discriminator.learn(shown, rows(falling, 500), rng)
+    with torch.no_grad():
+        logits = discriminator.logit(torch.as_tensor(rows(falling, 1), dtype=torch.float32))[:, 0]
+    assert logits[-1] < logits[:-1].mean()
+
+
+def test_the_slope_is_among_the_living() -> None:
+    def network(x: torch.Tensor) -> torch.Tensor:
+        return x.square().sum(dim=1, keepdim=True)
+
+    def generator() -> torch.Generator:
+        return torch.Generator().manual_seed(0)
+
+    a, b = torch.rand(6, 4), torch.rand(6, 4)
+    a[:, -1] = b[:, -1] = 0
+    found: Any = contrast_among_living(network, a, b, generator())  # type: ignore[arg-type]
+    every: Any = contrast(network, a, b, generator())  # type: ignore[arg-type]
+    assert found.squared_slope == pytest.approx(every.squared_slope)
+    # Between these two, one of the absorbing state, the slope would be large, and does not count.
+    there, far = torch.tensor([0.0, 0, 0, 1]).expand(6, 4), torch.tensor([9.0, 9, 9, 0]).expand(6, 4)
+    mixed: Any = contrast_among_living(
+        network,  # type: ignore[arg-type]
+        torch.cat([a, there]),
+        torch.cat([b, far]),
+        generator(),
+    )
+    assert mixed.squared_slope < 3 * found.squared_slope
+    assert contrast_among_living(network, there, far, generator()).squared_slope == 0  # type: ignore[arg-type]
+
+
+def steps(act: Array) -> Transitions:
+    """Of these actions (N, 2), anywhere."""
+    obs = np.random.default_rng(5).uniform(-1, 1, (len(act), 3))
+    return Transitions.own(obs, act, obs, *np.zeros((2, len(act)), bool))
+
+
+@pytest.fixture
+def does(monkeypatch: pytest.MonkeyPatch) -> Callable[[Array], None]:
+    """Has every agent seen itself do these actions."""
+    replay = "tests.methods.worlds.FakeAgent.replay"
+    return lambda act: monkeypatch.setattr(replay, lambda self: steps(act))
+
+
+def test_the_logit_is_the_logarithm_of_the_densities_ratio(world: Any, does: Callable[[Array], None]) -> None:
+    rng = np.random.default_rng(0)
+
+    def acts(count: int, rising: float) -> Array:
+        """First entries rise in density by that share from one half of their range to the other."""
+        size = np.where(rng.random(count) < 0.5 + rising / 2, 1, -1) * rng.random(count)
+        return np.column_stack([size, rng.uniform(-1, 1, count)])
+
+    does(acts(20_000, -0.6))
+    shown = Episodes((rng.uniform(-1, 1, (20_001, 3)),), (acts(20_000, 0.6),), (False,))
+    method = GAIL(iterations=4, reward_steps=500, latest=20_000, slope_penalty=0.0)
+    reward = method.fit(shown, world, rng).reward
+    obs = rng.uniform(-0.8, 0.8, (400, 3))
+    for side in (1, -1):
+        paid = reward(obs, np.column_stack([side * rng.uniform(0.2, 0.9, 400), 0 * obs[:, :1]]), obs)
+        assert paid.mean() == pytest.approx(side * np.log(0.8 / 0.2), abs=0.15)
+
+
+def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(world: Any) -> None:
+    demos = demonstrate(constant(0.7, -0.4))
+    last, mean = (
+        GAIL(iterations=4, rl_share=0.07, final_share=0.5, mean=mean).fit(
+            demos, world, np.random.default_rng(0)
+        )
+        for mean in (False, True)
+    )
+    assert isinstance(last.reward, NetworkReward)
+    assert isinstance(mean.reward, MeanReward)
+    assert len(mean.reward.rewards) == 4
+    half = len(world.solves) // 2
+    assert [(steps, warm) for _, steps, warm in world.solves[:half]] == [
+        *((70, False), (70, True), (70, True), (70, True), (500, True))
+    ]
+    # Both play one game, and end it alike.
+    rewards = [reward for reward, _, _ in world.solves[half:]]
+    obs, act = demos.pairs()
+    np.testing.assert_array_equal(rewards[-1](obs, act, obs), mean.reward(obs, act, obs))
+    np.testing.assert_array_equal(last.reward(obs, act, obs), mean.reward.rewards[-1](obs, act, obs))
+    np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
+
+
+GAMES = pytest.mark.parametrize("method", [GAIL, AIRL, FIRL])
+AT = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
+
+
+@GAMES
+def test_demonstrated_states_pay_more_and_a_reward_of_states_does_not_see_actions(
+    world: Any, method: Any
+) -> None:
+    rng = np.random.default_rng(0)
+    obs = tuple(np.abs(rng.uniform(-1, 1, (21, 3))) for _ in range(20))
+    demos = Episodes(obs, tuple(np.zeros((20, 2)) for _ in obs), (False,) * 20)
+    options = {} if method is FIRL else {"actions": False}
+    reward = method(iterations=3, **options).fit(demos, world, np.random.default_rng(0)).reward
+    there, act = np.full((1, 3), 0.5), np.zeros((1, 2))
+    assert reward(there, act, there)[0] > reward(-there, act, there)[0] + 0.3
+    assert reward(there, act, there) == reward(there, act + 0.7, there)
+
+
+@GAMES
+def test_an_end_that_is_shown_pays_more_than_one_that_is_not(
+    world: Any, mortal_world: Any, method: Any
+) -> None:
+    def absorbing(lifetime: int, where: Any) -> float:
+        """Return what it pays, above a step elsewhere."""
+        demos = demonstrate(constant(0.0, 0.0), lifetime=lifetime)
+        reward = method(iterations=3).fit(demos, where, np.random.default_rng(0)).reward
+        return float(reward.absorbing - reward(*AT)[0])
+
+    assert absorbing(10, mortal_world) < 0 < absorbing(2, world)
+
+
+@GAMES
+def test_a_penalty_on_its_slope_makes_the_reward_flat(world: Any, method: Any) -> None:
+    def spread(slope_penalty: float) -> float:
+        game = method(iterations=2, slope_penalty=slope_penalty)
+        reward = game.fit(demonstrate(lambda o: o[:, :2]), world, np.random.default_rng(0)).reward
+        obs = np.random.default_rng(1).uniform(-1, 1, (100, 3))
+        return float(np.ptp(reward(obs, obs[:, :2], obs)))
+
+    assert spread(100.0) < 0.5 * spread(0.0)
