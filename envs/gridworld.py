@@ -25,14 +25,11 @@ MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, one row f
 
 @dataclass(frozen=True)
 class ObjectWorld(Tabular):
-    """A `Tabular` with its M objects."""
+    """A `Tabular` with the states of its M objects, `cells` (M,), and their `inner` and `outer` colours."""
 
     cells: NDArray[np.int64]
-    """State of each object, (M,)."""
     inner: NDArray[np.int64]
-    """Inner colour of each object, (M,)."""
     outer: NDArray[np.int64]
-    """Outer colour of each object, (M,)."""
 
 
 def grid(size: int, slip: float) -> Tabular:

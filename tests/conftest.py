@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class Target(gym.Env):
-    """The observation (1,) is where to be, uniform in [-0.8, 0.8] at every step, and the action (1,) goes there.
+    """The observation (1,) is where to be, uniform in [-0.8, 0.8] at every step. The action (1,) goes there.
 
     Each step pays 1 - |observation - action|. The task terminates where that distance is more than `reach`.
     """

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from envs.gridworld import SPEC, WORLD, GridWorld, ObjectWorld, grid, objectworld, transitions
+from envs.gridworld import WORLD, GridWorld, ObjectWorld, grid, objectworld, transitions
 from envs.models import Model, Tabular
 
 
@@ -111,35 +111,6 @@ def test_states_are_those_whose_observation_is_nearest() -> None:
     seen = rng.uniform(-1.5, 1.5, (300, WORLD.obs.shape[1]))
     distances = np.linalg.norm(seen[:, None] - WORLD.obs, axis=2)
     assert WORLD.states(seen).tolist() == distances.argmin(axis=1).tolist()
-
-
-def test_features_of_the_task_are_those_of_the_state_observed() -> None:
-    env = SPEC.make()
-    obs, info = env.reset(seed=3)
-    rng = np.random.default_rng(0)
-    for act in SPEC.random_actions(SPEC.horizon, rng):
-        features = SPEC.features(obs.astype(np.float64)[None], act[None])
-        assert features.tolist() == [WORLD.features[info["state"]].tolist()]
-        obs, *_, info = env.step(SPEC.native(act))
-
-
-def test_drawings_show_what_cells_pay_and_where_the_agent_is() -> None:
-    env = SPEC.make()
-    rng = np.random.default_rng(0)
-    env.reset(seed=0)
-    for act in SPEC.random_actions(20, rng):
-        _, reward, *_, info = env.step(SPEC.native(act))
-        scene = SPEC.draw(env)
-        where = scene["agent"].points[:-1].mean(axis=0)
-        y, x = divmod(info["state"], 12)
-        np.testing.assert_allclose(where, [x, y], atol=1e-12)
-    del scene["agent"]
-    assert len(scene) == 144
-    for state, reward in enumerate(WORLD.reward):
-        y, x = divmod(state, 12)
-        red, green, _ = scene[f"cell_{x}_{y}"].colour
-        assert np.sign(green - red) == reward
-        np.testing.assert_allclose(scene[f"cell_{x}_{y}"].points[:-1].mean(axis=0), [x, y], atol=1e-12)
 
 
 def test_without_slip_the_env_goes_where_it_is_told() -> None:

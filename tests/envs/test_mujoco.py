@@ -14,7 +14,7 @@ from gymnasium.wrappers import TransformReward
 
 from envs import EnvSpec, from_gymnasium
 from envs.copies import try_out
-from envs.mujoco_batch import MujocoBatch, may_touch, twin
+from envs.mujoco_batch import MujocoBatch, twin
 from envs.mujoco_tasks import DOUBLE_PENDULUM, HALFCHEETAH, HOPPER, REACHER, WALKER2D, WEAK
 from envs.point_maze import HEIGHT, SPEC, TARGET, PointMaze
 from harness.registry.contract.lockstep import assert_together_as_alone
@@ -101,19 +101,6 @@ def test_tasks_that_others_derive_are_stepped_one_by_one(monkeypatch: pytest.Mon
     try_out(spec)
 
 
-@pytest.mark.parametrize(("env_id", "touch"), [("Hopper-v5", True), ("Reacher-v5", False)])
-def test_contacts_are_looked_for_where_there_may_be_any(env_id: str, touch: bool) -> None:
-    env = gym.make(env_id).unwrapped
-    assert isinstance(env, MujocoEnv)
-    assert may_touch(env.model) == touch
-    found = 0
-    env.reset(seed=0)
-    for act in np.random.default_rng(0).uniform(-1, 1, (300, env.model.nu)):
-        env.step(act.astype(np.float32))
-        found += env.data.ncon
-    assert bool(found) == touch
-
-
 def test_a_twin_shares_the_model_and_nothing_that_changes() -> None:
     env = gym.make("Reacher-v5").unwrapped
     assert isinstance(env, MujocoEnv)
@@ -151,19 +138,6 @@ def test_the_task_is_gymnasiums_bit_for_bit(spec: EnvSpec, tmp_path, monkeypatch
             assert found[1:4] == expected[1:4]
             if found[2]:
                 break
-
-
-@pytest.mark.parametrize("spec", TASKS, ids=ids)
-def test_what_is_observed_is_what_its_name_says(spec: EnvSpec) -> None:
-    """Of joints that are observed as they are."""
-    env = model_of(spec)
-    obs, _ = env.reset(seed=0)
-    names = [quantity.name for quantity in spec.observations]
-    for i in range(env.model.njnt):
-        name = env.model.joint(i).name
-        if name in names:
-            assert obs[names.index(name)] == env.data.qpos[i]
-            assert obs[names.index(f"{name} rate")] == env.data.qvel[i]
 
 
 def test_variants_change_what_they_name_and_nothing_else() -> None:

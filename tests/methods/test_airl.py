@@ -11,7 +11,7 @@ import torch
 from methods.airl import AIRL, Logit, Shaped, as_transitions, described, log_density
 from methods.base import ABSORBING_STEPS, Array, Episodes, StochasticPolicy
 from methods.network import mlp
-from methods.rewards import MeanReward, NetworkReward
+from methods.rewards import NetworkReward
 from tests.methods.worlds import demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -63,16 +63,6 @@ def test_densities_count_within_bounds() -> None:
     living = ~steps.absorbing
     np.testing.assert_allclose(logs[living], -0.7 + 3.0 * np.sign(steps.act[living, 0]))
     np.testing.assert_array_equal(logs[~living], -0.7)
-
-
-def test_it_plays_with_a_soft_agent_and_returns_the_mean(world: Any) -> None:
-    demos = demonstrate(lambda obs: obs[:, :2])
-    learned = AIRL(iterations=3, reward_steps=20).fit(demos, world, np.random.default_rng(0))
-    assert world.options == [{"kind": "stochastic", "entropy": 1.0}]
-    payments = [payment for payment, _, _ in world.solves]
-    assert [type(payment) for payment in payments] == [Shaped] * 3 + [MeanReward]
-    assert learned.reward is payments[-1]
-    assert len(payments[-1].rewards) == 3
 
 
 def test_what_the_agent_is_sure_of_tells_less(world: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import pytest
 from methods.base import Array, Episodes, Transitions
 from methods.fourier import FourierFeatures
 from methods.rewards import default_absorbing
-from methods.visits import seen_by_both, visitations, visited
+from methods.visits import visitations, visited
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -53,13 +53,6 @@ def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(-1, 1, (count, 2))
 
 
-def test_rollouts_and_demonstrations_are_seen_alike() -> None:
-    demos, rollouts = episodes([3]), episodes([50, 20])
-    both = seen_by_both(demos, rollouts, np.random.default_rng(0))
-    np.testing.assert_array_equal(both[70:], rollouts.pairs()[0])
-    assert {tuple(row) for row in both[:70]} == {tuple(row) for row in demos.pairs()[0]}
-
-
 MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
 
 
@@ -79,14 +72,6 @@ def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -
     assert (alive[:, 5] == 0).all()
     # Only the first episode terminated before the horizon, six steps early.
     np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
-
-
-def test_of_few_steps_that_are_shown_the_absorbing_ones_are_as_rare() -> None:
-    rng = np.random.default_rng(0)
-    terminated = Episodes((rng.normal(size=(41, 3)),) * 5, (rng.uniform(-1, 1, (40, 2)),) * 5, (True,) * 5)
-    few = terminated.every(10, rng)
-    assert visitations(terminated, 10, MEAN, STD)[:, -1].tolist() == [0] * 200 + [1] * 50
-    assert visitations(few, 10, MEAN, STD)[:, -1].tolist() == [0] * 20 + [1] * 5
 
 
 def test_steps_of_an_agent_are_described_as_those_of_episodes_are() -> None:

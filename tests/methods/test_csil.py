@@ -4,13 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from envs.gridworld import objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
 from methods.base import Array
-from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, coherent_table, evidence
+from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, coherent_table
 from methods.settings import settings_for
 from methods.tabular.model import soft_policy, soft_value_iteration
 from tests.methods.worlds import demonstrate
@@ -42,20 +41,6 @@ def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -
     np.testing.assert_allclose(found, q, atol=1e-6)
     # Where nothing was demonstrated it pays nothing.
     np.testing.assert_allclose(r[counts.sum(axis=1) == 0], 0, atol=1e-12)
-
-
-def test_evidence_is_the_density_of_what_was_demonstrated() -> None:
-    rng = np.random.default_rng(0)
-    waves = rng.normal(size=(30, 12))
-    act = rng.uniform(-1, 1, (30, 2))
-    squares, axes = np.linalg.eigh(waves.T @ waves)
-    found, expected = [], []
-    for noise in (0.1, 0.3):
-        cov = (UNIFORM**2 - noise**2) * waves @ waves.T + noise**2 * np.eye(30)
-        expected.append(multivariate_normal(np.zeros(30), cov).logpdf(act.T).sum())
-        found.append(evidence(squares.clip(0), axes.T @ (waves.T @ act), act, noise))
-    constant = 30 * np.log(2 * np.pi)
-    np.testing.assert_allclose(np.array(found) - constant, expected, rtol=1e-6)
 
 
 def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:

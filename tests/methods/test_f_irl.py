@@ -21,7 +21,7 @@ from methods.tabular.model import (
     state_visitations,
     value_iteration,
 )
-from tests.methods.worlds import FiniteWorld, demonstrate
+from tests.methods.worlds import FiniteWorld
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 SIZE, HORIZON, GAMMA = 4, 12, 0.9
@@ -92,18 +92,3 @@ def test_where_the_model_is_known_it_visits_what_is_shown() -> None:
     )
     truth = [tabular.start @ policy_value(tabular.P, tabular.reward, p, GAMMA) for p in (best, found)]
     assert truth[1] > 0.98 * truth[0]
-
-
-def test_its_trajectories_are_of_what_the_agent_explores_with(
-    world: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sampled: list[int] = []
-
-    def draw(self: object, obs: Array, rng: np.random.Generator) -> Array:
-        sampled.append(len(obs))
-        return np.zeros((len(obs), 2))
-
-    monkeypatch.setattr("methods.stochastic.SquashedGaussian.sample", draw)
-    method = FIRL(iterations=2, rollouts=3, reward_steps=5)
-    method.fit(demonstrate(lambda obs: obs[:, :2]), world, np.random.default_rng(0))
-    assert len(sampled) == 2 * 3  # of each iteration, each episode

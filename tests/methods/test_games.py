@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from methods.adversarial import Game, contrast_among_living
+from methods.adversarial import Game
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Transitions
 from methods.f_irl import FIRL
 from methods.gail import GAIL
-from methods.network import contrast, mlp
+from methods.network import mlp
 from methods.rewards import MeanReward, NetworkReward
 from tests.methods.worlds import constant, demonstrate
 
@@ -40,30 +40,6 @@ def test_an_end_pays_less_than_a_fall(seed: int) -> None:
     with torch.no_grad():
         logits = discriminator.logit(torch.as_tensor(rows(falling, 1), dtype=torch.float32))[:, 0]
     assert logits[-1] < logits[:-1].mean()
-
-
-def test_the_slope_is_among_the_living() -> None:
-    def network(x: torch.Tensor) -> torch.Tensor:
-        return x.square().sum(dim=1, keepdim=True)
-
-    def generator() -> torch.Generator:
-        return torch.Generator().manual_seed(0)
-
-    a, b = torch.rand(6, 4), torch.rand(6, 4)
-    a[:, -1] = b[:, -1] = 0
-    found: Any = contrast_among_living(network, a, b, generator())  # type: ignore[arg-type]
-    every: Any = contrast(network, a, b, generator())  # type: ignore[arg-type]
-    assert found.squared_slope == pytest.approx(every.squared_slope)
-    # Between these two, one of the absorbing state, the slope would be large, and does not count.
-    there, far = torch.tensor([0.0, 0, 0, 1]).expand(6, 4), torch.tensor([9.0, 9, 9, 0]).expand(6, 4)
-    mixed: Any = contrast_among_living(
-        network,  # type: ignore[arg-type]
-        torch.cat([a, there]),
-        torch.cat([b, far]),
-        generator(),
-    )
-    assert mixed.squared_slope < 3 * found.squared_slope
-    assert contrast_among_living(network, there, far, generator()).squared_slope == 0  # type: ignore[arg-type]
 
 
 def steps(act: Array) -> Transitions:

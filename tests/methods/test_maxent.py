@@ -8,25 +8,10 @@ import numpy as np
 import pytest
 
 from methods.base import Array, Episodes
-from methods.maxent import MaxEnt, drawn_by
-from methods.network import Network
-from methods.stochastic import EpsilonGreedy
+from methods.maxent import MaxEnt
 from tests.methods.worlds import constant, demonstrate
 
 METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
-
-
-def test_demonstrated_actions_pay_more_than_others(world: Any) -> None:
-    learned = METHOD.fit(demonstrate(constant(0.7, -0.4)), world, np.random.default_rng(0))
-    rng = np.random.default_rng(1)
-    obs = rng.uniform(-1, 1, (300, 3))
-    shown = learned.reward(obs, constant(0.7, -0.4)(obs), obs)
-    for action in ((-0.7, 0.4), (0.7, 0.6), (-0.3, -0.4)):
-        assert (shown > learned.reward(obs, constant(*action)(obs), obs)).mean() > 0.95
-    np.testing.assert_allclose(learned.policy(obs[:1])[0], [0.7, -0.4], atol=0.35)
-    (gaps,) = learned.curves.values()
-    assert len(gaps) == 2
-    assert gaps[0] > 0
 
 
 def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
@@ -67,36 +52,6 @@ def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(world: Any) -> N
     drawn = acted[-1]
     assert len(acted) == METHOD.iterations
     assert (drawn.std(axis=0) > 0.3).all()
-
-
-def test_a_policy_without_chance_is_rolled_out_as_it_is() -> None:
-    learned, rng = constant(0.2), np.random.default_rng(0)
-    network = Network(np.zeros(1), np.ones(1), (np.array([[1.0, 0.0]]),), (np.zeros(2),))
-    obs = np.ones((3, 1))
-
-    class Deterministic:
-        policy = staticmethod(learned)
-
-        @property
-        def behaviour(self) -> Any:
-            raise ValueError("it has no stochastic policy")
-
-    class Greedy(Deterministic):
-        behaviour = EpsilonGreedy(network, 0.3)
-
-    for agent in (Deterministic(), Greedy()):
-        np.testing.assert_array_equal(drawn_by(agent, rng)(obs), learned(obs))
-
-
-def test_an_expert_that_hardly_moves_does_not_make_cliffs_of_its_reward(mortal_world: Any) -> None:
-    still = demonstrate(constant(0.0, 0.0))
-    narrow = Episodes(tuple(1e-3 * obs for obs in still.obs), still.act, still.terminated)
-    reward = METHOD.fit(narrow, mortal_world, np.random.default_rng(0)).reward
-    obs = np.random.default_rng(1).uniform(-0.1, 0.1, (300, 3))
-    # A step of 0.01, a hundredth of the range, is many of the expert's own spreads.
-    act = constant(0.0, 0.0)(obs)
-    jump = np.abs(reward(obs + 0.01, act, obs) - reward(obs, act, obs))
-    assert jump.mean() < 0.1
 
 
 def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(world: Any) -> None:

@@ -74,26 +74,6 @@ def test_the_gradient_is_that_of_the_demonstrations_likelihood(slip: float, gamm
 
 
 @SLIPS
-def test_so_it_is_where_only_some_steps_are_shown(slip: float) -> None:
-    tabular, gamma = grid(3, slip), 0.9
-    demos = wander(FiniteWorld(tabular, HORIZON), 5).every(3, np.random.default_rng(2))
-    r = np.random.default_rng(1).normal(size=9)
-    mu = demonstrated(demos, tabular)
-    assert mu.sum() == pytest.approx(sum(map(len, demos.act)) / 5)
-
-    def likelihood(r: Array) -> float:
-        _, policies = finite_soft_value_iteration(tabular.P, r, HORIZON, gamma)
-        return float(mu[mu > 0] @ np.log(policies[mu > 0])) / HORIZON
-
-    found, gradient = log_likelihood(tabular, r, mu, gamma)
-    assert found == pytest.approx(likelihood(r))
-    differences = [likelihood(r + change) - likelihood(r - change) for change in 1e-5 * np.eye(9)]
-    np.testing.assert_allclose(gradient, np.array(differences) / 2e-5, atol=1e-8)
-    learned = MaxEnt(iterations=2).fit(demos, FiniteWorld(tabular), np.random.default_rng(0))
-    assert learned.reward is not None
-
-
-@SLIPS
 @GAMMAS
 def test_the_gradient_vanishes_where_the_soft_policy_demonstrates(slip: float, gamma: float) -> None:
     tabular, rng = grid(3, slip), np.random.default_rng(0)

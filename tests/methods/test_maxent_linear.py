@@ -113,25 +113,6 @@ def test_on_average_its_policies_match_the_demonstrated_features(action: float) 
     assert learned.policy is world.solves[-1][3]
 
 
-def test_weights_minimise_the_loss_of_the_network() -> None:
-    """e - d + prior / 2 (d^2 + e^2) on average, for rewards d of demonstrations and e of rollouts, and the
-    weights' own prior."""
-    world: Any = Bandit()
-    demos = world.rollout(constant(0.4), 5, np.random.default_rng(0))
-    method = MaxEntLinear(iterations=1, rollouts=50, prior=0.7, weight_prior=0.2)
-    w = method.fit(demos, world, np.random.default_rng(0)).reward.w
-    rng = np.random.default_rng(0)
-    rollouts = world.rollout(lambda obs: world.random_actions(len(obs), rng), 50, rng)
-
-    def loss(w: Array) -> float:
-        d, e = (world.phi(*episodes.pairs()) @ w[:-1] for episodes in (demos, rollouts))
-        values = e.mean() - d.mean() + 0.35 * (np.square(d).mean() + np.square(e).mean())
-        return float(values + 0.1 * w @ w)
-
-    for nudge in np.random.default_rng(1).normal(size=(20, 3)) * 0.01:
-        assert loss(w) < loss(w + nudge)
-
-
 @pytest.mark.parametrize(("lifetime", "sign"), [(2, 1), (10, -1)])
 def test_what_absorption_pays_is_learned(lifetime: int, sign: int) -> None:
     """Demonstrations terminate after two steps where rollouts live, and the reverse."""

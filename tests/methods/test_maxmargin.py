@@ -96,19 +96,6 @@ def test_the_closest_policy_is_returned_with_the_mean_of_the_latest_rewards(
     assert np.abs(first - third).max() > 0.1
 
 
-def test_it_stops_at_a_small_margin_and_warms_every_solve_but_the_first(world: Any) -> None:
-    demos = demonstrate(constant(0.95, -0.95))
-    MaxMargin(iterations=3, rl_share=0.007, final_share=0.009, epsilon=-1.0).fit(
-        demos, world, np.random.default_rng(0)
-    )
-    found = [(steps, warm) for _, steps, warm in world.solves]
-    assert found == [(7, False), (7, True), (7, True), (9, True)]
-    world.solves.clear()
-    learned = MaxMargin(iterations=3, epsilon=10.0).fit(demos, world, np.random.default_rng(0))
-    assert len(world.solves) == 2
-    assert len(learned.curves["margin"]) == 2
-
-
 def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
     rng = np.random.default_rng(0)
     lives = demonstrate(constant(0.0, 0.0))

@@ -110,13 +110,3 @@ def test_where_noise_kills_death_pays_less(every: int) -> None:
     demos = world.rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
     reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
     assert reward.absorbing < reward(*at(0.7))[0] - 0.2
-
-
-def test_where_demonstrations_do_not_end_an_end_pays_less_than_any_state() -> None:
-    world: Any = Line(mortal=True)
-    demos = world.rollout(expert, 5, np.random.default_rng(0))
-    reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
-    assert all(reward.absorbing < reward(*at(x))[0] for x in (0.9, 0.3, 0.1, 0.0))
-    as_often = replace(demos, terminated=(True,) * len(demos))
-    learned: Any = METHOD.fit(as_often, world, np.random.default_rng(2)).reward
-    assert learned.absorbing > reward.absorbing + 0.01

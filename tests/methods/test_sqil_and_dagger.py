@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from envs.gridworld import grid, objectworld
-from methods.base import Array, Episodes, Policy, Transitions
+from methods.base import Episodes, Transitions
 from methods.bc import BehaviourCloning
 from methods.dagger import DAgger
 from methods.sqil import SQIL, imitate, soft_q
@@ -68,30 +68,3 @@ def test_it_does_what_the_expert_does_where_it_comes() -> None:
     assert len(start) > 1
     assert wrong(BehaviourCloning(**BRIEF)) > 0.3
     assert wrong(DAgger(rounds=4, rollouts=20, **BRIEF)) < 0.02
-
-
-def test_it_asks_of_every_step_that_it_makes_and_learns_from_all_answers(world: Any) -> None:
-    """Each round is asked elsewhere and answered otherwise, and the last clone knows the answers of all."""
-    asked: list[Array] = []
-    answers = np.array([[0.5, 0.5], [-0.5, 0.0], [0.0, -0.7]])
-    rollout = world.rollout
-
-    def apart(policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
-        """Those of each round near another corner."""
-        shown = rollout(policy, episodes, rng)
-        corner = 10.0 * np.eye(3)[len(asked)]
-        return Episodes(tuple(corner + 0.1 * obs for obs in shown.obs), shown.act, shown.terminated)
-
-    def ask(obs: Array) -> Array:
-        asked.append(obs)
-        return np.tile(answers[len(asked) - 1], (len(obs), 1))
-
-    world.rollout, world.ask = apart, ask
-    obs = np.random.default_rng(3).uniform(-1, 1, (2, 3))
-    one = Episodes((obs,), (np.array([[-0.5, -0.5]]),), (False,))
-    learned = DAgger(rounds=3, rollouts=4, **BRIEF).fit(one, world, np.random.default_rng(0))
-    assert [len(some) for some in asked] == [4 * world.lifetime] * 3
-    for some, answer in zip(asked, answers, strict=True):
-        np.testing.assert_allclose(learned.policy(some), np.tile(answer, (len(some), 1)), atol=0.15)
-    assert learned.reward is None
-    assert len(learned.curves["loss of each clone"]) == 4

@@ -40,17 +40,6 @@ def random_policy(P: np.ndarray, rng: np.random.Generator, *times: int) -> np.nd
     return rng.dirichlet(np.ones(P.shape[1]), size=(*times, len(P)))
 
 
-def test_values_of_a_grid_solved_by_hand() -> None:
-    """Without slip the corner pays 1 for ever: V = gamma^steps / (1 - gamma)."""
-    world, gamma = grid(3, 0.0), 0.5
-    v, q = value_iteration(world.P, world.reward, gamma)
-    steps = np.array([4, 3, 2, 3, 2, 1, 2, 1, 0])
-    np.testing.assert_allclose(v, 2 * gamma**steps, atol=1e-9)
-    assert q[8, 4] == pytest.approx(2)
-    assert q[8, 2] == pytest.approx(1 + gamma * 1)
-    assert q[4, 3] == pytest.approx(gamma * 2 * gamma**3)
-
-
 @settings(deadline=None, max_examples=40)
 @given(problems())
 def test_value_iteration_solves_bellmans_equation(problem: tuple) -> None:
