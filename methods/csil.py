@@ -106,7 +106,8 @@ class GaussianProcess:
         places = x[rng.permutation(len(x))[:count]]
         most = -np.inf
         for width in WIDTHS:
-            root = inverse_root(places, width)
+            within = kernel(places, places, width) + JITTER * np.eye(len(places))
+            root = np.linalg.inv(np.linalg.cholesky(within)).T
             phi = kernel(x, places, width) @ root
             squares, axes = np.linalg.eigh(phi.T @ phi)
             squares, along = squares.clip(0), axes.T @ (phi.T @ act)
@@ -130,12 +131,6 @@ def kernel(x: Array, places: Array, width: float) -> Array:
     """Return exp(-|x - place|^2 / 2 w^2), (B, M), for x (B, O) and places (M, O). w is `width` * sqrt(O)."""
     distances: Array = cdist(x, places, "sqeuclidean")
     return np.asarray(np.exp(-distances / (2 * width**2 * places.shape[1])))
-
-
-def inverse_root(places: Array, width: float) -> Array:
-    """Return R (M, M), such that R R^T is the inverse of the kernel between places (M, O)."""
-    within = kernel(places, places, width) + JITTER * np.eye(len(places))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(within)).T)
 
 
 def evidence(squares: Array, along: Array, act: Array, noise: float) -> float:

@@ -45,16 +45,6 @@ def test_reward_is_rllabs() -> None:
     assert reward == 0.0
 
 
-@pytest.mark.parametrize(
-    ("state", "reason"), [((2.5, 0, 0, 0), "cart left the track"), ((0, 0, 0.3, 0), "pole fell")]
-)
-def test_why_it_ended(state: tuple[float, ...], reason: str) -> None:
-    for spec in (cartpole.SPEC, cartpole_discrete.SPEC):
-        env = spec.make().unwrapped
-        env.state = state  # type: ignore[attr-defined]
-        assert spec.why_ended(env) == reason
-
-
 def test_two_actions_are_gymnasiums_and_full_force_left_and_right() -> None:
     two, one, theirs = cartpole_discrete.SPEC.make(), cartpole.SPEC.make(), gym.make("CartPole-v1")
     for seed in range(5):

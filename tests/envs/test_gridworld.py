@@ -62,20 +62,6 @@ def test_objectworld_recomputed_object_by_object(size: int, objects: int, colour
 
 
 @pytest.mark.parametrize(
-    ("size", "objects", "colours", "slip", "names"),
-    [
-        (1, 1, 2, 0.3, "size"),
-        (3, 1, 2, -0.1, "slip"),
-        (3, 10, 2, 0.3, "objects"),
-        (3, 3, 1, 0.3, "colours"),
-    ],
-)
-def test_objectworld_refuses(size: int, objects: int, colours: int, slip: float, names: str) -> None:
-    with pytest.raises(ValueError, match=names):
-        objectworld(size, objects, colours, slip, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
     ("changes", "names"),
     [
         ({"P": np.zeros((4, 0, 4))}, "P must be"),

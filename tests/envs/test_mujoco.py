@@ -1,6 +1,5 @@
 """MuJoCo's tasks are Gymnasium's, bit for bit, alone and in lockstep."""
 
-from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -12,14 +11,11 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from gymnasium.envs.registration import EnvSpec as Registered
 from gymnasium.wrappers import TransformReward
 
-from envs import EnvSpec, from_gymnasium
+from envs import EnvSpec, from_gymnasium, point_maze
 from envs.copies import try_out
 from envs.mujoco_batch import MujocoBatch, twin
 from envs.mujoco_tasks import DOUBLE_PENDULUM, HALFCHEETAH, HOPPER, REACHER, WALKER2D, WEAK
-from envs.point_maze import HEIGHT, SPEC, TARGET, PointMaze
 from harness.registry.contract.lockstep import assert_together_as_alone
-from harness.registry.contract.tasks import checks
-from harness.rl.simulator import Simulator
 
 
 @pytest.mark.parametrize(
@@ -39,32 +35,9 @@ def test_mujocos_tasks_in_lockstep_are_bit_for_bit_gymnasiums(env_id: str, ends:
     assert bool(assert_together_as_alone(spec, 300)) == ends
 
 
-class Cut(InvertedPendulumEnv):
-    """It truncates its episodes itself."""
-
-    steps = 0
-
-    def reset_model(self) -> Any:
-        self.steps = 0
-        return super().reset_model()
-
-    def step(self, action: Any) -> tuple:
-        self.steps += 1
-        obs, reward, terminated, _, info = super().step(action)
-        return obs, np.array([reward]), terminated, self.steps == 5, info
-
-
 def register(monkeypatch: pytest.MonkeyPatch, env_id: str, entry: Any) -> None:
     registered = Registered(env_id, entry, max_episode_steps=100, disable_env_checker=True)
     monkeypatch.setitem(gym.registry, env_id, registered)
-
-
-def test_it_truncates_where_the_task_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    register(monkeypatch, "Cut-v0", Cut)
-    spec = from_gymnasium("Cut-v0", "x", batch=partial(MujocoBatch, "Cut-v0", EnvSpec.why_ended))
-    episodes = Simulator(spec, lanes=2).run(lambda obs: np.zeros((len(obs), 1)), range(3))
-    assert {(len(e.act), e.terminated, e.ending) for e in episodes} == {(5, False, "time limit")}
-    assert all(check.outcome()[0] == "ok" for check in checks(spec) if "together" in check.title)
 
 
 def test_what_it_is_made_with_reaches_the_batch_of_a_variant_too() -> None:
@@ -153,44 +126,12 @@ def test_variants_change_what_they_name_and_nothing_else() -> None:
     np.testing.assert_allclose(up.opt.gravity, 1.4 * model_of(DOUBLE_PENDULUM).model.opt.gravity)
 
 
-@pytest.mark.parametrize("spec", [HALFCHEETAH, HOPPER, WALKER2D], ids=ids)
-def test_a_drawing_follows_the_robot(spec: EnvSpec) -> None:
-    env = spec.make()
-    env.reset(seed=0)
-    before = spec.draw(env)
-    inner = env.unwrapped
-    assert isinstance(inner, MujocoEnv)
-    inner.set_state(inner.data.qpos + np.eye(inner.model.nq)[0] * 7.25, inner.data.qvel)
-    after = spec.draw(env)
-    for name in before.keys() - {"ground"}:
-        np.testing.assert_allclose(after[name].points, before[name].points, atol=1e-9)
-    assert not np.array_equal(after["ground"].points, before["ground"].points)
-
-
-def steer(wall_moved: bool) -> tuple[float, float]:
-    """The return of a policy that goes around the wall's open end, and how near it comes to the target."""
-    spec = SPEC.variant("wall_moved") if wall_moved else SPEC
-    env = spec.make()
+def test_a_wall_of_the_maze_stops_the_ball() -> None:
+    env = point_maze.SPEC.make()
     obs, _ = env.reset(seed=0)
-    total, around = 0.0, 0.5 if wall_moved else 0.05
-    for _ in range(spec.horizon):
-        goal = np.array([around, HEIGHT + 0.1]) if obs[1] < HEIGHT + 0.05 else np.array(TARGET)
-        if obs[1] < HEIGHT - 0.05 and abs(obs[0] - around) > 0.05:
-            goal = np.array([around, 0.1])
-        act = np.clip(10 * (goal - obs[:2]) - 2 * obs[2:], -1, 1)
-        obs, reward, *_ = env.step(act.astype(np.float32))
-        total += float(reward)
-    return total, float(np.linalg.norm(obs[:2] - TARGET))
-
-
-def test_the_maze_is_left_by_its_open_end() -> None:
-    for moved in (False, True):
-        total, off = steer(moved)
-        assert off < 0.05
-        assert -16 < total < -6
-    env = SPEC.make()
-    obs, _ = env.reset(seed=0)
-    for _ in range(SPEC.horizon):  # straight on there is the wall
-        obs, *_ = env.step(np.array([0.0, 1.0], np.float32))
-    assert isinstance(env.unwrapped, PointMaze)
-    assert obs[1] < HEIGHT
+    for _ in range(point_maze.HORIZON):
+        before, act = obs, np.array([0.0, 1.0], np.float32)
+        obs, reward, *_ = env.step(act)
+    assert point_maze.HEIGHT - 0.1 < obs[1] < point_maze.HEIGHT
+    away = np.linalg.norm(before[:2] - point_maze.TARGET)
+    assert reward == pytest.approx(-away - point_maze.ENERGY)

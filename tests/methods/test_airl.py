@@ -1,21 +1,74 @@
-"""AIRL pays f, from which its reward and potential are learned."""
+"""AIRL pays f, and where its theory holds it finds the true reward."""
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from methods.airl import AIRL, Logit, Shaped, as_transitions, described, log_density
-from methods.base import ABSORBING_STEPS, Array, Episodes, StochasticPolicy
+from envs.models import Model
+from methods.airl import AIRL, Logit, Shaped, as_transitions, described
+from methods.base import ABSORBING_STEPS, Array, Episodes
 from methods.network import mlp
 from methods.rewards import NetworkReward
+from methods.tabular.airl import reward_and_potential
+from methods.tabular.model import (
+    greedy,
+    policy_value,
+    soft_policy,
+    soft_value_iteration,
+    state_visitations,
+    value_iteration,
+)
 from tests.methods.worlds import demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 STATES, ACTIONS, GAMMA, HORIZON = 16, 4, 0.9, 50
+REWARD = 3.0 * (np.arange(STATES) == 3)
+
+
+def leading(seed: int) -> Model:
+    """Each action of each state leads to one state, drawn by chance."""
+    P = np.eye(STATES)[np.random.default_rng(seed).integers(STATES, size=(STATES, ACTIONS))]
+    return Model(P, np.full(STATES, 1 / STATES), np.eye(STATES))
+
+
+def shown_in(model: Model) -> Array:
+    """(S, A): what the soft-optimal policy of the true reward visits."""
+    policy = soft_policy(soft_value_iteration(model.P, REWARD, GAMMA)[1])
+    return state_visitations(model.P, policy, model.start, HORIZON).mean(axis=0)[:, None] * policy
+
+
+def regret(model: Model, r: Array) -> float:
+    """What the best policy of r misses of the best one's true return, a random one missing 1."""
+    best, found = (greedy(value_iteration(model.P, reward, GAMMA)[1]) for reward in (REWARD, r))
+    random = np.full((STATES, ACTIONS), 1 / ACTIONS)
+    truth = [float(model.start @ policy_value(model.P, REWARD, p, GAMMA)) for p in (best, found, random)]
+    return (truth[0] - truth[1]) / (truth[0] - truth[2])
+
+
+def adversarial(model: Model, actions: bool) -> tuple[Array, Array]:
+    """Return g and h of exact demonstrations."""
+    return reward_and_potential(shown_in(model), model, GAMMA, HORIZON, actions, steps=200, rate=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_reward_of_states_is_the_true_one_up_to_a_constant(seed: int) -> None:
+    g, _ = adversarial(leading(seed), actions=False)
+    assert np.ptp(g[:, 0] - REWARD) < 0.2
+    assert regret(leading(seed + 10), np.broadcast_to(g, (STATES, ACTIONS))) < 0.01
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_one_of_states_and_actions_is_the_advantage_and_is_of_no_use_elsewhere(seed: int) -> None:
+    model, (v, q) = leading(seed), soft_value_iteration(leading(seed).P, REWARD, GAMMA)
+    g, h = adversarial(model, actions=True)
+    f = g + GAMMA * model.P @ h - h[:, None]
+    assert (shown_in(model) * np.abs(f - (q - v[:, None]))).sum() < 0.01
+    assert regret(model, g) < 0.01
+    assert regret(leading(seed + 10), g) > 0.9
 
 
 def networks(actions: bool) -> tuple[torch.nn.Module, torch.nn.Module]:
@@ -49,20 +102,6 @@ def test_steps_of_demonstrations_lead_into_the_absorbing_state_where_they_end() 
     assert not as_transitions(lives).next_absorbing.any()
     with pytest.raises(ValueError, match="every step is shown"):
         as_transitions(lives.every(2, np.random.default_rng(0)))
-
-
-def test_densities_count_within_bounds() -> None:
-    class Sure:
-        """Has a density of e^40 of positive actions, and of e^-40 of others."""
-
-        def log_prob(self, obs: Array, act: Array) -> Array:
-            return 40.0 * np.sign(act[:, 0])
-
-    steps = as_transitions(demonstrate(lambda obs: obs[:, :2], count=2, lifetime=3))
-    logs = log_density(cast(StochasticPolicy, Sure()), steps, uniform=-0.7, most=3.0)
-    living = ~steps.absorbing
-    np.testing.assert_allclose(logs[living], -0.7 + 3.0 * np.sign(steps.act[living, 0]))
-    np.testing.assert_array_equal(logs[~living], -0.7)
 
 
 def test_what_the_agent_is_sure_of_tells_less(world: Any, monkeypatch: pytest.MonkeyPatch) -> None:

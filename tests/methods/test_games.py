@@ -1,5 +1,7 @@
 """Games of a discriminator against an agent, and what all of them promise."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from envs.models import Tabular
 from methods.adversarial import Game
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Transitions
@@ -14,7 +17,12 @@ from methods.f_irl import FIRL
 from methods.gail import GAIL
 from methods.network import mlp
 from methods.rewards import MeanReward, NetworkReward
-from tests.methods.worlds import constant, demonstrate
+from methods.tabular.model import (
+    greedy,
+    policy_value,
+    value_iteration,
+)
+from tests.methods.worlds import FiniteWorld, constant, demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 
@@ -136,3 +144,48 @@ def test_a_penalty_on_its_slope_makes_the_reward_flat(world: Any, method: Any) -
         return float(np.ptp(reward(obs, obs[:, :2], obs)))
 
     assert spread(100.0) < 0.5 * spread(0.0)
+
+
+STATES, ACTIONS, GAMMA, HORIZON = 16, 4, 0.9, 50
+
+
+def acting_in_one_state(seed: int) -> Tabular:
+    """Each action leads to one of four states by chance, and one state pays for acting in it."""
+    rng = np.random.default_rng(seed)
+    P = np.zeros((STATES, ACTIONS, STATES))
+    for state in range(STATES):
+        for action in range(ACTIONS):
+            P[state, action, rng.choice(STATES, 4, replace=False)] = rng.dirichlet(np.ones(4))
+    start, obs = np.full(STATES, 1 / STATES), np.eye(STATES)
+    return Tabular(P, start, obs, reward=1.0 * (np.arange(STATES) == 3), features=obs)
+
+
+def play(tabular: Tabular, iterations: int, mean: bool) -> tuple[float, float]:
+    """What the best policy under R* misses of the expert's return, a random one missing 1; and by how much R*
+    pays it more than the expert, in mean sizes of R*: what is left of the game's duality gap."""
+    world = FiniteWorld(tabular, horizon=50, gamma=GAMMA)
+    demos = world.rollout(world.optimal(), 20, np.random.default_rng(1))
+    game = GAIL(iterations=iterations, reward_steps=20, slope_penalty=0.1, mean=mean)
+    learned = game.fit(demos, world, np.random.default_rng(2))
+    obs = np.repeat(tabular.obs, ACTIONS, axis=0)
+    r = learned.reward(obs, np.tile(np.eye(ACTIONS), (STATES, 1)), obs).reshape(STATES, ACTIONS)
+    expert = greedy(value_iteration(tabular.P, tabular.reward, GAMMA)[1])
+    best = greedy(value_iteration(tabular.P, r, GAMMA)[1])
+
+    def value(policy: Array, reward: Array) -> float:
+        return float(tabular.start @ policy_value(tabular.P, reward, policy, GAMMA))
+
+    truth = [value(p, tabular.reward) for p in (expert, best, np.full((STATES, ACTIONS), 1 / ACTIONS))]
+    gap = (1 - GAMMA) * (value(best, r) - value(expert, r)) / np.abs(r).mean()
+    return (truth[0] - truth[1]) / (truth[0] - truth[2]), gap
+
+
+def test_the_mean_reward_makes_the_expert_the_best_and_the_last_may_not() -> None:
+    tabulars = [acting_in_one_state(seed) for seed in range(2)]
+    short, long, last = (
+        np.array([play(tabular, iterations, mean) for tabular in tabulars])
+        for iterations, mean in ((3, True), (30, True), (3, False))
+    )
+    assert long[:, 0].max() < 0.05
+    assert long[:, 1].mean() < 0.25 * short[:, 1].mean()
+    assert last[:, 0].max() > 0.5

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from methods.network import ADAM, Network, contrast, descend, mlp
-from methods.soap import Moments, Soap
+from methods.soap import Soap
 
 
 def layers(seed: int = 0) -> torch.nn.Sequential:
@@ -105,23 +105,6 @@ def test_slopes_are_those_of_the_network() -> None:
     found = contrast(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))  # type: ignore[arg-type]
     assert float(found.squared_slope) == pytest.approx(26, rel=0.1)
     torch.testing.assert_close(torch.cat([found.a, found.b]), torch.cat([a, b]) @ slope.T + 7)
-
-
-RNG = np.random.default_rng(0)
-
-
-def turned(size: int) -> np.ndarray:
-    return np.linalg.qr(RNG.normal(size=(size, size)))[0]
-
-
-def test_steps_turn_with_inputs_and_outputs() -> None:
-    """Adam's do not: its axes are the weights."""
-    left, right = turned(5), turned(5)
-    gradients = RNG.normal(size=(30, 5, 5))
-    one, other = Moments.of(gradients[0]), Moments.of(left @ gradients[0] @ right)
-    for gradient in gradients[1:]:
-        step = one.step(gradient)
-        np.testing.assert_allclose(other.step(left @ gradient @ right), left @ step @ right, atol=1e-7)
 
 
 def test_a_fit_leaves_less_than_a_third_of_what_as_many_steps_of_adam_leave() -> None:

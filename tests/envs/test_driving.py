@@ -1,7 +1,9 @@
-"""The compiled traffic of the highway is highway-env's."""
+"""The compiled traffic of the highway is highway-env's, and the task is what its spec says."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import partial
 from typing import Any
 
@@ -12,9 +14,9 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
 from envs.driving import observing, traffic
-from envs.driving.environment import NOMINAL, first_states
+from envs.driving.environment import NOMINAL, Highway, first_states, look
 from envs.driving.highway import CONFIG, HORIZON, SPEC, TARGET_SPEED, idm_return
-from envs.driving.scene import Scene
+from envs.driving.scene import CRUISE, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
 from envs.spec import Array
 
 ROUNDING = 1e-9
@@ -120,3 +122,66 @@ def test_the_reference_driver_is_highway_envs() -> None:
         upstream.road.vehicles[0] = upstream.vehicle = driver
         returns.append(sum(upstream.step(None)[1] for _ in range(HORIZON)))
     np.testing.assert_allclose(idm_return(seeds)[0], returns, rtol=0, atol=ROUNDING)
+
+
+def test_the_task_is_imported_without_its_compiler() -> None:
+    code = "import sys, envs.driving.highway; print({'jax', 'highway_env'} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+def inner(env: Any) -> Highway:
+    """Return the task itself."""
+    assert isinstance(env.unwrapped, Highway)
+    return env.unwrapped
+
+
+@pytest.mark.parametrize(
+    ("dx", "dv", "beside"),
+    [
+        (0, 0, True),
+        (-6.5, 0, True),
+        (7.5, 0, False),
+        (9, -3, True),
+        (9, 3, False),
+        (-9, 3, True),
+    ],
+)
+@pytest.mark.parametrize("side", [-1, 1])
+def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:
+    env = Highway(NOMINAL)
+    env.reset(seed=next(seed for seed in range(100) if first_states([seed])[0, 9, 0] == 1))
+    scene = env.scene
+    scene.x[1:] = scene.x[0] + 1000
+    scene.x[1], scene.y[1] = scene.x[0] + dx, scene.y[0] + 0.9 * side * LANE_WIDTH
+    scene.speed[1] = scene.speed[0] + dv
+    free = look(env.state[None])[0, 4:6] * WIDE
+    to_the_edge = 1.5 * LANE_WIDTH
+    there, elsewhere = free if side == -1 else free[::-1]
+    assert there == pytest.approx(0.9 * LANE_WIDTH if beside else to_the_edge, rel=1e-5)
+    assert elsewhere == pytest.approx(to_the_edge)
+
+
+def test_dense_traffic_is_the_same_but_half_as_far_apart_again() -> None:
+    nominal, dense = SPEC.make(), SPEC.variant("dense").make()
+    gaps = []
+    for env in (nominal, dense):
+        env.reset(seed=0)
+        gaps.append(np.diff(inner(env).scene.x))
+    np.testing.assert_allclose(gaps[0], 1.5 * gaps[1][: len(gaps[0])])
+
+
+def test_observations_are_in_their_units_and_an_episode_lasts_its_horizon() -> None:
+    env = SPEC.make()
+    obs, _ = env.reset(seed=1)
+    scene = inner(env).scene
+    x, y, speed = scene.x, scene.y, scene.speed
+    assert obs[0] * WIDE + (LANES - 1) / 2 * LANE_WIDTH == pytest.approx(y[0])
+    assert obs[3] * FAST + CRUISE == pytest.approx(speed[0])
+    ahead = (np.abs(y - y[0]) < 1) & (x > x[0])
+    nearest = np.flatnonzero(ahead)[x[ahead].argmin()]
+    gap = x[nearest] - x[0] - LENGTH
+    assert obs[10] * LONG == pytest.approx(min(gap, REACH), rel=1e-5)
+    steps = [env.step(np.array([-1, 0], np.float32)) for _ in range(HORIZON)]
+    assert not any(step[2] for step in steps)
+    assert [step[3] for step in steps] == [False] * (HORIZON - 1) + [True]
