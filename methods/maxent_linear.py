@@ -6,7 +6,7 @@ The reward is linear.
     r(s, a) = w^T phi(s, a),   grad_w log L = phi_D - E[phi]
 
 Here phi are features. Where the model is known the likelihood is that of maximum causal entropy up to the
-horizon (Ziebart, Bagnell & Dey 2010), which is concave in w, and L-BFGS maximises it with the weights' prior.
+horizon (Ziebart, Bagnell & Dey 2010). It is concave in w, and L-BFGS maximises it with the weights' prior.
 
 Deviates from the paper: a Gaussian prior on w keeps it finite where demonstrations leave no doubt. Where the
 model is not known, "solve the MDP" is RL that goes on from before, and E[phi] comes from its rollouts,

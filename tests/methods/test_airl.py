@@ -54,21 +54,19 @@ def adversarial(model: Model, actions: bool) -> tuple[Array, Array]:
     return reward_and_potential(shown_in(model), model, GAMMA, HORIZON, actions, steps=200, rate=0.1)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_reward_of_states_is_the_true_one_up_to_a_constant(seed: int) -> None:
-    g, _ = adversarial(leading(seed), actions=False)
+def test_a_reward_of_states_is_the_true_one_up_to_a_constant() -> None:
+    g, _ = adversarial(leading(1), actions=False)
     assert np.ptp(g[:, 0] - REWARD) < 0.2
-    assert regret(leading(seed + 10), np.broadcast_to(g, (STATES, ACTIONS))) < 0.01
+    assert regret(leading(11), np.broadcast_to(g, (STATES, ACTIONS))) < 0.01
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_one_of_states_and_actions_is_the_advantage_and_is_of_no_use_elsewhere(seed: int) -> None:
-    model, (v, q) = leading(seed), soft_value_iteration(leading(seed).P, REWARD, GAMMA)
+def test_one_of_states_and_actions_is_the_advantage_and_is_of_no_use_elsewhere() -> None:
+    model, (v, q) = leading(1), soft_value_iteration(leading(1).P, REWARD, GAMMA)
     g, h = adversarial(model, actions=True)
     f = g + GAMMA * model.P @ h - h[:, None]
     assert (shown_in(model) * np.abs(f - (q - v[:, None]))).sum() < 0.01
     assert regret(model, g) < 0.01
-    assert regret(leading(seed + 10), g) > 0.9
+    assert regret(leading(11), g) > 0.9
 
 
 def networks(actions: bool) -> tuple[torch.nn.Module, torch.nn.Module]:

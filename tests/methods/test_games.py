@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,12 @@ from methods.base import Array, Episodes, Transitions
 from methods.f_irl import FIRL
 from methods.gail import GAIL
 from methods.network import mlp
-from methods.rewards import MeanReward, NetworkReward
 from methods.tabular.model import (
     greedy,
     policy_value,
     value_iteration,
 )
-from tests.methods.worlds import FiniteWorld, constant, demonstrate
+from tests.methods.worlds import FakeAgent, FiniteWorld, constant, demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 
@@ -50,20 +48,9 @@ def test_an_end_pays_less_than_a_fall(seed: int) -> None:
     assert logits[-1] < logits[:-1].mean()
 
 
-def steps(act: Array) -> Transitions:
-    """Of these actions (N, 2), anywhere."""
-    obs = np.random.default_rng(5).uniform(-1, 1, (len(act), 3))
-    return Transitions.own(obs, act, obs, *np.zeros((2, len(act)), bool))
-
-
-@pytest.fixture
-def does(monkeypatch: pytest.MonkeyPatch) -> Callable[[Array], None]:
-    """Has every agent seen itself do these actions."""
-    replay = "tests.methods.worlds.FakeAgent.replay"
-    return lambda act: monkeypatch.setattr(replay, lambda self: steps(act))
-
-
-def test_the_logit_is_the_logarithm_of_the_densities_ratio(world: Any, does: Callable[[Array], None]) -> None:
+def test_the_logit_is_the_logarithm_of_the_densities_ratio(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(0)
 
     def acts(count: int, rising: float) -> Array:
@@ -71,7 +58,10 @@ def test_the_logit_is_the_logarithm_of_the_densities_ratio(world: Any, does: Cal
         size = np.where(rng.random(count) < 0.5 + rising / 2, 1, -1) * rng.random(count)
         return np.column_stack([size, rng.uniform(-1, 1, count)])
 
-    does(acts(20_000, -0.6))
+    own, alive = acts(20_000, -0.6), np.zeros(20_000, bool)
+    places = rng.uniform(-1, 1, (20_000, 3))
+    seen = Transitions.own(places, own, places, alive, alive)
+    monkeypatch.setattr(FakeAgent, "replay", lambda self: seen)
     shown = Episodes((rng.uniform(-1, 1, (20_001, 3)),), (acts(20_000, 0.6),), (False,))
     method = GAIL(iterations=4, reward_steps=500, latest=20_000, slope_penalty=0.0)
     reward = method.fit(shown, world, rng).reward
@@ -89,18 +79,15 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(world: Any) -> N
         )
         for mean in (False, True)
     )
-    assert isinstance(last.reward, NetworkReward)
-    assert isinstance(mean.reward, MeanReward)
-    assert len(mean.reward.rewards) == 4
-    half = len(world.solves) // 2
-    assert [(steps, warm) for _, steps, warm in world.solves[:half]] == [
-        *((70, False), (70, True), (70, True), (70, True), (500, True))
-    ]
+    solves = world.solves[: len(world.solves) // 2]
+    assert [solve[1:] for solve in solves] == [(70, False), *[(70, True)] * 3, (500, True)]
     # Both play one game, and end it alike.
-    rewards = [reward for reward, _, _ in world.solves[half:]]
     obs, act = demos.pairs()
-    np.testing.assert_array_equal(rewards[-1](obs, act, obs), mean.reward(obs, act, obs))
-    np.testing.assert_array_equal(last.reward(obs, act, obs), mean.reward.rewards[-1](obs, act, obs))
+    paid = world.solves[-1][0](obs, act, obs)
+    np.testing.assert_array_equal(paid, mean.reward(obs, act, obs))
+    each = [reward(obs, act, obs) for reward in mean.reward.rewards]
+    np.testing.assert_allclose(paid, np.mean(each, axis=0))
+    np.testing.assert_array_equal(last.reward(obs, act, obs), each[-1])
     np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
 
 

@@ -11,11 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from methods.base import Array, Episodes
+from methods.base import Array, Episodes, Learned
 from methods.network import Network, mlp
 from methods.shaped import Shaped, ShapedReward, shaped_reward
 from methods.shaped_ranked import ShapedRanked
-from tests.methods.worlds import FakeWorld, demonstrate
+from tests.methods.worlds import FakeWorld, constant, demonstrate
 
 SIZES = st.integers(1, 4)
 SEEDS = st.integers(0, 2**31)
@@ -60,18 +60,24 @@ def test_the_reward_far_from_the_demonstrations_is_no_cliff() -> None:
     assert np.abs(reward.chol(100 * narrow.pairs()[0])).max() < 1
 
 
-FITS: dict[str, Any] = {"steps": 300}
+FITS: dict[str, Any] = {"steps": 100}
 METHOD = ShapedRanked(**FITS, levels=(0.0, 0.5, 1.0), rollouts=10, reward_steps=200)
 
 
 class Line:
     """A world whose observation (3,) begins with the last action's first entry."""
 
-    obs_size, act_size, horizon, gamma, model = 3, 2, 10, 0.9, None
+    obs_size, act_size, horizon, gamma, solve_steps, model = 3, 2, 10, 0.9, 30, None
 
     def __init__(self, mortal: bool = False) -> None:
         self.mortal = mortal
         """Whether a negative first entry of an action ends the episode."""
+        self.learned: list[int] = []
+
+    def agent(self, rng: np.random.Generator) -> Any:
+        """Return an agent that always ends in the action 1."""
+        policy = constant(1.0, 0.0)
+        return SimpleNamespace(learn=lambda steps, reward: self.learned.append(steps), policy=policy)
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return rng.uniform(-1, 1, (count, 2))
@@ -89,8 +95,9 @@ class Line:
         return Episodes(tuple(obs), tuple(act), died)
 
 
-def expert(obs: Array) -> Array:
-    return np.tile([0.7, 0.0], (len(obs), 1))
+LINE: Any = Line()
+DEMOS = LINE.rollout(constant(0.7, 0.0), 5, np.random.default_rng(0))
+OBS = np.random.default_rng(1).normal(size=(20, 3))
 
 
 def at(x: float) -> tuple[Array, Array, Array]:
@@ -98,19 +105,18 @@ def at(x: float) -> tuple[Array, Array, Array]:
     return obs, np.zeros((1, 2)), obs
 
 
-def test_its_policy_is_that_of_shaped() -> None:
-    world: Any = Line()
-    demos = world.rollout(expert, 5, np.random.default_rng(0))
-    obs = np.random.default_rng(1).normal(size=(20, 3))
-    ranked = METHOD.fit(demos, world, np.random.default_rng(2))
-    shaped = Shaped(**FITS).fit(demos, world, np.random.default_rng(2))
-    np.testing.assert_array_equal(ranked.policy(obs), shaped.policy(obs))
+@pytest.fixture(scope="module")
+def ranked() -> Learned:
+    return METHOD.fit(DEMOS, LINE, np.random.default_rng(2))
 
 
-def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
-    world: Any = Line()
-    demos = world.rollout(expert, 5, np.random.default_rng(0))
-    reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
+def test_its_policy_is_that_of_shaped(ranked: Learned) -> None:
+    shaped = Shaped(**FITS).fit(DEMOS, LINE, np.random.default_rng(2))
+    np.testing.assert_array_equal(ranked.policy(OBS), shaped.policy(OBS))
+
+
+def test_its_reward_prefers_demonstrated_states_whatever_the_action(ranked: Any) -> None:
+    reward = ranked.reward
     values = [reward(*at(x))[0] for x in (0.7, 0.0, -0.7)]
     assert values[0] > values[1] + 0.2
     assert values[0] > values[2] + 0.5
@@ -119,42 +125,19 @@ def test_its_reward_prefers_demonstrated_states_whatever_the_action() -> None:
     assert -1 <= min(values) <= max(values) <= 1
 
 
-class Taught(Line):
-    """A world in which reinforcement learning always ends in this action."""
-
-    solve_steps = 30
-
-    def __init__(self, action: float) -> None:
-        super().__init__()
-        self.action, self.learned = action, list[int]()
-
-    def agent(self, rng: np.random.Generator) -> Any:
-        def learn(steps: int, reward: Any) -> None:
-            self.learned.append(steps)
-
-        return SimpleNamespace(learn=learn, policy=lambda obs: np.tile([self.action, 0.0], (len(obs), 1)))
-
-
-def taught(action: float) -> tuple[Any, Any]:
-    world: Any = Taught(action)
-    demos = world.rollout(expert, 5, np.random.default_rng(0))
-    before, after = (
-        replace(METHOD, rl_rounds=rounds).fit(demos, world, np.random.default_rng(2)).reward
-        for rounds in (0, 2)
-    )
-    assert world.learned == [30, 30]
-    return before, after
-
-
-def test_what_reinforcement_learning_finds_pays_less() -> None:
-    before, after = taught(1.0)
-    assert before(*at(1.0)) > before(*at(0.0))
+def test_what_reinforcement_learning_finds_pays_less(ranked: Any) -> None:
+    LINE.learned.clear()
+    after: Any = replace(METHOD, rl_rounds=2).fit(DEMOS, LINE, np.random.default_rng(2)).reward
+    assert LINE.learned == [30, 30]
+    assert ranked.reward(*at(1.0)) > ranked.reward(*at(0.0))
     assert after(*at(1.0)) < after(*at(0.7)) - 0.5
 
 
 @pytest.mark.parametrize("every", [1, 4])
 def test_where_noise_kills_death_pays_less(every: int) -> None:
     world: Any = Line(mortal=True)
-    demos = world.rollout(expert, 5, np.random.default_rng(0)).every(every, np.random.default_rng(3))
+    demos = world.rollout(constant(0.7, 0.0), 5, np.random.default_rng(0)).every(
+        every, np.random.default_rng(3)
+    )
     reward: Any = METHOD.fit(demos, world, np.random.default_rng(2)).reward
     assert reward.absorbing < reward(*at(0.7))[0] - 0.2
