@@ -24,7 +24,6 @@ ROUNDING = 1e-9
 CASES: dict[str, dict[str, Any]] = {
     "task": CONFIG,
     "dense": {**CONFIG, "vehicles_density": 2.5, "vehicles_count": 16, "lanes_count": 4},
-    "offroad": {**CONFIG, "offroad_terminal": False, "lanes_count": 2, "simulation_frequency": 10},
 }
 
 
@@ -138,14 +137,7 @@ def inner(env: Any) -> Highway:
 
 @pytest.mark.parametrize(
     ("dx", "dv", "beside"),
-    [
-        (0, 0, True),
-        (-6.5, 0, True),
-        (7.5, 0, False),
-        (9, -3, True),
-        (9, 3, False),
-        (-9, 3, True),
-    ],
+    [(0, 0, True), (-6.5, 0, True), (7.5, 0, False), (9, -3, True), (9, 3, False), (-9, 3, True)],
 )
 @pytest.mark.parametrize("side", [-1, 1])
 def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:

@@ -40,14 +40,6 @@ def register(monkeypatch: pytest.MonkeyPatch, env_id: str, entry: Any) -> None:
     monkeypatch.setitem(gym.registry, env_id, registered)
 
 
-def test_what_it_is_made_with_reaches_the_batch_of_a_variant_too() -> None:
-    spec = from_gymnasium(
-        "Hopper-v5", "x", kwargs={"healthy_reward": 3.0}, variants={"slow": {"frame_skip": 2}}
-    )
-    assert_together_as_alone(spec, 50)
-    assert_together_as_alone(spec.variant("slow"), 50)
-
-
 def test_of_what_is_wrapped_otherwise_no_batch_is_known() -> None:
     def doubled(env: gym.Env) -> gym.Env:
         return TransformReward(env, lambda reward: 2 * reward)

@@ -23,16 +23,13 @@ def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
 def test_transitions_are_of_steps_that_follow_each_other() -> None:
     obs = tuple(np.arange(n + 1.0)[:, None] + 100 * n for n in (4, 7))
     act = tuple(np.linspace(-1, 1, n)[:, None] for n in (4, 7))
-    episodes = Episodes(obs, act, (False, False))
-    before, done, after = episodes.transitions()
+    before, done, after = Episodes(obs, act, (False, False)).transitions()
     np.testing.assert_array_equal(done, np.concatenate(act))
     np.testing.assert_array_equal(after, before + 1)
-    assert len(before) == 11
     times = (np.array([0, 1, 3]), np.array([2, 5, 6]))
     some = [tuple(rows[at] for rows, at in zip(column, times, strict=True)) for column in (obs, act)]
     before, done, after = Episodes(*some, (False, False), times, (4, 7)).transitions()
-    assert before[:, 0].tolist() == [400, 705]
-    assert after[:, 0].tolist() == [401, 706]
+    assert (before[:, 0].tolist(), after[:, 0].tolist()) == ([400, 705], [401, 706])
     np.testing.assert_array_equal(done, [act[0][0], act[1][5]])
 
 
@@ -44,7 +41,6 @@ def test_transitions_are_of_steps_that_follow_each_other() -> None:
         ([np.full((4, 3), np.nan)], [np.zeros((3, 2))]),
         ([np.zeros((4, 3))], [np.full((3, 2), 1.5)]),
     ],
-    ids=["none", "no last observation", "NaN", "action out of range"],
 )
 def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
     with pytest.raises(ValueError, match="episode"):

@@ -9,7 +9,7 @@ from envs.gridworld import objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
 from methods.base import Array
-from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, coherent_table
+from methods.csil import CSIL, UNIFORM, GaussianProcess, coherent_table
 from methods.settings import settings_for
 from methods.tabular.model import soft_policy, soft_value_iteration
 from tests.methods.worlds import demonstrate
@@ -54,20 +54,6 @@ def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
     mean, variance = q(far)
     np.testing.assert_allclose(np.sqrt(variance), UNIFORM)
     np.testing.assert_allclose(mean, 0, atol=1e-9)
-
-
-def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> None:
-    reward = CoherentReward(fitted(), -5.0)
-    rng = np.random.default_rng(1)
-    near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
-    shown, other = reward(near, wave(near), near), reward(near, -wave(near), near)
-    assert (shown > 1).mean() > 0.95
-    assert (shown > other).mean() > 0.95
-    assert other.min() == -5
-    np.testing.assert_allclose(reward(far, reward.q(far)[0], far), 0, atol=1e-9)
-    # Of many rows and of few it says the same.
-    many = np.tile(near, (100, 1))
-    np.testing.assert_allclose(reward(many, wave(many), many)[:200], shown)
 
 
 def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(world: Any) -> None:

@@ -2,19 +2,24 @@
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from methods.base import Array, Episodes
+from envs.gridworld import objectworld
+from methods.base import Array, Episodes, Reward
 from methods.maxent import MaxEnt
-from tests.methods.worlds import constant, demonstrate
+from methods.maxent_linear import MaxEntLinear, moments
+from methods.tabular.maxent import log_likelihood
+from methods.tabular.model import demonstrated, finite_soft_value_iteration
+from tests.methods.worlds import FiniteWorld, constant, demonstrate
 
 METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
 
 
-def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
+def test_what_absorption_pays_is_learned_by_the_network(world: Any, mortal_world: Any) -> None:
     still = constant(0.0, 0.0)
     lives, dies = demonstrate(still), demonstrate(still, lifetime=2)
     at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
@@ -68,12 +73,77 @@ def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(wo
     )
 
 
-def test_an_end_that_maxent_forgets_pays_no_more_than_random_steps(mortal_world: Any) -> None:
-    """After one step on the reward an end pays what chance says."""
-    demos = demonstrate(lambda obs: 0 * obs[:, :2])
-    obs = np.random.default_rng(1).uniform(-1, 1, (5000, 3))
-    act = np.random.default_rng(2).uniform(-1, 1, (5000, 2))
-    for seed in range(6):
-        method = MaxEnt(iterations=1, averaged=1, reward_steps=1, rollouts=1000)
-        learned = method.fit(demos, mortal_world, np.random.default_rng(seed)).reward
-        assert learned.absorbing < learned(obs, act, obs).mean() + 0.01
+HORIZON, GAMMA = 12, 0.9
+TABULAR = objectworld(6, 5, 2, 0.2, np.random.default_rng(3))
+MODEL = TABULAR.model
+WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
+
+
+def soft_demonstrations(count: int) -> Episodes:
+    """Of the policy that is optimal in return plus entropy under w^T obs."""
+    rng = np.random.default_rng(0)
+    _, policies = finite_soft_value_iteration(MODEL.P, MODEL.obs @ WEIGHTS, HORIZON, GAMMA)
+    obs, act = np.empty((count, HORIZON + 1, 6)), np.zeros((count, HORIZON, 5))
+    for i in range(count):
+        state = rng.choice(len(MODEL.start), p=MODEL.start)
+        obs[i, 0] = MODEL.obs[state]
+        for t in range(HORIZON):
+            action = rng.choice(5, p=policies[t, state])
+            act[i, t, action] = 1
+            state = rng.choice(len(MODEL.start), p=MODEL.P[state, action])
+            obs[i, t + 1] = MODEL.obs[state]
+    return Episodes(tuple(obs), tuple(act), (False,) * count)
+
+
+@pytest.fixture(scope="module")
+def demos() -> Episodes:
+    return soft_demonstrations(1000)
+
+
+def on_states(reward: Reward) -> Array:
+    return reward(MODEL.obs, np.zeros((len(MODEL.obs), 5)), MODEL.obs)
+
+
+def test_a_network_without_hidden_layers_climbs_to_the_same_likelihood_and_policy(demos: Episodes) -> None:
+    world: Any = FiniteWorld(replace(TABULAR, features=TABULAR.obs), HORIZON, GAMMA)
+    linear = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0))
+    deep = MaxEnt(layers=(), iterations=600, learning_rate=1e-1).fit(demos, world, np.random.default_rng(0))
+    mu_demo = demonstrated(demos, MODEL)
+    best, other = (log_likelihood(MODEL, on_states(fit.reward), mu_demo, GAMMA)[0] for fit in (linear, deep))
+    truth = log_likelihood(MODEL, MODEL.obs @ WEIGHTS, mu_demo, GAMMA)[0]
+    start = log_likelihood(MODEL, np.zeros(len(MODEL.start)), mu_demo, GAMMA)[0]
+    assert start < truth - 0.1 < truth <= best
+    assert best - 1e-6 < other <= best + 1e-6
+    np.testing.assert_array_equal(linear.policy(MODEL.obs), deep.policy(MODEL.obs))
+
+
+def test_it_finds_the_weights_that_demonstrated(demos: Episodes) -> None:
+    world: Any = FiniteWorld(replace(TABULAR, features=TABULAR.obs), HORIZON, GAMMA)
+    reward: Any = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0)).reward
+    np.testing.assert_allclose(reward.w[:-1], WEIGHTS, atol=0.4)
+    assert reward.absorbing == 0
+    shrunk: Any = MaxEntLinear(weight_prior=1.0).fit(demos, world, np.random.default_rng(0)).reward
+    assert np.linalg.norm(shrunk.w) < 0.5 * np.linalg.norm(WEIGHTS)
+
+
+def test_elsewhere_one_agent_goes_on_until_features_match(world: Any) -> None:
+    demos = demonstrate(constant(0.5, -0.3))
+    learned = MaxEntLinear(iterations=30, rl_share=0.007).fit(demos, world, np.random.default_rng(0))
+    (gaps,) = learned.curves.values()
+    assert gaps[-1] < 0.1 * gaps[0]
+    assert [solve[1:] for solve in world.solves] == [(7, False), *[(7, True)] * 29]
+    assert learned.reward is world.solves[-1][0]
+
+
+def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
+    for lifetime, where, sign in ((2, world, 1), (10, mortal_world, -1)):
+        demos = demonstrate(constant(0.5, 0.0), lifetime=lifetime)
+        reward: Any = MaxEntLinear().fit(demos, where, np.random.default_rng(0)).reward
+        assert np.sign(reward.absorbing) == sign
+
+
+def test_moments_count_absorbing_steps_up_to_the_horizon(mortal_world: Any) -> None:
+    mean, second = moments(demonstrate(constant(0.5, -1.0), lifetime=2), mortal_world)
+    np.testing.assert_allclose(mean, [0.2 * 0.5, -0.2, 0.2, 0.8])
+    step = np.array([0.5, -1.0, 1.0, 0.0])
+    np.testing.assert_allclose(second, 0.2 * np.outer(step, step) + 0.8 * np.diag([0, 0, 0, 1]), atol=1e-12)
