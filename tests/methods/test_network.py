@@ -31,8 +31,7 @@ def test_it_equals_the_torch_layers_it_came_from(tanh: bool) -> None:
 @pytest.mark.parametrize("tanh", [False, True])
 def test_its_arrays_are_all_of_it(tanh: bool) -> None:
     there = network(tanh)
-    back = Network.from_arrays(there.arrays())
-    x = np.random.default_rng(1).normal(size=(20, 3))
+    back, x = Network.from_arrays(there.arrays()), np.random.default_rng(1).normal(size=(20, 3))
     np.testing.assert_array_equal(back(x), there(x))
     assert back.tanh is tanh
 
