@@ -60,7 +60,7 @@ def test_the_reward_far_from_the_demonstrations_is_no_cliff() -> None:
     assert np.abs(reward.chol(100 * narrow.pairs()[0])).max() < 1
 
 
-FITS: dict[str, Any] = {"steps": 100}
+FITS: dict[str, Any] = {"steps": 300}
 METHOD = ShapedRanked(**FITS, levels=(0.0, 0.5, 1.0), rollouts=10, reward_steps=200)
 
 
