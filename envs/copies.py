@@ -29,7 +29,7 @@ class Copies:
         self._steps[place] = 0
         with named(self._name, [0]):
             obs = real(self._batch.reset(place, seed)).astype(np.float64)
-        self._check([place], obs[None], np.zeros(1))
+        check_numbers(self._name, self._spec.obs_size, obs[None], np.zeros(1), [0])
         return obs
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
@@ -42,16 +42,12 @@ class Copies:
             rewards = np.asarray(real(rewards, "reward"), np.float64)
             ended = real(terminated, "terminated", "b")
             cut = real(truncated[0], "truncated", "b") if truncated else np.zeros_like(ended)
-        self._check(places, obs, rewards)
+        check_numbers(self._name, self._spec.obs_size, obs, rewards, self._steps[places].tolist())
         return obs, rewards, ended, cut
 
     def why_ended(self, place: int) -> str:
         """Return why the copy's episode just terminated."""
         return self._batch.why_ended(place)
-
-    def _check(self, places: Sequence[int], obs: Array, rewards: Array) -> None:
-        spec, steps = self._spec, self._steps[places].tolist()
-        check_numbers(self._name, spec.obs_size, obs, rewards, steps)
 
 
 def alone(spec: EnvSpec, count: int = 1) -> Copies:

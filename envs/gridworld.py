@@ -25,14 +25,11 @@ MOVES = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]])  # cells, one row f
 
 @dataclass(frozen=True)
 class ObjectWorld(Tabular):
-    """A `Tabular` with its M objects."""
+    """A `Tabular` with the states of its M objects, `cells` (M,), and their `inner` and `outer` colours."""
 
     cells: NDArray[np.int64]
-    """State of each object, (M,)."""
     inner: NDArray[np.int64]
-    """Inner colour of each object, (M,)."""
     outer: NDArray[np.int64]
-    """Outer colour of each object, (M,)."""
 
 
 def grid(size: int, slip: float) -> Tabular:
@@ -53,9 +50,8 @@ def objectworld(size: int, objects: int, colours: int, slip: float, rng: np.rand
     starts.
 
     The reward is 1 nearer than 3 cells to outer colour 0 and nearer than 2 to outer colour 1. It is -1 if
-    only the former holds, else 0. Other colours distract. Distances are Euclidean, to the nearest such
-    object. Without one, it is the grid's diagonal. The paper says "within", and its authors' code means
-    strictly nearer, which makes the reward a function of the discrete features.
+    only the former holds, else 0. Distances are Euclidean, to the nearest such object, or the grid's diagonal
+    without one. The paper says "within", and its authors' code means strictly nearer.
 
     Observations (S, 2 + 2C) are the position, and the distances to the inner, then the outer colours, all
     from -1 to 1. Features (S, 2CN) indicate each distance being less than 1, ..., N cells. They are the

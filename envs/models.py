@@ -39,7 +39,7 @@ class Model:
             self.obs, self.obs.astype(np.float32)
         ):
             raise ValueError("tabular: obs must be different in each state, and 32-bit floats")
-        for array in (self.P, self.start, self.obs):
+        for array in vars(self).values():
             array.flags.writeable = False
 
     def states(self, obs: Array) -> NDArray[np.int64]:
@@ -71,8 +71,6 @@ class Tabular(Model):
             raise ValueError(f"tabular: features must be (S, K) with S = {states}, not {self.features.shape}")
         if not np.abs(self.features).max() <= 1:
             raise ValueError("tabular: features must lie in [-1, 1]")
-        for array in (self.reward, self.features):
-            array.flags.writeable = False
 
     @property
     def model(self) -> Model:

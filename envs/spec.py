@@ -182,12 +182,12 @@ class EnvSpec:
     @property
     def observations(self) -> tuple[Quantity, ...]:
         """The name and unit of each observation."""
-        return self.obs_names or _numbered("obs", self.obs_size)
+        return self.obs_names or tuple(Quantity(f"obs {i}") for i in range(self.obs_size))
 
     @property
     def actions(self) -> tuple[Quantity, ...]:
         """The name and unit of each entry of an action."""
-        return self.act_names or _numbered("act", self.act_size)
+        return self.act_names or tuple(Quantity(f"act {i}") for i in range(self.act_size))
 
     def make(self) -> gym.Env:
         """Return a new instance. Raises ValueError where it contradicts the spec."""
@@ -256,10 +256,6 @@ class EnvSpec:
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         """Return uniform actions, (count, A)."""
         return self.executed(rng.uniform(-1, 1, (count, self.act_size)))
-
-
-def _numbered(kind: str, size: int) -> tuple[Quantity, ...]:
-    return tuple(Quantity(f"{kind} {i}") for i in range(size))
 
 
 def register(spec: EnvSpec, entry_point: str, **kwargs: Any) -> None:

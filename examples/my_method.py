@@ -22,7 +22,7 @@ class Ridge:
         rows = np.c_[(obs - mean) / std, np.ones(len(obs))]
         wanted = np.arctanh(np.clip(act, -NEAR_THE_BOUND, NEAR_THE_BOUND))
         found = np.linalg.solve(rows.T @ rows + self.penalty * np.eye(rows.shape[1]), rows.T @ wanted)
-        return Learned(Network(mean, std, (found[:-1],), (found[-1],), tanh=True), None)
+        return Learned(Network.of(mean, std, [found[:-1]], [found[-1]], tanh=True), None)
 
 
 METHODS = {"ridge": Ridge}

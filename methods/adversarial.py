@@ -93,7 +93,10 @@ class Game:
         return Outcome(agent.best(mean), turns[-1].reward, mean)
 
     def latest_steps(self, world: World, agent: Agent, rng: Rng) -> Transitions:
-        """Return the agent's latest steps, at most `latest`."""
+        """Return the agent's latest steps, at most `latest`. Where the model is known it has no replay
+        buffer, and plays `rollouts` episodes."""
+        if world.model is not None:
+            return Transitions.of(world.rollout(agent.policy, self.rollouts, rng))
         return agent.replay().last(self.latest)
 
     def discriminator(self, logit: nn.Module, generator: torch.Generator) -> Discriminator:

@@ -28,8 +28,7 @@ from methods.adversarial import Game, Turn
 from methods.base import Array, Episodes, Learned, Rng, StochasticPolicy, Transitions, Unsuitable, World
 from methods.network import mlp
 from methods.rewards import NetworkReward
-from methods.tabular import tabular
-from methods.tabular.airl import TabularAIRL
+from methods.tabular import airl as tabular
 from methods.visits import visited
 
 
@@ -51,7 +50,9 @@ class AIRL(Game):
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Play the game. Raises Unsuitable unless every step is shown or the model is known."""
         if world.model is not None:
-            return tabular(TabularAIRL, self).fit(demos, world, rng)
+            return tabular.fit(
+                demos, world, world.model, rng, self.actions, self.known_steps, self.known_rate
+            )
         expert = as_transitions(demos)
         mean, std, generator = self.standard(demos, world, rng)
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1

@@ -282,12 +282,9 @@ class Learned:
 
     def __repr__(self) -> str:
         """Return a line without arrays."""
-        parts = [f"policy={type(self.policy).__name__}"]
-        parts.append(f"reward={type(self.reward).__name__ if self.reward is not None else None}")
-        curves = ", ".join(f"{name} ({len(values)} values)" for name, values in self.curves.items())
-        details = ", ".join(f"{name} {value:g}" for name, value in self.details.items())
-        parts += [f"{name}: {text}" for name, text in (("curves", curves), ("details", details)) if text]
-        return f"Learned({'; '.join(parts)})"
+        reward = None if self.reward is None else type(self.reward).__name__
+        shown = f"curves={[*self.curves]}, details={dict(self.details)}"
+        return f"Learned(policy={type(self.policy).__name__}, reward={reward}, {shown})"
 
 
 class Method(Protocol):

@@ -11,7 +11,7 @@ Deviates from the paper: its q is a network with a periodic last layer, fitted w
 Its critic is trained on the demonstrations first, while here they are half of every batch if every step is
 shown. Its reward goes on learning, by a bound on the policy's distance. Here R* is fixed, and never below 0.
 Soft actor-critic tunes its own entropy weight, relative to uniform actions and not to p, so q does not solve
-the game that is played. In known models q is a table of counts (`methods.tabular.csil`).
+the game that is played. In known models q is a table of counts, and its reward is solved exactly.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, Unsuitable, World
 from methods.bc import BehaviourCloning
 from methods.network import ROWS, standardiser
-from methods.tabular import tabular
-from methods.tabular.csil import TabularCSIL
+from methods.tabular.model import TabularReward, demonstrated
 from methods.visits import seen_by_both
 
 UNIFORM = 3**-0.5  # standard deviation of uniform actions, and of p, which is normal
@@ -55,7 +55,9 @@ class CSIL(BehaviourCloning):
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Fit q, and learn under its reward. Raises Unsuitable for choices, unless the model is known."""
         if world.model is not None:
-            return tabular(TabularCSIL, self).fit(demos, world, rng)
+            counts = demonstrated(demos, world.model).sum(axis=0) * len(demos)
+            known = coherent_table(counts, world.model)
+            return Learned(world.solve(known, rng, self.rl_steps), known)
         if world.discrete:
             raise Unsuitable("CSIL's cloned policy is of continuous actions")
         random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
@@ -104,7 +106,8 @@ class GaussianProcess:
         places = x[rng.permutation(len(x))[:count]]
         most = -np.inf
         for width in WIDTHS:
-            root = inverse_root(places, width)
+            within = kernel(places, places, width) + JITTER * np.eye(len(places))
+            root = np.linalg.inv(np.linalg.cholesky(within)).T
             phi = kernel(x, places, width) @ root
             squares, axes = np.linalg.eigh(phi.T @ phi)
             squares, along = squares.clip(0), axes.T @ (phi.T @ act)
@@ -128,12 +131,6 @@ def kernel(x: Array, places: Array, width: float) -> Array:
     """Return exp(-|x - place|^2 / 2 w^2), (B, M), for x (B, O) and places (M, O). w is `width` * sqrt(O)."""
     distances: Array = cdist(x, places, "sqeuclidean")
     return np.asarray(np.exp(-distances / (2 * width**2 * places.shape[1])))
-
-
-def inverse_root(places: Array, width: float) -> Array:
-    """Return R (M, M), such that R R^T is the inverse of the kernel between places (M, O)."""
-    within = kernel(places, places, width) + JITTER * np.eye(len(places))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(within)).T)
 
 
 def evidence(squares: Array, along: Array, act: Array, noise: float) -> float:
@@ -166,3 +163,11 @@ class CoherentReward:
             np.square(act / UNIFORM) - np.square(act - mean) / variance - np.log(variance / UNIFORM**2)
         )
         return np.asarray(np.maximum(0.5 * ratio.mean(axis=1), self.floor))
+
+
+def coherent_table(counts: Array, model: Model) -> TabularReward:
+    """Return log q - log p where the model is known. `counts` (S, A): demonstrations of each action. q is the
+    mean of a Dirichlet posterior in each state, whose prior counts as one action."""
+    actions = counts.shape[1]
+    q = (counts + 1 / actions) / (counts.sum(axis=1, keepdims=True) + 1)
+    return TabularReward(model.obs, np.log(q * actions))

@@ -25,8 +25,7 @@ from methods.adversarial import Game, Turn, contrast_among_living
 from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Rng, Transitions, World
 from methods.network import ADAM, mlp
 from methods.rewards import NetworkReward
-from methods.tabular import tabular
-from methods.tabular.f_irl import TabularFIRL
+from methods.tabular import f_irl as tabular
 from methods.visits import sample, visitations, visited
 
 LARGEST_LOG = 5.0  # bound of log density ratios
@@ -44,7 +43,7 @@ class FIRL(Game):
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Descend the divergence."""
         if world.model is not None:
-            return tabular(TabularFIRL, self).fit(demos, world, rng)
+            return tabular.fit(demos, world, world.model, rng, self.known_steps, self.known_rate)
         mean, std, generator = self.standard(demos, world, rng)
         logit, network = (mlp(world.obs_size + 1, *self.layers, 1, generator=generator) for _ in range(2))
         discriminator = self.discriminator(logit, generator)

@@ -20,8 +20,6 @@ from methods.adversarial import Game, Turn
 from methods.base import ABSORBING_STEPS, Episodes, Learned, Rng, Transitions, World
 from methods.network import mlp
 from methods.rewards import NetworkReward
-from methods.tabular import tabular
-from methods.tabular.adversarial import TabularGame
 from methods.visits import visitations, visited
 
 
@@ -50,7 +48,6 @@ class GAIL(Game):
         def improve(steps: Transitions) -> None:
             losses.append(discriminator.learn(expert, visited(steps, mean, std, self.actions), rng))
 
-        game: Game = self if world.model is None else tabular(TabularGame, self)
-        result = game.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
+        result = self.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
         reward = result.mean if self.mean else result.last
         return Learned(result.policy, reward, {"discriminator's loss": losses})

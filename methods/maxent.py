@@ -30,8 +30,7 @@ from methods.base import Agent, Array, Episodes, Learned, Policy, Rng, World
 from methods.network import ADAM, contrast, mlp, standardiser
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.stochastic import EpsilonGreedy
-from methods.tabular import tabular
-from methods.tabular.maxent import TabularMaxEnt
+from methods.tabular import maxent as tabular
 from methods.visits import sample, seen_by_both, visitations
 
 
@@ -69,7 +68,9 @@ class MaxEnt:
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
         if world.model is not None:
-            return tabular(TabularMaxEnt, self).fit(demos, world, rng)
+            return tabular.fit(
+                demos, world, world.model, rng, self.layers, self.iterations, self.learning_rate
+            )
         random = world.rollout(lambda obs: world.random_actions(len(obs), rng), self.rollouts, rng)
         mean, std = standardiser(seen_by_both(demos, random, rng))
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))

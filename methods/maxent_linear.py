@@ -6,7 +6,7 @@ The reward is linear.
     r(s, a) = w^T phi(s, a),   grad_w log L = phi_D - E[phi]
 
 Here phi are features. Where the model is known the likelihood is that of maximum causal entropy up to the
-horizon (Ziebart, Bagnell & Dey 2010), which is concave in w (`methods.tabular.maxent_linear`).
+horizon (Ziebart, Bagnell & Dey 2010). It is concave in w, and L-BFGS maximises it with the weights' prior.
 
 Deviates from the paper: a Gaussian prior on w keeps it finite where demonstrations leave no doubt. Where the
 model is not known, "solve the MDP" is RL that goes on from before, and E[phi] comes from its rollouts,
@@ -19,11 +19,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
+from envs.models import Model
 from methods.base import Array, Episodes, Learned, Policy, Rng, World
 from methods.rewards import LinearReward
-from methods.tabular import tabular
-from methods.tabular.maxent_linear import TabularMaxEntLinear
+from methods.tabular.maxent import log_likelihood
+from methods.tabular.model import demonstrated
 from methods.visits import with_absorbing_steps
 
 
@@ -45,7 +47,7 @@ class MaxEntLinear:
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate the weights' closed form and reinforcement learning on their reward."""
         if world.model is not None:
-            return tabular(TabularMaxEntLinear, self).fit(demos, world, rng)
+            return self.maximise(demos, world, world.model, rng)
         mean_demo, moment_demo = moments(demos, world)
         policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         means: list[Array] = []
@@ -64,6 +66,25 @@ class MaxEntLinear:
             agent.learn(math.ceil(self.rl_share * world.solve_steps), reward)
             policy = agent.best(reward)
         return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
+
+    def maximise(self, demos: Episodes, world: World, model: Model, rng: Rng) -> Learned:
+        """Maximise the posterior density of the weights where the model is known."""
+        states, actions = model.P.shape[:2]
+        every = np.repeat(model.obs, actions, axis=0), np.tile(np.eye(actions), (states, 1))
+        phi = world.phi(*every).reshape(states, actions, -1)
+        mu_demo = demonstrated(demos, model)
+        likelihoods: list[float] = []
+
+        def loss(w: Array) -> tuple[float, Array]:
+            likelihood, gradient = log_likelihood(model, phi @ w, mu_demo, world.gamma)
+            likelihoods.append(likelihood)
+            value = 0.5 * self.weight_prior * float(w @ w) - likelihood
+            return value, self.weight_prior * w - np.tensordot(gradient, phi, axes=2)
+
+        w = optimize.minimize(loss, np.zeros(phi.shape[2]), jac=True, method="L-BFGS-B").x
+        reward = LinearReward(world.phi, np.append(w, 0.0))
+        policy = world.solve(reward, rng, world.solve_steps)
+        return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
 
 
 def moments(episodes: Episodes, world: World) -> tuple[Array, Array]:

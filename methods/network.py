@@ -3,7 +3,7 @@ which are fitted and become plain arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -30,7 +30,8 @@ ROWS = 1024
 class Network:
     """A feed-forward network of batches (B, I) to (B, K): standardise, linear layers with ReLU between them,
     and an optional tanh. `mean`, `std`: (I,). `weights`: (inputs, outputs) of each layer. `biases`:
-    (outputs,)."""
+    (outputs,). Arrays are float64, row by row, as stored ones are. Products of other layouts round
+    differently, so `of` brings any arrays into this one."""
 
     mean: Array
     std: Array
@@ -38,13 +39,16 @@ class Network:
     biases: tuple[Array, ...]
     tanh: bool = False
 
-    def __post_init__(self) -> None:
-        # Float64, row by row: products of other layouts round differently, and stored arrays have this one.
-        for name in ("mean", "std"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
-        for name in ("weights", "biases"):
-            arrays = tuple(np.ascontiguousarray(array, np.float64) for array in getattr(self, name))
-            object.__setattr__(self, name, arrays)
+    @classmethod
+    def of(
+        cls, mean: Any, std: Any, weights: Iterable[Any], biases: Iterable[Any], tanh: bool = False
+    ) -> Network:
+        """Return the network of any arrays of numbers, such as views, float32 or JAX's."""
+        mean, std, *layers = (
+            np.asarray(array, np.float64, order="C") for array in (mean, std, *weights, *biases)
+        )
+        count = len(layers) // 2
+        return cls(mean, std, tuple(layers[:count]), tuple(layers[count:]), tanh)
 
     def __call__(self, x: Array, /) -> Array:
         if len(x) > ROWS:
@@ -65,9 +69,9 @@ class Network:
     def from_torch(cls, layers: nn.Module, mean: Array, std: Array, tanh: bool = False) -> Network:
         """Return the network of a stack of Linear and ReLU layers. `tanh`: True if a tanh follows them."""
         linear = [m for m in layers.modules() if isinstance(m, nn.Linear)]
-        weights = tuple(m.weight.detach().cpu().double().numpy().T.copy() for m in linear)
-        biases = tuple(m.bias.detach().cpu().double().numpy().copy() for m in linear)
-        return cls(mean, std, weights, biases, tanh)
+        weights = [m.weight.detach().cpu().double().numpy().T.copy() for m in linear]
+        biases = [m.bias.detach().cpu().double().numpy().copy() for m in linear]
+        return cls.of(mean, std, weights, biases, tanh)
 
     @classmethod
     def from_flax(
@@ -75,9 +79,8 @@ class Network:
     ) -> Network:
         """Return the network of the parameters of layers Dense_0, Dense_1, ..., with ReLU between them."""
         dense = [layers[f"Dense_{i}"] for i in range(len(layers))]
-        weights = tuple(np.array(layer["kernel"], np.float64) for layer in dense)
-        biases = tuple(np.array(layer["bias"], np.float64) for layer in dense)
-        return cls(mean, std, weights, biases, tanh)
+        kernels, biases = ([layer[part] for layer in dense] for part in ("kernel", "bias"))
+        return cls.of(mean, std, kernels, biases, tanh)
 
     def scaled(self, factors: Array) -> Network:
         """Return the network with outputs times `factors` (K,), before any tanh."""
@@ -96,13 +99,8 @@ class Network:
     def from_arrays(cls, named: Mapping[str, Array]) -> Network:
         """Return the network of these arrays. Raises KeyError where one is missing."""
         layers = range((len(named) - 3) // 2)
-        return cls(
-            named["mean"],
-            named["std"],
-            tuple(named[f"weight{i}"] for i in layers),
-            tuple(named[f"bias{i}"] for i in layers),
-            bool(named["tanh"]),
-        )
+        weights, biases = ([named[f"{part}{i}"] for i in layers] for part in ("weight", "bias"))
+        return cls.of(named["mean"], named["std"], weights, biases, bool(named["tanh"]))
 
 
 class _Product(torch.autograd.Function):

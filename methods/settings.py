@@ -15,7 +15,6 @@ SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is f of the thesis's model."""
 BASES = {
     "methods.adversarial:Game": GAMES,
-    "methods.margins:Margins": MAXMARGIN,
     "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED),
 }
 """Methods by the base class that they share."""

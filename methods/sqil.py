@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, Transitions, Unsuitable, World
-from methods.tabular import tabular
-from methods.tabular.sqil import TabularSQIL
+from methods.tabular import model as mdp
+from methods.tabular.model import TabularPolicy, demonstrated
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,9 @@ class SQIL:
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Learn from both. Raises Unsuitable unless every step is shown or the model is known."""
         if world.model is not None:
-            return tabular(TabularSQIL, self).fit(demos, world, rng)
+            shown = demonstrated(demos, world.model).sum(axis=0)
+            q = soft_q(shown, world.model, world.gamma, self.iterations)
+            return Learned(TabularPolicy(world.model.obs, mdp.greedy(q)), None)
         if not demos.whole:
             raise Unsuitable("SQIL learns from demonstrations of which every step is shown")
         agent = world.agent(rng, kind="soft", demonstrations=demos)
@@ -39,3 +42,19 @@ class SQIL:
 def imitate(steps: Transitions) -> Array:
     """Return 1 for demonstrated steps and 0 for others, (N,)."""
     return steps.demonstrated.astype(np.float64)
+
+
+def soft_q(expert: Array, model: Model, gamma: float, iterations: int) -> Array:
+    """Return the soft Q of the expected payment of each step, (S, A).
+
+    The payment is the share of demonstrated steps among all steps like it. `expert` (S, A): demonstrated
+    steps, which are half of all. The other half is of all soft policies until then.
+    """
+    expert = expert / expert.sum()
+    own = np.full_like(expert, 1 / expert.size)
+    for i in range(iterations):
+        _, q = mdp.soft_value_iteration(model.P, expert / (expert + own), gamma)
+        policy = mdp.soft_policy(q)
+        visits = mdp.discounted_visitations(model.P, policy, model.start, gamma)[:, None] * policy
+        own += (visits / visits.sum() - own) / (i + 2)
+    return q

@@ -1,6 +1,6 @@
 """Stochastic policies as plain arrays. Agents explore with them, and soft actor-critic may begin with one."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,7 +22,6 @@ class SquashedGaussian:
     network: Network
 
     def sample(self, obs: Array, rng: Rng) -> Array:
-        """Return an action for each observation (B, O), (B, A)."""
         mean, log_std = self._parameters(obs)
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape))
 
@@ -39,8 +38,8 @@ class SquashedGaussian:
     def mean(self) -> Network:
         """The policy whose action is tanh of the mean of u."""
         net, size = self.network, len(self.network.biases[-1]) // 2
-        weights = (*net.weights[:-1], net.weights[-1][:, :size])
-        return replace(net, weights=weights, biases=(*net.biases[:-1], net.biases[-1][:size]), tanh=True)
+        weights, biases = ([*arrays[:-1], arrays[-1][..., :size]] for arrays in (net.weights, net.biases))
+        return Network.of(net.mean, net.std, weights, biases, tanh=True)
 
     def _parameters(self, obs: Array) -> tuple[Array, Array]:
         mean, log_std = np.split(self.network(obs), 2, axis=1)
@@ -55,13 +54,11 @@ class EpsilonGreedy:
     share: float
 
     def sample(self, obs: Array, rng: Rng) -> Array:
-        """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         greedy = self._greedy(obs)
         uniform = np.eye(greedy.shape[1])[rng.integers(greedy.shape[1], size=len(obs))]
         return np.where(rng.random((len(obs), 1)) < self.share, uniform, greedy)
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """Return the log probability of choices (B, A) at observations (B, O), (B,)."""
         greedy = self._greedy(obs)
         same = (greedy * act).sum(axis=1)
         return np.asarray(np.log((1 - self.share) * same + self.share / greedy.shape[1]))
@@ -79,12 +76,10 @@ class Gaussian:
     log_std: Array
 
     def sample(self, obs: Array, rng: Rng) -> Array:
-        """Return an action for each observation (B, O), (B, A)."""
         mean = self.mean(obs)
         return np.clip(mean + np.exp(self.log_std) * rng.standard_normal(mean.shape), -1, 1)
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """Return the log density of unclipped actions (B, A) at observations (B, O), (B,)."""
         z = (act - self.mean(obs)) / np.exp(self.log_std)
         return np.asarray((-0.5 * (z**2 + np.log(2 * np.pi)) - self.log_std).sum(axis=1))
 
@@ -96,12 +91,10 @@ class Softmax:
     mean: Policy
 
     def sample(self, obs: Array, rng: Rng) -> Array:
-        """Return choices at observations (B, O), (B, A): 1 for the choice and 0 for others."""
         values = self.mean(obs)
         return np.asarray(np.eye(values.shape[1])[(values + rng.gumbel(size=values.shape)).argmax(axis=1)])
 
     def log_prob(self, obs: Array, act: Array) -> Array:
-        """Return the log probability of choices (B, A) at observations (B, O), (B,)."""
         values = self.mean(obs)
         return np.asarray((values * act).sum(axis=1) - logsumexp(values, axis=1))
 

@@ -1,4 +1,4 @@
-"""How the tests run, and a task so small that reinforcement learning takes a second, in two kinds."""
+"""How tests run, and a task so small that reinforcement learning takes a second, in two kinds."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ import numpy as np
 from gymnasium import spaces
 
 from envs import BUDGETS, EnvSpec
+from envs.spec import register
 
 HORIZON = 10
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What JAX compiles, much of the time of many tests, is compiled once for all, and no test's cache is the
-    user's. Ctrl-C reaches what
-    tests start, also where a shell started them in the background and so deaf to it."""
+    """Let JAX compile once for all tests, in a cache that is not the user's, and Ctrl-C reach what tests
+    start, also in the background of a shell."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
@@ -38,14 +38,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test first: started last, it would run alone at the end."""
+    """Put the longest test first. Started last, it would run alone at the end."""
     items.sort(key=lambda item: "test_smoke" not in item.nodeid)
 
 
 class Target(gym.Env):
-    """The observation (1,) is where to be, uniform in [-0.8, 0.8] at every step; the action (1,) goes there.
+    """The observation (1,) is where to be, uniform in [-0.8, 0.8] at every step. The action (1,) goes there.
 
-    Reward: 1 - |observation - action|. Terminates where that distance is more than `reach`.
+    Each step pays 1 - |observation - action|. The task terminates where that distance is more than `reach`.
     """
 
     def __init__(self, reach: float) -> None:
@@ -69,17 +69,9 @@ class Target(gym.Env):
 
 
 def target_spec(name: str, reach: float) -> EnvSpec:
-    env_id = f"irl_bench_tests/{name}-v0"
-    gym.register(
-        env_id,
-        entry_point=functools.partial(Target, reach),
-        max_episode_steps=HORIZON,
-        disable_env_checker=True,
-    )
-    return EnvSpec(
+    spec = EnvSpec(
         name=name,
-        summary="go where the observation says",
-        env_id=env_id,
+        env_id=f"irl_bench_tests/{name}-v0",
         obs_size=1,
         act_size=1,
         obs_scale=(0.5,),
@@ -87,31 +79,31 @@ def target_spec(name: str, reach: float) -> EnvSpec:
         gamma=0.9,
         time_step=0.1,
         bar=lambda seeds: 9.0,
-        max_terminated=dict.fromkeys(BUDGETS, 1.0),
         rl_steps=dict.fromkeys(BUDGETS, 1500),
         eval_episodes=dict.fromkeys(BUDGETS, 5),
         demo_episodes=dict.fromkeys(BUDGETS, 5),
         phi=lambda obs, act: 1 - (obs - act) ** 2 / 4,
-        draw=lambda env: {},
         why_ended=lambda env: "missed",
     )
+    register(spec, functools.partial(Target, reach))  # type: ignore[arg-type]
+    return spec
 
 
 @pytest.fixture(scope="session")
 def steady() -> EnvSpec:
-    """The task that never terminates."""
+    """Return the task that never terminates."""
     return target_spec("Steady", math.inf)
 
 
 @pytest.fixture(scope="session")
 def fragile() -> EnvSpec:
-    """The task that terminates on a miss of more than 0.5."""
+    """Return the task that terminates on a miss of more than 0.5."""
     return target_spec("Fragile", 0.5)
 
 
 @pytest.fixture(autouse=True)
 def _forget_plugins() -> Iterator[None]:
-    """Forgets which plug-ins a test imported, after which nothing else is computed in their process."""
+    """Forget the plug-ins that a test imported, after which its process computes nothing else."""
     before = {*sys.modules}
     yield
     if known := sys.modules.get("harness.registry.known"):
@@ -122,7 +114,7 @@ def _forget_plugins() -> Iterator[None]:
 
 @pytest.fixture
 def fused_adam() -> Iterator[None]:
-    """Fails a step of torch's default Adam, which not all processors round alike."""
+    """Fail a step of torch's default Adam, which not all processors round alike."""
     # Not before `pytest_configure`, which says how many threads torch may have.
     import torch
     from torch.optim.optimizer import register_optimizer_step_pre_hook
@@ -137,7 +129,7 @@ def fused_adam() -> Iterator[None]:
 
 @pytest.fixture
 def tried(record_property: Callable[[str, object], None]) -> Callable[[str, Counter[str]], None]:
-    """To tell at the end of the test run how much of what was tried."""
+    """Return a function that notes how much was tried, for the end of the test run."""
 
     def tell(what: str, counts: Counter[str]) -> None:
         parts = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))

@@ -1,7 +1,7 @@
 """The inverted pendulum of Gymnasium's MuJoCo suite (`InvertedPendulum-v5`), actions scaled to [-1, 1]."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -12,9 +12,10 @@ from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from envs.balancing.cart_and_pole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
+from envs.balancing.cartpole import ANGLE, POSITION, RATE, VELOCITY, centred, draw_cart_and_pole
 from envs.learners import DDPG, FEW_JOINTS
-from envs.spec import Array, EnvSpec, Flags, Quantity, Shape, Shipped, register
+from envs.mujoco_batch import MujocoBatch
+from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -22,14 +23,6 @@ HORIZON = 1000
 MAX_ANGLE = 0.2  # rad, beyond which the environment terminates
 RAIL = 1.0  # m, half of the rail's length
 TIME_STEP = 0.04  # s
-FALL = "pole fell"
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL
-"""MuJoCo's names for all that a step reads: time, position, velocity, the solver's start, control."""
-OBS, FORCE = slice(1, 5), -1
-FREE = (0.9, 1.4)
-"""Positions [m, rad] within which both joints are free. If a joint stays within them for a step at its
-present rate, no force takes it to its limit, 1 m or 1.57 rad, in that step. This holds for the usual motor or
-a weaker one, and for a pole at least as long and heavy as usual."""
 
 
 @dataclass(frozen=True)
@@ -78,45 +71,6 @@ class Pendulum(InvertedPendulumEnv):
         return super().step(action * self.full_action)  # type: ignore[no-untyped-call]
 
 
-class PendulumBatch:
-    """Pendulums in lockstep (`envs.spec.Batch`), with one MuJoCo environment and a `STATE` for each."""
-
-    def __init__(self, count: int, physics: Physics = NOMINAL) -> None:
-        self._env = Pendulum(physics)
-        longer = physics.pole_length >= NOMINAL.pole_length
-        heavier = physics.pole_density >= NOMINAL.pole_density
-        weaker = abs(physics.gear) <= NOMINAL.gear
-        self._free = FREE if longer and heavier and weaker else (-np.inf, -np.inf)
-        self._states = np.zeros((count, mujoco.mj_stateSize(self._env.model, STATE)))
-
-    def reset(self, place: int, seed: int) -> Array:
-        obs, _ = self._env.reset(seed=seed)
-        mujoco.mj_getState(self._env.model, self._env.data, self._states[place], STATE)
-        return np.asarray(obs, np.float64)
-
-    def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
-        model, data, frames = self._env.model, self._env.data, self._env.frame_skip
-        states = self._states[places]
-        states[:, FORCE] = act[:, 0].astype(np.float32) * self._env.full_action
-        before = np.abs(states[:, OBS])
-        free = (before[:, :2] + TIME_STEP * before[:, 2:] < self._free).all(axis=1)
-        # Geoms do not touch, and joints' limits are the only constraints. A search for more doubles the time.
-        disable = mujoco.mjtDisableBit
-        for group, flag in ((free, disable.mjDSBL_CONSTRAINT), (~free, disable.mjDSBL_CONTACT)):
-            model.opt.disableflags = flag
-            for place in np.flatnonzero(group):
-                mujoco.mj_setState(model, data, states[place], STATE)
-                mujoco.mj_step(model, data, frames)
-                mujoco.mj_getState(model, data, states[place], STATE)
-        self._states[places] = states
-        obs = states[:, OBS]
-        fell = ~np.isfinite(obs).all(axis=1) | (np.abs(obs[:, 1]) > MAX_ANGLE)
-        return obs, (~fell).astype(np.float64), fell
-
-    def why_ended(self, place: int) -> str:
-        return FALL
-
-
 def phi(obs: Array, act: Array) -> Array:
     """Return the centredness of each observation, and a constant, (B, 5)."""
     return centred(obs, (RAIL, MAX_ANGLE, 2.0, 2.0))
@@ -131,7 +85,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
     """Return 'pole fell': the cart cannot leave its rail."""
-    return FALL
+    return "pole fell"
 
 
 THESIS = DDPG(checkpoint_every=2000, check_episodes=5)
@@ -159,7 +113,7 @@ SPEC = EnvSpec(
     shipped=Shipped(steps=80_000, bar=1000.0, checkpoint_every=500, rl=THESIS),
     rl=replace(FEW_JOINTS, std=0.3),
     ddpg=THESIS,
-    batch=PendulumBatch,
+    batch=partial(MujocoBatch, "irl_bench_bare/Pendulum-v0", why_ended),
     variants={
         "long_pole": {"physics": Physics(pole_length=1.5 * NOMINAL.pole_length)},
         "heavy": {"physics": Physics(pole_density=2 * NOMINAL.pole_density)},

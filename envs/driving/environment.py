@@ -50,7 +50,8 @@ class Traffic:
     def advance(self, state: Any, act: Any) -> Any:
         from envs.driving import traffic
 
-        return _columns(traffic.step(_rows(state), act.T))
+        after = traffic.step(_rows(state), act.T)
+        return after.reshape(len(after), -1).T
 
     def observe(self, state: Any) -> Any:
         from envs.driving import observing
@@ -74,10 +75,6 @@ class Traffic:
 def _rows(state: Any) -> Any:
     """Return states (S, B) in the form of traffic, (B, 12, N)."""
     return state.T.reshape(state.shape[1], len(Scene._fields), -1)
-
-
-def _columns(states: Any) -> Any:
-    return states.reshape(len(states), -1).T
 
 
 NOMINAL = Traffic()

@@ -117,9 +117,7 @@ def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     along = scene.x - here
     start, end = min(along.min(), -2 * MARGIN) - MARGIN, along.max() + 4 * MARGIN
     for i in range(road.LANES + 1):
-        side = (
-            0.5 - i
-        ) * road.LANE_WIDTH  # highway-env's y points to the right of the road, drawings' to the left
+        side = (0.5 - i) * road.LANE_WIDTH  # y of highway-env points to the right, that of drawings left
         if i in (0, road.LANES):
             shapes[f"lane_{i}"] = Shape(np.array([[start, side], [end, side]]), (140, 140, 140))
             continue

@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from envs.balancing.cart_and_pole import POSITION, RATE, VELOCITY, draw_cart_and_pole
+from envs.balancing.cartpole import POSITION, RATE, VELOCITY, draw_cart_and_pole
 from envs.dynamics import Draws, DynamicsBatch, namespace, runge_kutta, why_ended
 from envs.learners import PPO, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register

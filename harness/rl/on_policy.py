@@ -97,10 +97,9 @@ class OnPolicy:
     @property
     def network(self) -> Network:
         """The actor, before any tanh."""
-        layers = [[np.asarray(part, np.float64) for part in layer] for layer in self._state.params["actor"]]
-        weights, biases = zip(*layers, strict=True)
+        weights, biases = zip(*self._state.params["actor"], strict=True)
         scale = np.array(self._env.spec.obs_scale)
-        return Network(np.zeros_like(scale), scale, weights, biases)
+        return Network.of(np.zeros_like(scale), scale, weights, biases)
 
     def _next_key(self) -> Any:
         self._key, key = jax.random.split(self._key)

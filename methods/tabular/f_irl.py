@@ -1,8 +1,6 @@
 """f-IRL where the model is known: descent of the divergence by its exact gradient, also for stochastic
 dynamics, which the paper's theorem excludes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 
@@ -10,36 +8,26 @@ from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import ADAM
 from methods.tabular import model as mdp
-from methods.tabular.model import TabularReward, demonstrated, known_model
+from methods.tabular.model import TabularReward, demonstrated
 
 
-@dataclass(frozen=True)
-class TabularFIRL:
-    """Hyper-parameters of `methods.f_irl.FIRL` where the model is known."""
-
-    known_steps: int = 300
-    """Steps of gradient descent."""
-    known_rate: float = 3e-2
-    """Learning rate, by Adam."""
-
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Descend the divergence."""
-        model = known_model(world)
-        density = demonstrated(demos, model).sum(axis=(0, 2))
-        density /= density.sum()
-        r = torch.zeros(len(density), dtype=torch.float64, requires_grad=True)
-        optimizer = torch.optim.Adam([r], self.known_rate, **ADAM)
-        losses: list[float] = []
-        for _ in range(self.known_steps):
-            divergence, gradient = forward_divergence(
-                model, r.detach().numpy(), density, world.horizon, world.gamma
-            )
-            r.grad = torch.as_tensor(gradient)
-            optimizer.step()
-            losses.append(divergence)
-        values = np.repeat(r.detach().numpy()[:, None], model.P.shape[1], axis=1)
-        reward = TabularReward(model.obs, values)
-        return Learned(world.solve(reward, rng, world.solve_steps), reward, {"divergence": losses})
+def fit(demos: Episodes, world: World, model: Model, rng: Rng, steps: int, rate: float) -> Learned:
+    """Descend the divergence by `steps` of Adam at this `rate`, and solve for pi*."""
+    density = demonstrated(demos, model).sum(axis=(0, 2))
+    density /= density.sum()
+    r = torch.zeros(len(density), dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.Adam([r], rate, **ADAM)
+    losses: list[float] = []
+    for _ in range(steps):
+        divergence, gradient = forward_divergence(
+            model, r.detach().numpy(), density, world.horizon, world.gamma
+        )
+        r.grad = torch.as_tensor(gradient)
+        optimizer.step()
+        losses.append(divergence)
+    values = np.repeat(r.detach().numpy()[:, None], model.P.shape[1], axis=1)
+    reward = TabularReward(model.obs, values)
+    return Learned(world.solve(reward, rng, world.solve_steps), reward, {"divergence": losses})
 
 
 def forward_divergence(

@@ -5,7 +5,7 @@ discount of the task, because rewards that explain the demonstrations without on
 with it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -14,40 +14,40 @@ from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import ADAM, Network, mlp, standardiser
 from methods.rewards import StateReward
-from methods.tabular.model import demonstrated, finite_soft_value_iteration, known_model, state_visitations
+from methods.tabular.model import demonstrated, finite_soft_value_iteration, state_visitations
 
 
-@dataclass(frozen=True)
-class TabularMaxEnt:
-    """Hyper-parameters of `methods.maxent.MaxEnt` where the model is known."""
+def fit(
+    demos: Episodes,
+    world: World,
+    model: Model,
+    rng: Rng,
+    layers: Sequence[int],
+    iterations: int,
+    learning_rate: float,
+) -> Learned:
+    """Ascend the likelihood of the demonstrations. The lines of algorithm 1 are numbered.
 
-    layers: tuple[int, ...] = (64, 64)
-    """Hidden layers of the reward network, which sees states alone."""
-    iterations: int = 20
-    """Gradient steps on the reward, each after an exact solve for the soft policy."""
-    learning_rate: float = 1e-3
-    """Learning rate of the reward, by Adam."""
-
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Ascend the likelihood of the demonstrations. The lines of algorithm 1 are numbered."""
-        model = known_model(world)
-        mean, std = standardiser(model.obs)
-        generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
-        network = mlp(world.obs_size, *self.layers, 1, generator=generator)  # 1
-        optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
-        features = torch.as_tensor((model.obs - mean) / std, dtype=torch.float32)
-        mu_demo = demonstrated(demos, model)
-        likelihoods: list[float] = []
-        for _ in range(self.iterations):  # 2
-            r = network(features)[:, 0]  # 3
-            likelihood, gradient = log_likelihood(model, r.detach().double().numpy(), mu_demo, world.gamma)
-            optimizer.zero_grad()
-            r.backward(-torch.as_tensor(gradient, dtype=torch.float32))  # 8
-            optimizer.step()  # 9
-            likelihoods.append(likelihood)
-        reward = StateReward(Network.from_torch(network, mean, std))
-        policy = world.solve(reward, rng, world.solve_steps)
-        return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
+    `layers`: hidden layers of the reward network, which sees states alone. `iterations`: gradient steps, each
+    after an exact solve for the soft policy. `learning_rate`: that of Adam.
+    """
+    mean, std = standardiser(model.obs)
+    generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
+    network = mlp(world.obs_size, *layers, 1, generator=generator)  # 1
+    optimizer = torch.optim.Adam(network.parameters(), learning_rate, **ADAM)
+    features = torch.as_tensor((model.obs - mean) / std, dtype=torch.float32)
+    mu_demo = demonstrated(demos, model)
+    likelihoods: list[float] = []
+    for _ in range(iterations):  # 2
+        r = network(features)[:, 0]  # 3
+        likelihood, gradient = log_likelihood(model, r.detach().double().numpy(), mu_demo, world.gamma)
+        optimizer.zero_grad()
+        r.backward(-torch.as_tensor(gradient, dtype=torch.float32))  # 8
+        optimizer.step()  # 9
+        likelihoods.append(likelihood)
+    reward = StateReward(Network.from_torch(network, mean, std))
+    policy = world.solve(reward, rng, world.solve_steps)
+    return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
 
 
 def log_likelihood(model: Model, r: Array, mu_demo: Array, gamma: float) -> tuple[float, Array]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from envs.models import Model
-from methods.base import Array, Episodes, Unsuitable, World
+from methods.base import Array, Episodes
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,6 @@ class TabularReward(Table):
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         return np.asarray((self.at(obs) * act).sum(axis=1))
-
-
-def known_model(world: World) -> Model:
-    """Return the world's model. Raises Unsuitable where it is not known."""
-    if world.model is None:
-        raise Unsuitable("a tabular method needs a task whose model is known")
-    return world.model
 
 
 def demonstrated(demos: Episodes, model: Model) -> Array:

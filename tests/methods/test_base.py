@@ -1,12 +1,14 @@
+"""Demonstrations, and what methods make of them: rows, features, rewards, and what ends pay."""
+
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+import torch
 
-from methods.base import Episodes, Transitions
-from methods.rewards import default_absorbing
-from methods.stochastic import roughened
-from methods.visits import seen_by_both
+from methods.base import Array, Episodes, Transitions
+from methods.fourier import FourierFeatures
+from methods.network import mlp
+from methods.rewards import Constant, MeanReward, NetworkReward, default_absorbing, deterred, fast, paid
+from methods.visits import visitations, visited
 
 
 def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
@@ -18,104 +20,149 @@ def episodes(lengths: list[int], terminated: bool = False) -> Episodes:
     )
 
 
-@given(st.lists(st.integers(1, 9), min_size=1, max_size=5))
-def test_pairs_hold_every_step_once_and_never_the_last_observation(lengths: list[int]) -> None:
-    demos = episodes(lengths)
-    obs, act = demos.pairs()
-    assert len(obs) == len(act) == sum(lengths)
-    assert demos.lengths.tolist() == lengths
-    for last in (o[-1] for o in demos.obs):
-        assert not (obs == last).all(axis=1).any()
-
-
 def test_transitions_are_of_steps_that_follow_each_other() -> None:
     obs = tuple(np.arange(n + 1.0)[:, None] + 100 * n for n in (4, 7))
     act = tuple(np.linspace(-1, 1, n)[:, None] for n in (4, 7))
-    episodes = Episodes(obs, act, (False, False))
-    before, done, after = episodes.transitions()
+    before, done, after = Episodes(obs, act, (False, False)).transitions()
     np.testing.assert_array_equal(done, np.concatenate(act))
     np.testing.assert_array_equal(after, before + 1)
-    assert len(before) == 11
     times = (np.array([0, 1, 3]), np.array([2, 5, 6]))
     some = [tuple(rows[at] for rows, at in zip(column, times, strict=True)) for column in (obs, act)]
     before, done, after = Episodes(*some, (False, False), times, (4, 7)).transitions()
-    assert before[:, 0].tolist() == [400, 705]
-    assert after[:, 0].tolist() == [401, 706]
+    assert (before[:, 0].tolist(), after[:, 0].tolist()) == ([400, 705], [401, 706])
     np.testing.assert_array_equal(done, [act[0][0], act[1][5]])
-
-
-def test_episodes_cannot_be_written_to() -> None:
-    demos = episodes([4])
-    with pytest.raises(ValueError, match="read-only"):
-        demos.obs[0][0, 0] = 1.0
 
 
 @pytest.mark.parametrize(
     ("obs", "act"),
     [
         ([], []),
-        ([np.zeros((1, 3))], [np.zeros((0, 2))]),
         ([np.zeros((4, 3))], [np.zeros((4, 2))]),
         ([np.full((4, 3), np.nan)], [np.zeros((3, 2))]),
         ([np.zeros((4, 3))], [np.full((3, 2), 1.5)]),
-        ([np.zeros((4, 3)), np.zeros((4, 2))], [np.zeros((3, 2))] * 2),
     ],
-    ids=["none", "no step", "no last observation", "NaN", "action out of range", "unequal sizes"],
 )
 def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
     with pytest.raises(ValueError, match="episode"):
         Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
 
 
-def test_steps_are_not_demonstrated_unless_they_say_so() -> None:
-    no = np.zeros(4, bool)
-    steps = np.zeros((4, 3)), np.zeros((4, 2)), np.zeros((4, 3)), no, no
-    assert Transitions.own(*steps).demonstrated.tolist() == [False] * 4
-    assert Transitions(*steps, ~no).demonstrated.tolist() == [True] * 4
-
-
 def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(-1, 1, (count, 2))
 
 
-def right(count: int, rng: np.random.Generator) -> np.ndarray:
-    return np.tile([0.0, 1.0], (count, 1))
+MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
 
 
-class Quadratic:
-    absorbing = 0.0
-
-    def __call__(self, obs: np.ndarray, act: np.ndarray, next_obs: np.ndarray) -> np.ndarray:
-        return -(act**2).sum(1)
-
-
-def test_absorption_pays_the_mean_over_uniform_actions() -> None:
-    demos = episodes([20_000])
-    rng = np.random.default_rng(1)
-    assert default_absorbing(Quadratic(), demos, uniform, rng) == pytest.approx(-2 / 3, abs=0.02)
-
-
-def test_what_is_uniform_is_for_the_environment_to_say() -> None:
-    assert default_absorbing(Quadratic(), episodes([50]), right, np.random.default_rng(1)) == -1
-
-
-def test_absorption_pays_what_the_demonstrations_got_where_they_terminate_themselves() -> None:
-    demos = episodes([50, 7], terminated=True)
-    expected = -(demos.pairs()[1] ** 2).sum(1).mean()
-    assert default_absorbing(Quadratic(), demos, uniform, np.random.default_rng(1)) == pytest.approx(expected)
+def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -> None:
+    rng = np.random.default_rng(0)
+    lengths, terminated = (4, 10, 3, 10), (True, False, False, True)
+    episodes = Episodes(
+        tuple(rng.normal(size=(n + 1, 3)) for n in lengths),
+        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
+        terminated,
+    )
+    visits = visitations(episodes, 10 - episodes.lengths, MEAN, STD)
+    alive, absorbed = visits[: sum(lengths)], visits[sum(lengths) :]
+    obs, act = episodes.pairs()
+    np.testing.assert_allclose(alive[:, :3] * STD + MEAN, obs)
+    np.testing.assert_array_equal(alive[:, 3:5], act)
+    assert (alive[:, 5] == 0).all()
+    # Only the first episode terminated before the horizon, six steps early.
+    np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
 
 
-def test_noise_replaces_the_share_of_actions_that_was_asked_for() -> None:
-    obs = np.zeros((5000, 3))
-    still = lambda obs: np.zeros((len(obs), 2))  # noqa: E731
-    act = roughened(still, 0.3, uniform, np.random.default_rng(0))(obs)
-    assert act.any(axis=1).mean() == pytest.approx(0.3, abs=0.03)
-    assert (act.any(axis=1) == act.all(axis=1)).all()
-    assert not roughened(still, 0.0, uniform, np.random.default_rng(0))(obs).any()
+def test_steps_of_an_agent_are_described_as_those_of_episodes_are() -> None:
+    rng = np.random.default_rng(0)
+    episodes = Episodes((rng.normal(size=(5, 3)),), (rng.uniform(-1, 1, (4, 2)),), (True,))
+    obs, act = episodes.pairs()
+    absorbing = np.array([False] * 4 + [True] * 2)
+    there = np.full((2, 3), 7.0), np.full((2, 2), 0.5)
+    obs, act = np.concatenate([obs, there[0]]), np.concatenate([act, there[1]])
+    steps = Transitions.own(obs, act, obs, absorbing, absorbing)
+    for actions in (True, False):
+        rows = visitations(episodes, 2, MEAN, STD, actions)
+        np.testing.assert_array_equal(visited(steps, MEAN, STD, actions), rows)
 
 
-def test_rollouts_and_demonstrations_are_seen_alike() -> None:
-    demos, rollouts = episodes([3]), episodes([50, 20])
-    both = seen_by_both(demos, rollouts, np.random.default_rng(0))
-    np.testing.assert_array_equal(both[70:], rollouts.pairs()[0])
-    assert {tuple(row) for row in both[:70]} == {tuple(row) for row in demos.pairs()[0]}
+def test_an_end_pays_the_mean_of_uniform_actions_unless_all_demonstrations_end() -> None:
+    class Quadratic:
+        absorbing = 0.0
+
+        def __call__(self, obs: Array, act: Array, next_obs: Array) -> Array:
+            return np.asarray(-np.square(act).sum(1))
+
+    lives, dies, rng = episodes([20_000]), episodes([50, 7], terminated=True), np.random.default_rng(1)
+    assert default_absorbing(Quadratic(), lives, uniform, rng) == pytest.approx(-2 / 3, abs=0.02)
+    shown = -np.square(dies.pairs()[1]).sum(1).mean()
+    assert default_absorbing(Quadratic(), dies, uniform, rng) == pytest.approx(shown)
+
+
+def test_products_of_random_waves_are_a_kernels_and_follow_the_tasks_own_features() -> None:
+    rng, width = np.random.default_rng(0), 1.7
+    obs, act = MEAN + STD * rng.normal(size=(200, 3)), rng.uniform(-1, 1, (200, 2))
+    own = lambda obs, act: np.column_stack([obs[:, 0], act[:, 1]])  # noqa: E731
+    features = FourierFeatures.drawn(own, obs, 2, 20_000, width, rng)(obs, act)
+    np.testing.assert_array_equal(features[:, :2], own(obs, act))
+    x = np.column_stack([(obs - obs.mean(axis=0)) / obs.std(axis=0), act])
+    squares = np.square(x[:, None] - x).sum(axis=2)
+    kernel = np.exp(-squares / (2 * width**2))
+    np.testing.assert_allclose(features[:, 2:] @ features[:, 2:].T, kernel, atol=0.05)
+
+
+def test_the_reward_is_the_torch_network_on_standardised_observations_and_bounded() -> None:
+    layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(0))
+    reward = NetworkReward.of(layers, MEAN, STD, bound=1.5)
+    rng = np.random.default_rng(0)
+    obs, act = rng.normal(size=(20, 3)), rng.uniform(-1, 1, (20, 2))
+    inputs = np.concatenate([(obs - MEAN) / STD, act, np.zeros((20, 1))], axis=1)
+    absorbed = np.array([[0, 0, 0, 0, 0, 1.0]])
+    with torch.no_grad():
+        output = layers.double()(torch.as_tensor(np.concatenate([inputs, absorbed])))[:, 0]
+    expected = 1.5 * np.tanh(output.numpy())
+    np.testing.assert_allclose(reward(obs, act, obs), expected[:-1], rtol=1e-6)
+    assert reward.absorbing == pytest.approx(expected[-1], rel=1e-6)
+
+
+def reward(seed: int) -> NetworkReward:
+    layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(seed))
+    return NetworkReward.of(layers, np.zeros(3), np.ones(3))
+
+
+@pytest.mark.parametrize("most", [-100.0, 100.0])
+def test_where_random_actions_end_more_often_an_end_pays_no_more_than_is_said(most: float) -> None:
+    shown, random = episodes([2, 2]), episodes([2, 2], terminated=True)
+    before = reward(0)
+    after = deterred(before, shown, random, most)
+    assert after.absorbing == min(before.absorbing, most)
+    for seen in (shown, random):
+        np.testing.assert_array_equal(paid(after, seen), paid(before, seen))
+    assert deterred(before, shown, shown, -100.0) is before
+
+
+@pytest.mark.parametrize("bound", [None, 2.0])
+@pytest.mark.parametrize("rows", [1, 300, 1100])
+def test_a_mean_pays_in_float32_what_it_pays_in_float64(bound: float | None, rows: int) -> None:
+    rng = np.random.default_rng(0)
+    mean, std = np.array([100.0, 0.0, -3.0]), np.array([0.1, 1.0, 30.0])
+    each = tuple(
+        NetworkReward.of(mlp(5, 16, 8, 1, generator=torch.Generator().manual_seed(i)), mean, std, bound=bound)
+        for i in range(4)
+    )
+    obs, act = mean + std * rng.normal(size=(rows, 3)), rng.uniform(-1, 1, (rows, 1))
+    for reward in (each[0], MeanReward(each)):
+        compiled = reward.compiled
+        assert compiled is not reward
+        assert compiled is reward.compiled
+        assert compiled.absorbing == pytest.approx(reward.absorbing)
+        expected = reward(obs, act, obs)
+        np.testing.assert_allclose(compiled(obs, act, obs), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_subclass_and_a_mean_of_other_rewards_stay_as_they_are() -> None:
+    class Own(NetworkReward):
+        pass
+
+    own = Own(**vars(reward(0)))
+    for other in (own, MeanReward((own,)), MeanReward((reward(0), Constant(1.0, 0.0)))):
+        assert fast(other) is other

@@ -1,20 +1,18 @@
 """A cloned policy read as a reward."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from envs.gridworld import objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
-from methods.base import Array, Episodes
-from methods.csil import CSIL, UNIFORM, CoherentReward, GaussianProcess, evidence, kernel
+from methods.base import Array
+from methods.csil import CSIL, UNIFORM, GaussianProcess, coherent_table
 from methods.settings import settings_for
-from methods.tabular.csil import coherent_reward
 from methods.tabular.model import soft_policy, soft_value_iteration
+from tests.methods.worlds import demonstrate
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 METHOD = CSIL(steps=200, places=100, rollouts=5)
@@ -34,7 +32,7 @@ def fitted(noise: float = 0.0, count: int = 500) -> GaussianProcess:
 def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -> None:
     tabular = objectworld(4, 3, 2, 0.3, np.random.default_rng(0))
     counts = np.random.default_rng(1).integers(0, 6, tabular.P.shape[:2])
-    reward = coherent_reward(counts, tabular.model)
+    reward = coherent_table(counts, tabular.model)
     states, actions = counts.shape
     obs = np.repeat(tabular.obs, actions, axis=0)
     r = reward(obs, np.tile(np.eye(actions), (states, 1)), obs).reshape(states, actions)
@@ -45,35 +43,10 @@ def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -
     np.testing.assert_allclose(r[counts.sum(axis=1) == 0], 0, atol=1e-12)
 
 
-def test_evidence_is_the_density_of_what_was_demonstrated() -> None:
-    rng = np.random.default_rng(0)
-    waves = rng.normal(size=(30, 12))
-    act = rng.uniform(-1, 1, (30, 2))
-    squares, axes = np.linalg.eigh(waves.T @ waves)
-    found, expected = [], []
-    for noise in (0.1, 0.3):
-        cov = (UNIFORM**2 - noise**2) * waves @ waves.T + noise**2 * np.eye(30)
-        expected.append(multivariate_normal(np.zeros(30), cov).logpdf(act.T).sum())
-        found.append(evidence(squares.clip(0), axes.T @ (waves.T @ act), act, noise))
-    constant = 30 * np.log(2 * np.pi)
-    np.testing.assert_allclose(np.array(found) - constant, expected, rtol=1e-6)
-
-
-def test_with_all_places_it_is_the_gaussian_process() -> None:
-    q, rng = fitted(noise=0.1, count=40), np.random.default_rng(0)
-    obs = rng.uniform(-1, 1, (40, 3))
-    act = wave(obs) + 0.1 * rng.normal(size=(40, 2))
-    at = np.random.default_rng(1).uniform(-1, 1, (20, 3))
-    prior = UNIFORM**2 - q.noise**2
-    within, across = prior * kernel(obs, obs, q.width), prior * kernel(at, obs, q.width)
-    gain = across @ np.linalg.inv(within + q.noise**2 * np.eye(40))
-    mean, variance = q(at)
-    np.testing.assert_allclose(mean, gain @ act, atol=1e-3)
-    np.testing.assert_allclose(variance[:, 0], UNIFORM**2 - (gain * across).sum(axis=1), atol=1e-3)
-
-
 def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
+    assert fitted(noise=0.1).noise == 0.1
     q, rng = fitted(), np.random.default_rng(1)
+    assert q.noise == 0.01
     near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
     mean, variance = q(near)
     assert np.abs(mean - wave(near)).mean() < 0.05
@@ -83,55 +56,23 @@ def test_q_is_sure_near_demonstrations_and_the_prior_far_from_them() -> None:
     np.testing.assert_allclose(mean, 0, atol=1e-9)
 
 
-def test_noise_is_found() -> None:
-    assert fitted(noise=0.1).noise == 0.1
-    assert fitted().noise == 0.01
-
-
-def test_no_step_pays_less_than_an_end(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    reward = METHOD.fit(demonstrate(wave, count=30), world, np.random.default_rng(0)).reward
-    assert isinstance(reward, CoherentReward)
-    obs = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
-    assert reward(obs, wave(obs), obs).min() > 0
-    assert reward(obs, -wave(obs), obs).min() == reward.absorbing
-
-
-def test_it_pays_for_demonstrated_actions_and_for_being_where_they_were() -> None:
-    reward = CoherentReward(fitted(), -5.0)
-    rng = np.random.default_rng(1)
-    near, far = rng.uniform(-0.8, 0.8, (200, 3)), rng.uniform(-1, 1, (200, 3)) + 100
-    shown, other = reward(near, wave(near), near), reward(near, -wave(near), near)
-    assert (shown > 1).mean() > 0.95
-    assert (shown > other).mean() > 0.95
-    assert other.min() == -5
-    np.testing.assert_allclose(reward(far, reward.q(far)[0], far), 0, atol=1e-9)
-    # Of many rows and of few it says the same.
-    many = np.tile(near, (100, 1))
-    np.testing.assert_allclose(reward(many, wave(many), many)[:200], shown)
-
-
-def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
+def test_the_agent_goes_on_from_the_clone_and_learns_from_the_demonstrations(world: Any) -> None:
     demos = demonstrate(wave, count=30)
-    learned = METHOD.fit(demos, world, np.random.default_rng(0))
+    learned: Any = METHOD.fit(demos, world, np.random.default_rng(0))
     ((reward, steps, warm),) = world.solves
     assert reward is learned.reward
     assert (steps, warm) == (METHOD.rl_steps, False)
-    (given,) = world.given
+    (given,) = world.options
     assert given["kind"] == "soft"
     assert given["demonstrations"] is demos
     obs = np.random.default_rng(1).uniform(-0.8, 0.8, (100, 3))
     assert np.abs(given["init"](obs) - wave(obs)).mean() < 0.1
-
-
-def test_it_learns_from_itself_alone_where_some_steps_are_not_shown(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
-    METHOD.fit(
-        demonstrate(wave, count=30).every(2, np.random.default_rng(0)), world, np.random.default_rng(0)
-    )
-    assert world.given[0]["demonstrations"] is None
+    # No step pays less than an end.
+    paid = learned.reward(obs, -wave(obs), obs)
+    assert paid.min() == learned.reward.absorbing
+    # Where some steps are not shown it learns from itself alone.
+    METHOD.fit(demos.every(2, np.random.default_rng(0)), world, np.random.default_rng(0))
+    assert world.options[1]["demonstrations"] is None
 
 
 @pytest.mark.parametrize("env", [name for name in ENVS if not SPECS[name].discrete])

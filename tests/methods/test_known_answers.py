@@ -10,12 +10,10 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.stats import spearmanr
 
-from envs.gridworld import positions, transitions
 from methods.base import Array, Episodes, Learned, Policy
 from methods.bc import BehaviourCloning
-from methods.shaped import Shaped, ShapedReward
+from methods.shaped import Shaped
 from methods.shaped_ml import ShapedML, inverse_lqr
-from methods.tabular.model import action_values, greedy, policy_value, value_iteration
 
 
 class Regulator:
@@ -73,53 +71,28 @@ def correlation(learned: Learned, regulator: Regulator = REGULATOR) -> float:
     return float(spearmanr(found, regulator.advantage(obs, UNIFORM)).statistic)
 
 
-def matrices(learned: Learned) -> Array:
-    """M(s) of the held-out states, (B, 2, 2)."""
-    assert isinstance(learned.reward, ShapedReward)
-    chol = learned.reward.chol(HELD_OUT).reshape(-1, 2, 2)
-    value: Array = chol @ chol.transpose(0, 2, 1) + np.eye(2)
-    return value
-
-
-def test_the_regulators_advantage_is_what_an_action_costs_more_than_the_best() -> None:
-    x, u = HELD_OUT, UNIFORM
-    after = REGULATOR.step(x, u)
-    cost = quadratic(x, REGULATOR.Q) + quadratic(u, REGULATOR.R)
-    P = REGULATOR.P
-    np.testing.assert_allclose(REGULATOR.advantage(x, u), quadratic(x, P) - cost - quadratic(after, P))
-    assert np.abs(REGULATOR.demonstrations(seed=0).pairs()[1]).max() < 1
-
-
 def test_cloning_recovers_the_regulators_feedback() -> None:
     demos = REGULATOR.demonstrations(seed=0)
-    learned = BehaviourCloning().fit(demos, WORLD, np.random.default_rng(0))
+    learned = BehaviourCloning(steps=1000).fit(demos, WORLD, np.random.default_rng(0))
     error = np.abs(learned.policy(HELD_OUT) - REGULATOR.expert(HELD_OUT))
     assert error.mean() < 1e-3
     assert error.max() < 0.05
-
-
-@pytest.mark.parametrize("method", [BehaviourCloning(), Shaped()])
-def test_an_expert_that_hardly_moves_is_cloned_as_well(method: BehaviourCloning | Shaped) -> None:
-    demos = REGULATOR.demonstrations(seed=0)
-    small = replace(demos, act=tuple(0.01 * act for act in demos.act))
-    learned = method.fit(small, WORLD, np.random.default_rng(0))
-    assert np.abs(learned.policy(HELD_OUT) - 0.01 * REGULATOR.expert(HELD_OUT)).mean() < 2e-5
-
-
-@pytest.mark.parametrize("method", [BehaviourCloning(), Shaped()])
-def test_an_expert_that_hardly_moves_from_one_action_is_cloned_as_well(
-    method: BehaviourCloning | Shaped,
-) -> None:
-    demos = REGULATOR.demonstrations(seed=0)
-    small = replace(demos, act=tuple(0.5 + 1e-4 * act for act in demos.act))
-    learned = method.fit(small, WORLD, np.random.default_rng(0))
-    assert np.abs(learned.policy(HELD_OUT) - 0.5 - 1e-4 * REGULATOR.expert(HELD_OUT)).mean() < 2e-6
 
 
 @pytest.fixture(scope="module")
 def shaped() -> Learned:
     method = Shaped(steps=600)
     return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("method", [BehaviourCloning(steps=800), Shaped(steps=800)])
+@pytest.mark.parametrize(("centre", "size"), [(0.0, 1e-2), (0.5, 1e-4)])
+def test_an_expert_that_hardly_moves_is_cloned_as_well(method: Any, centre: float, size: float) -> None:
+    demos = REGULATOR.demonstrations(seed=0)
+    small = replace(demos, act=tuple(centre + size * act for act in demos.act))
+    learned = method.fit(small, WORLD, np.random.default_rng(0))
+    error = np.abs(learned.policy(HELD_OUT) - centre - size * REGULATOR.expert(HELD_OUT))
+    assert error.mean() < 1e-2 * size
 
 
 def test_shaped_recovers_the_regulators_feedback_and_pays_it_0(shaped: Learned) -> None:
@@ -133,15 +106,7 @@ def test_shaped_recovers_the_regulators_feedback_and_pays_it_0(shaped: Learned) 
     assert (shaped.reward(HELD_OUT, UNIFORM, HELD_OUT) < paid).all()
 
 
-def test_shaped_tells_nothing_of_an_advantages_shape(shaped: Learned) -> None:
-    """Eq. 4.4 leaves L at 0, and R* at the squared distance from f."""
-    squared = -quadratic(UNIFORM - REGULATOR.expert(HELD_OUT), np.eye(2))
-    isotropic = spearmanr(squared, REGULATOR.advantage(HELD_OUT, UNIFORM)).statistic
-    assert correlation(shaped) == pytest.approx(isotropic, abs=0.01)
-    assert isotropic < 0.8 < np.linalg.cond(REGULATOR.M) / 10
-
-
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_an_inverse_regulator_finds_the_hessian_of_a_cost_of_squares(seed: int) -> None:
     """From the feedback and the dynamics alone, up to scale: six equations for five costs."""
     rng = np.random.default_rng(seed)
@@ -162,59 +127,4 @@ def test_likelihood_finds_the_advantage_of_demonstrations_without_noise(
     shaped: Learned, shaped_ml: Learned
 ) -> None:
     assert correlation(shaped_ml) > 0.98 > 0.9 > correlation(shaped)
-    # f is that of `shaped`, and M is C^-1, whose smallest eigenvalue is 1 / softness^2.
     np.testing.assert_array_equal(shaped_ml.policy(HELD_OUT), shaped.policy(HELD_OUT))
-    np.testing.assert_allclose(np.linalg.eigvalsh(matrices(shaped_ml))[:, 0], 100, rtol=0.05)
-
-
-def test_it_explores_with_noise_of_the_size_that_it_says() -> None:
-    seen = []
-
-    class Watched(Regulator):
-        def rollout(self, policy: Policy, episodes: int, rng: np.random.Generator) -> Episodes:
-            seen.append(super().rollout(policy, episodes, rng))
-            return seen[-1]
-
-    method = ShapedML(steps=50, rollouts=200, exploration=0.1)
-    learned = method.fit(
-        REGULATOR.demonstrations(seed=0), Watched(REGULATOR.Q, REGULATOR.R), np.random.default_rng(0)
-    )
-    (rollouts,) = seen
-    obs, act = rollouts.pairs()
-    assert len(rollouts) == 200
-    assert (act - learned.policy(obs)).std() == pytest.approx(0.1, rel=0.05)
-
-
-def test_noise_in_demonstrations_tells_the_advantage_of_any_quadratic_cost() -> None:
-    """Which no inverse regulator with a cost of squares could know: here two actions at once are dear."""
-    rotation = np.array([[0.8, -0.6], [0.6, 0.8]])
-    regulator = Regulator(np.eye(3), rotation @ np.diag([4.0, 0.3]) @ rotation.T)
-    rng = np.random.default_rng(0)
-    soft = 0.2 * np.linalg.cholesky(np.linalg.inv(regulator.M))
-
-    def noisy(x: Array) -> Array:
-        return np.clip(regulator.expert(x) + rng.normal(size=(len(x), 2)) @ soft.T, -1, 1)
-
-    demos, world = regulator.rollout(noisy, 400, rng), regulator
-    learned = ShapedML(steps=600).fit(demos, world, np.random.default_rng(0))
-    assert correlation(learned, regulator) > 0.95
-
-
-def test_figure_4_1_a_greedy_policy_is_optimal_under_the_shaped_reward() -> None:
-    """The grid of Ng, Harada & Russell 1999: 10 by 10 cells, each step costs 1 until the upper right corner,
-    and one in five goes in a random direction. (Here with a discount, which they do without.)"""
-    size, gamma = 10, 0.99
-    sure = transitions(size, 0.0)[:, :4]
-    P = 0.8 * sure + 0.2 * sure.mean(axis=1, keepdims=True)
-    P[-1] = np.eye(size**2)[-1]
-    r = np.append(np.full(size**2 - 1, -1.0), 0.0)
-    v, _ = value_iteration(P, r, gamma)
-    shaped = action_values(P, r, v, gamma) - v[:, None]
-    np.testing.assert_allclose(policy_value(P, r, greedy(shaped), gamma), v, atol=1e-6)
-    unshaped = greedy(np.tile(r[:, None], 4))
-    assert (policy_value(P, r, unshaped, gamma) < v - 10).mean() > 0.5
-    # The best actions pay 0 and all others less; those that come no nearer are never among the best.
-    away = 2 * (size - 1) - positions(size).sum(axis=1)
-    no_nearer = (sure @ away)[:-1] >= away[:-1, None]
-    np.testing.assert_allclose(shaped.max(axis=1), 0, atol=1e-8)
-    assert (shaped[:-1][no_nearer] < -0.1).all()

@@ -1,66 +1,25 @@
 """Maximum-entropy IRL raises the reward where demonstrations go and lowers it where the learner goes."""
 
-import dataclasses
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
-from methods.base import Array, Episodes
-from methods.maxent import MaxEnt, drawn_by
-from methods.network import Network, mlp
-from methods.rewards import NetworkReward
-from methods.stochastic import EpsilonGreedy
+from envs.gridworld import objectworld
+from methods.base import Array, Episodes, Reward
+from methods.maxent import MaxEnt
+from methods.maxent_linear import MaxEntLinear, moments
+from methods.tabular.maxent import log_likelihood
+from methods.tabular.model import demonstrated, finite_soft_value_iteration
+from tests.methods.worlds import FiniteWorld, constant, demonstrate
 
-MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
 METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
 
 
-def constant(*action: float) -> Callable[[Array], Array]:
-    return lambda obs: np.tile(action, (len(obs), 1))
-
-
-def test_the_reward_is_the_torch_network_on_standardised_observations_and_bounded() -> None:
-    layers = mlp(3 + 2 + 1, 16, 1, generator=torch.Generator().manual_seed(0))
-    reward = NetworkReward.of(layers, MEAN, STD, bound=1.5)
-    rng = np.random.default_rng(0)
-    obs, act = rng.normal(size=(20, 3)), rng.uniform(-1, 1, (20, 2))
-    inputs = np.concatenate([(obs - MEAN) / STD, act, np.zeros((20, 1))], axis=1)
-    absorbed = np.array([[0, 0, 0, 0, 0, 1.0]])
-    with torch.no_grad():
-        output = layers.double()(torch.as_tensor(np.concatenate([inputs, absorbed])))[:, 0]
-    expected = 1.5 * np.tanh(output.numpy())
-    np.testing.assert_allclose(reward(obs, act, obs), expected[:-1], rtol=1e-6)
-    assert reward.absorbing == pytest.approx(expected[-1], rel=1e-6)
-
-
-def test_demonstrated_actions_pay_more_than_others(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    learned = METHOD.fit(demonstrate(constant(0.7, -0.4)), world, np.random.default_rng(0))
-    rng = np.random.default_rng(1)
-    obs = rng.uniform(-1, 1, (300, 3))
-    shown = learned.reward(obs, constant(0.7, -0.4)(obs), obs)
-    for action in ((-0.7, 0.4), (0.7, 0.6), (-0.3, -0.4)):
-        assert (shown > learned.reward(obs, constant(*action)(obs), obs)).mean() > 0.95
-    np.testing.assert_allclose(learned.policy(obs[:1])[0], [0.7, -0.4], atol=0.35)
-    (gaps,) = learned.curves.values()
-    assert len(gaps) == 2
-    assert gaps[0] > 0
-
-
-def test_it_depends_on_observations_as_well(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    demos = demonstrate(lambda obs: 0.8 * np.sign(obs[:, :2]), count=40)
-    reward = METHOD.fit(demos, world, np.random.default_rng(0)).reward
-    obs = np.array([[0.8, 0.8, 0.0], [-0.8, 0.8, 0.0], [0.8, -0.8, 0.0], [-0.8, -0.8, 0.0]])
-    right = 0.8 * np.sign(obs[:, :2])
-    assert (reward(obs, right, obs) > reward(obs, -right, obs)).all()
-
-
-def test_what_absorption_pays_is_learned(
-    world: Any, mortal_world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
+def test_what_absorption_pays_is_learned_by_the_network(world: Any, mortal_world: Any) -> None:
     still = constant(0.0, 0.0)
     lives, dies = demonstrate(still), demonstrate(still, lifetime=2)
     at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
@@ -70,7 +29,7 @@ def test_what_absorption_pays_is_learned(
     assert reward.absorbing > 0.5
 
 
-def test_the_prior_bounds_the_slope(world: Any, demonstrate: Callable[..., Episodes]) -> None:
+def test_the_prior_bounds_the_slope(world: Any) -> None:
     # Between two actions, all else alike, the best reward rises evenly, by 1 / prior for each unit.
     world.random_actions = lambda count, rng: constant(-0.5, 0.0)(np.zeros((count, 3)))
     obs = np.random.default_rng(1).uniform(-1, 1, (300, 3))
@@ -85,9 +44,7 @@ def test_the_prior_bounds_the_slope(world: Any, demonstrate: Callable[..., Episo
     np.testing.assert_allclose(rises[0], 4 * rises[1], rtol=0.4)
 
 
-def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
+def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(world: Any) -> None:
     acted, rollout = [], world.rollout
     obs = np.zeros((50, 3))
 
@@ -102,50 +59,7 @@ def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(
     assert (drawn.std(axis=0) > 0.3).all()
 
 
-def test_a_policy_without_chance_is_rolled_out_as_it_is() -> None:
-    learned, rng = constant(0.2), np.random.default_rng(0)
-    network = Network(np.zeros(1), np.ones(1), (np.array([[1.0, 0.0]]),), (np.zeros(2),))
-    obs = np.ones((3, 1))
-
-    class Deterministic:
-        policy = staticmethod(learned)
-
-        @property
-        def behaviour(self) -> Any:
-            raise ValueError("it has no stochastic policy")
-
-    class Greedy(Deterministic):
-        behaviour = EpsilonGreedy(network, 0.3)
-
-    for agent in (Deterministic(), Greedy()):
-        np.testing.assert_array_equal(drawn_by(agent, rng)(obs), learned(obs))
-
-
-def test_a_reward_of_states_does_not_see_actions(world: Any, demonstrate: Callable[..., Episodes]) -> None:
-    method = dataclasses.replace(METHOD, actions=False)
-    reward = method.fit(demonstrate(constant(0.5, 0.0)), world, np.random.default_rng(0)).reward
-    obs = np.random.default_rng(1).uniform(-1, 1, (30, 3))
-    one, other = (reward(obs, constant(x, -x)(obs), obs) for x in (-0.4, 0.4))
-    np.testing.assert_array_equal(one, other)
-    assert np.ptp(one) > 0
-
-
-def test_an_expert_that_hardly_moves_does_not_make_cliffs_of_its_reward(
-    mortal_world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
-    still = demonstrate(constant(0.0, 0.0))
-    narrow = Episodes(tuple(1e-3 * obs for obs in still.obs), still.act, still.terminated)
-    reward = METHOD.fit(narrow, mortal_world, np.random.default_rng(0)).reward
-    obs = np.random.default_rng(1).uniform(-0.1, 0.1, (300, 3))
-    # A step of 0.01, a hundredth of the range, is many of the expert's own spreads.
-    act = constant(0.0, 0.0)(obs)
-    jump = np.abs(reward(obs + 0.01, act, obs) - reward(obs, act, obs))
-    assert jump.mean() < 0.1
-
-
-def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(
-    world: Any, demonstrate: Callable[..., Episodes]
-) -> None:
+def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(world: Any) -> None:
     method = MaxEnt(iterations=3, rl_share=0.007, final_share=0.009, averaged=2, reward_steps=1)
     learned = method.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
     found = [(steps, warm) for _, steps, warm in world.solves]
@@ -157,3 +71,79 @@ def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(
     assert learned.reward.absorbing == pytest.approx(
         (world.solves[1][0].absorbing + world.solves[2][0].absorbing) / 2
     )
+
+
+HORIZON, GAMMA = 12, 0.9
+TABULAR = objectworld(6, 5, 2, 0.2, np.random.default_rng(3))
+MODEL = TABULAR.model
+WEIGHTS = np.array([1.0, -0.5, 2.0, -1.0, -2.0, 1.5])
+
+
+def soft_demonstrations(count: int) -> Episodes:
+    """Of the policy that is optimal in return plus entropy under w^T obs."""
+    rng = np.random.default_rng(0)
+    _, policies = finite_soft_value_iteration(MODEL.P, MODEL.obs @ WEIGHTS, HORIZON, GAMMA)
+    obs, act = np.empty((count, HORIZON + 1, 6)), np.zeros((count, HORIZON, 5))
+    for i in range(count):
+        state = rng.choice(len(MODEL.start), p=MODEL.start)
+        obs[i, 0] = MODEL.obs[state]
+        for t in range(HORIZON):
+            action = rng.choice(5, p=policies[t, state])
+            act[i, t, action] = 1
+            state = rng.choice(len(MODEL.start), p=MODEL.P[state, action])
+            obs[i, t + 1] = MODEL.obs[state]
+    return Episodes(tuple(obs), tuple(act), (False,) * count)
+
+
+@pytest.fixture(scope="module")
+def demos() -> Episodes:
+    return soft_demonstrations(1000)
+
+
+def on_states(reward: Reward) -> Array:
+    return reward(MODEL.obs, np.zeros((len(MODEL.obs), 5)), MODEL.obs)
+
+
+def test_a_network_without_hidden_layers_climbs_to_the_same_likelihood_and_policy(demos: Episodes) -> None:
+    world: Any = FiniteWorld(replace(TABULAR, features=TABULAR.obs), HORIZON, GAMMA)
+    linear = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0))
+    deep = MaxEnt(layers=(), iterations=600, learning_rate=1e-1).fit(demos, world, np.random.default_rng(0))
+    mu_demo = demonstrated(demos, MODEL)
+    best, other = (log_likelihood(MODEL, on_states(fit.reward), mu_demo, GAMMA)[0] for fit in (linear, deep))
+    truth = log_likelihood(MODEL, MODEL.obs @ WEIGHTS, mu_demo, GAMMA)[0]
+    start = log_likelihood(MODEL, np.zeros(len(MODEL.start)), mu_demo, GAMMA)[0]
+    assert start < truth - 0.1 < truth <= best
+    assert best - 1e-6 < other <= best + 1e-6
+    np.testing.assert_array_equal(linear.policy(MODEL.obs), deep.policy(MODEL.obs))
+
+
+def test_it_finds_the_weights_that_demonstrated(demos: Episodes) -> None:
+    world: Any = FiniteWorld(replace(TABULAR, features=TABULAR.obs), HORIZON, GAMMA)
+    reward: Any = MaxEntLinear(weight_prior=0.0).fit(demos, world, np.random.default_rng(0)).reward
+    np.testing.assert_allclose(reward.w[:-1], WEIGHTS, atol=0.4)
+    assert reward.absorbing == 0
+    shrunk: Any = MaxEntLinear(weight_prior=1.0).fit(demos, world, np.random.default_rng(0)).reward
+    assert np.linalg.norm(shrunk.w) < 0.5 * np.linalg.norm(WEIGHTS)
+
+
+def test_elsewhere_one_agent_goes_on_until_features_match(world: Any) -> None:
+    demos = demonstrate(constant(0.5, -0.3))
+    learned = MaxEntLinear(iterations=30, rl_share=0.007).fit(demos, world, np.random.default_rng(0))
+    (gaps,) = learned.curves.values()
+    assert gaps[-1] < 0.1 * gaps[0]
+    assert [solve[1:] for solve in world.solves] == [(7, False), *[(7, True)] * 29]
+    assert learned.reward is world.solves[-1][0]
+
+
+def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
+    for lifetime, where, sign in ((2, world, 1), (10, mortal_world, -1)):
+        demos = demonstrate(constant(0.5, 0.0), lifetime=lifetime)
+        reward: Any = MaxEntLinear().fit(demos, where, np.random.default_rng(0)).reward
+        assert np.sign(reward.absorbing) == sign
+
+
+def test_moments_count_absorbing_steps_up_to_the_horizon(mortal_world: Any) -> None:
+    mean, second = moments(demonstrate(constant(0.5, -1.0), lifetime=2), mortal_world)
+    np.testing.assert_allclose(mean, [0.2 * 0.5, -0.2, 0.2, 0.8])
+    step = np.array([0.5, -1.0, 1.0, 0.0])
+    np.testing.assert_allclose(second, 0.2 * np.outer(step, step) + 0.8 * np.diag([0, 0, 0, 1]), atol=1e-12)
