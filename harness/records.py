@@ -229,18 +229,13 @@ class Solve:
 
 @dataclass(frozen=True)
 class CellResult:
-    """The result of one cell. key, origin, finished, task_version and seconds['start'] are set as it is
-    stored."""
+    """The result of one cell. Its store sets key, origin, finished, task_version and seconds['start']."""
 
     cell: Cell
     rows: Annotated[list[Row], Meta(min_length=1, max_length=2)]
     curves: Annotated[dict[Text, Curve], Meta(max_length=MOST_CURVES)] = field(default_factory=dict)
-    """Training curves by name, as (x, y) points.
-
-    `pi_R` and `expert` have environment steps, and mean return under the learner's reward, at each
-    checkpoint. `pi_R_true` has the true return of the same episodes. `pi_R_chosen` is the point of pi_R's
-    checkpoint.
-    """
+    """Training curves by name. `pi_R` and `expert` have (environment steps, mean return under the learner's
+    reward) for each checkpoint, `pi_R_true` the true return, and `pi_R_chosen` the chosen point."""
     endings: dict[PolicyName, Annotated[dict[Text, Count], Meta(max_length=100)]] = field(
         default_factory=dict
     )
@@ -302,27 +297,3 @@ def policies_of(cell: Cell) -> tuple[PolicyName, ...]:
     if cell.method == REFERENCE:
         return ("expert", "random")
     return ("pi_R",) if cell.method in CONTROLS else ("pi_star", "pi_R")
-
-
-def takes_one_solve(cell: Cell) -> bool:
-    """Return whether RL solves its reward at most once, however many solves are asked for."""
-    return cell.method in (REFERENCE, *CONTROLS) or cell.dynamics != NOMINAL
-
-
-def before(cell: Cell) -> Cell | None:
-    """Return the cell whose artifact saves this one a fit, if there is one."""
-    if cell.method == "control_clone":
-        return dataclasses.replace(cell, method="bc", dynamics=NOMINAL)
-    fitted = cell.dynamics != NOMINAL and cell.method not in UNSHOWN
-    return dataclasses.replace(cell, dynamics=NOMINAL) if fitted else None
-
-
-def name_of(shown: Shown) -> str:
-    """Return the name of shown demonstrations among the inputs that cells share."""
-    return f"demonstrations {shown}"
-
-
-def needs(cell: Cell, name: str) -> bool:
-    """Return whether the cell uses the shared input of this name, such as the demonstrations it is shown."""
-    is_shown = name.startswith(name_of(ALL_SHOWN))
-    return not is_shown or (cell.method not in UNSHOWN and name == name_of(cell.shown))

@@ -31,13 +31,18 @@ class Network:
     """A feed-forward network of batches (B, I) to (B, K): standardise, linear layers with ReLU between them,
     and an optional tanh. `mean`, `std`: (I,). `weights`: (inputs, outputs) of each layer. `biases`:
     (outputs,). Arrays are float64, row by row, as stored ones are. Products of other layouts round
-    differently, so `of` brings any arrays into this one."""
+    differently, so `of` brings any arrays into this one. Raises TypeError for other arrays."""
 
     mean: Array
     std: Array
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     tanh: bool = False
+
+    def __post_init__(self) -> None:
+        for array in (self.mean, self.std, *self.weights, *self.biases):
+            if array.dtype != np.float64 or not array.flags.c_contiguous:
+                raise TypeError("arrays of a Network are float64, row by row: Network.of takes any others")
 
     @classmethod
     def of(

@@ -14,7 +14,8 @@ from envs import EnvSpec
 from harness.cell.experts import task_for
 from harness.cell.phases import Phase
 from harness.cell.shared import Shared
-from harness.records import NOMINAL, REFERENCE, Cell, Conditions, takes_one_solve
+from harness.cell.sharing import takes_one_solve
+from harness.records import NOMINAL, REFERENCE, Cell, Conditions
 from harness.registry import ASKING
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import TaskWorld

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from harness.cell.experts import Expert, Source, from_kept, source_for, to_kept
+from harness.cell.sharing import name_of
 from harness.cell.shipped import shipped_policies
 from harness.demonstrations.arrays import from_arrays, to_arrays
 from harness.judge.advantage import Ranked, Replays, ranked, replay
-from harness.records import LEARNED, Conditions, Shown, name_of
+from harness.records import LEARNED, Conditions, Shown
 from harness.registry import SPECS
 from harness.registry.keys import experts_version
 from harness.rl.seeds import evaluation_seeds, rng_for

@@ -16,9 +16,10 @@ from typing import Annotated
 import msgspec
 
 from envs.learners import PPO
+from harness.cell.sharing import takes_one_solve
 from harness.engines.jobs import Job
 from harness.process.environment import cache_folder
-from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Conditions, takes_one_solve
+from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Conditions
 from harness.registry import plugins
 from harness.store.files import read, write_atomic
 

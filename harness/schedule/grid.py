@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from harness.cell.phases import Phase
+from harness.cell.sharing import before, needs
 from harness.engines.inline import Inline
 from harness.engines.jobs import Engine, Job, Outcome
-from harness.records import LEARNED, REFERENCE, Cell, CellResult, Conditions, before, failed_rows, needs
+from harness.records import LEARNED, REFERENCE, Cell, CellResult, Conditions, failed_rows
 from harness.registry.keys import cell_keys
 from harness.registry.plugins import modules, needed
 from harness.schedule.costs import Costs

@@ -12,9 +12,10 @@ from typing import Self
 import psutil
 
 from harness.cell.phases import Phase
+from harness.cell.sharing import before, takes_one_solve
 from harness.engines.jobs import Job, Outcome
 from harness.process.environment import cache_folder
-from harness.records import REFERENCE, Cell, CellResult, Conditions, Status, before, takes_one_solve
+from harness.records import REFERENCE, Cell, CellResult, Conditions, Status
 from harness.schedule.costs import FILE, SHARED, Costs, name_of
 from harness.schedule.grid import Grid, Schedule
 from harness.schedule.progress import NOTHING

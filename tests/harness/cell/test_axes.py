@@ -17,6 +17,7 @@ import pytest
 from harness.api import request as asked
 from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
+from harness.cell.sharing import name_of, needs
 from harness.cli.arguments import parser
 from harness.cli.main import main
 from harness.judge.leaderboard import leaderboard, scored_rows
@@ -31,8 +32,6 @@ from harness.records import (
     CellResult,
     Conditions,
     Shown,
-    name_of,
-    needs,
     row_of,
 )
 from harness.registry import BadInput
