@@ -1,7 +1,5 @@
 """What is exported is what was scored, bit for bit, and other programs take it."""
 
-import dataclasses
-import json
 import shutil
 from pathlib import Path
 
@@ -20,11 +18,9 @@ from harness.api.exported import FACTS, export, load_learned
 from harness.cell.run import prepare, run_cell
 from harness.cli.main import main
 from harness.process.environment import CACHE_VARIABLE
-from harness.records import LEARNED, Cell, Conditions
+from harness.records import Cell, Conditions
 from harness.registry import SPECS, BadInput
 from harness.rl.seeds import evaluation_seeds
-from harness.store.artifacts import artifact
-from harness.store.files import sha256_of
 from harness.store.opening import open_for_run, open_to_verify
 from harness.store.request import Request
 
@@ -76,25 +72,6 @@ def test_nothing_that_is_there_is_replaced(run: Path, folder: Path, tmp_path: Pa
 def test_a_reward_is_of_its_own_tasks_spaces(folder: Path, other: str) -> None:
     with pytest.raises(BadInput, match=r"irl_bench.make\('cartpole'\) has those"):
         irl_bench.LearnedReward(gym.make(other), folder)
-
-
-def test_it_says_what_it_is(folder: Path) -> None:
-    facts = json.loads((folder / FACTS).read_text())
-    assert facts["cell"] | {"shown": None} == {
-        "env": "cartpole",
-        "method": "shaped",
-        "seed": 0,
-        "shown": None,
-        "dynamics": "nominal",
-    }
-    assert facts["learned"] == "pi_star"
-    assert facts["actions"] == [str(name) for name in SPECS["cartpole"].actions]
-    assert "Box(-1.0, 1.0, (1,), float32)" in facts["action_space"]
-    assert facts["policy"]["class"] == "methods.network:Network"
-    assert {"torch", "numpy", "irl-bench"} <= facts["computed_with"].keys()
-    assert sorted(file.name for file in folder.iterdir()) == [
-        *(FACTS, "policy.safetensors", "reward.safetensors")
-    ]
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.env)
@@ -167,26 +144,6 @@ def test_what_is_not_there_is_said(
             irl_bench.make(name)
     with pytest.raises(BadInput, match="holds nothing that was exported"):
         load_learned(tmp_path / "nowhere")
-
-
-def test_a_reward_that_could_not_be_kept_is_no_method_without_one(run: Path, tmp_path: Path) -> None:
-    class Own:
-        absorbing = 0.0
-
-        def __call__(self, obs: np.ndarray, act: np.ndarray, after: np.ndarray, /) -> np.ndarray:
-            return -np.square(act).sum(axis=1)
-
-    cell = CELLS[0]
-    with open_to_verify(run) as directory:
-        stored = directory.load()[0][cell]
-        kept = directory.read_learned(stored)
-    data, troubles = artifact(cell, CONDITIONS, {"pi_star": kept["pi_star"], "reward": Own()})
-    with open_for_run(tmp_path / "own", Request(("shaped",), (cell.env,), (0,), CONDITIONS)) as directory:
-        result = dataclasses.replace(stored, warnings=troubles, recordings={}, learned=sha256_of(data))
-        directory.save(result, {LEARNED: data})
-    folder = export(tmp_path / "own", cell.env, cell.method, to=tmp_path / "to")
-    with pytest.raises(BadInput, match=r"reward is not kept .*no dataclass of"):
-        irl_bench.LearnedReward(irl_bench.make(cell.env), folder)
 
 
 @settings(max_examples=60, deadline=None)

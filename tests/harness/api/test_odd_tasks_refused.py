@@ -100,14 +100,3 @@ def test_so_is_a_task_that_is_known_by_its_id(
     assert why in said[0]
     assert said[0].count("\n") == 1
     assert not (tmp_path / "run").exists()
-
-
-def test_a_task_that_only_looks_odd_is_listed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    spec = WRITTEN.format(name="Fine")
-    text = ODD.format(space="Discrete(2, start=-1)", pay="np.ones(1)", name="Fine", spec=spec, quiet=True)
-    text = text.replace("20)", "20, discrete=True, rl=DQN())").replace(
-        "import gym", "from envs.learners import DQN\nimport gym", 1
-    )
-    (tmp_path / "odd.py").write_text(text)
-    assert main(["list", "--plugin", str(tmp_path / "odd.py")]) == 0
-    assert "envs of plug-ins" in capfd.readouterr().out

@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 
 from harness import registry
-from harness.cli import checks
 from harness.cli import main as cli
-from harness.store.opening import open_for_run, stored_request
+from harness.store.opening import open_for_run
 from methods.settings import settings_for
-from tests.harness.fake_runs import FAKE_ENV, PER_SEED, SMOKE, computed
+from tests.harness.fake_runs import FAKE_ENV
 from tests.harness.small_runs import REQUEST
 
 HEAVY = {"torch", "numpy", "gymnasium", "pandas", "rich", "pebble", "matplotlib"}
@@ -82,26 +81,6 @@ def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (MemoryError(), "out of memory"),
-        (ImportError("a.so: failed to map segment from shared object"), "out of memory: a.so: failed to map"),
-    ],
-)
-def test_out_of_memory_is_one_line(
-    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(directory: Path) -> int:
-        raise error
-
-    monkeypatch.setattr(checks, "verify", fail)
-    assert cli.main(["verify", "."]) == 2
-    _, err = capsys.readouterr()
-    assert err.startswith(f"irl-bench: error: {said}")
-    assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     ("command", "code"),
     [
         (["run", "--methods", "bc", "--out", "new"], 2),
@@ -160,14 +139,6 @@ def test_who_stops_a_run_is_told_how_to_go_on(
     assert capsys.readouterr().err.endswith(
         f"To go on, run the same again:\n  {again}\nFor a report of what is finished:\n  {report}\n"
     )
-
-
-def test_list_tells_variants_from_methods(main: Main) -> None:
-    code, out, _ = main("list")
-    assert code == 0
-    methods, variants = out.partition("envs:")[0].split("variants of methods, not part of 'all':\n")
-    for names, text in ((registry.METHODS, methods.partition("\n")[2]), (registry.VARIANTS, variants)):
-        assert [line.split()[0] for line in text.splitlines()] == list(names)
 
 
 @pytest.mark.parametrize(
@@ -237,20 +208,3 @@ def test_bad_input_is_one_clear_line_and_writes_nothing(
     assert message in err
     assert err.count("\n") == 1
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "mine"]
-
-
-def test_seeds_are_a_count_or_numbers_and_ranges(main: Main) -> None:
-    def stored() -> list[int]:
-        request = stored_request(Path("results/latest"))
-        return [*request.seeds] if request else []
-
-    for asked, seeds, there in (("7-7", {7}, [7]), ("0,2-3", {0, 2, 3}, [0, 2, 3, 7])):
-        run = Path("results/latest")
-        before = set(computed(run)) if run.exists() else set()
-        assert main(*SMOKE, "--methods", "bc", "--seeds", asked)[0] == 0
-        done = set(computed(run)) - before
-        assert {int(name.rpartition("seed")[2]) for name in done} == seeds
-        assert stored() == there
-    code, out, _ = main(*SMOKE, "--methods", "bc", "--seeds", "0-7")
-    assert (code, stored()) == (0, [*range(8)])
-    assert f"{4 * (PER_SEED + 1)} kept from before" in out

@@ -204,16 +204,6 @@ def test_a_cache_that_cannot_be_written_to_is_told(
     )
 
 
-def test_a_cell_that_hangs_fails_and_is_not_tried_again_unasked(main: Main, tmp_path: Path) -> None:
-    faults(tmp_path, cartpole__bc__seed0="sleep")
-    hanging = (*SMOKE, "--methods", "bc", "--out", "run", "--cell-timeout", "3")
-    for cells in (PER_SEED + 1, 0):
-        code, out, err = main(*hanging)
-        assert code == 1
-        assert f"{cells} cells to run" in out
-        assert "FAILED: cartpole__bc__seed0: it was stopped after 3 s" in err
-
-
 def test_a_report_is_built_again_where_cells_came_or_it_was_damaged(
     main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import json
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -19,9 +18,7 @@ from harness.cli import main as cli
 from harness.cli import messages, runs
 from harness.records import Cell, CellResult
 from harness.registry import ENVS, METHODS, VARIANTS
-from harness.store.opening import open_for_run
 from harness.store.store import Store
-from tests.harness.small_runs import REQUEST, store
 
 Tried = Callable[[str, Counter[str]], None]
 NAMES = [*METHODS, *VARIANTS, *ENVS, "all", "smoke", "quick", "full", "absorbing", "native", "sbx", "sb3"]
@@ -110,40 +107,3 @@ def test_any_command_line_is_done_or_refused_in_a_line(place: Path, tried: Tried
     assert codes["exit 0"] > 20
     assert codes["exit 2"] > 100
     tried("command lines", codes)
-
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | text,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text, inner, max_size=3),
-    max_leaves=8,
-)
-requests = st.one_of(
-    st.binary(max_size=40),
-    json_values.map(lambda value: json.dumps(value).encode()),
-    st.fixed_dictionaries(
-        {"methods": json_values},
-        optional=dict.fromkeys(("envs", "seeds", "conditions", "shown", "variants"), json_values),
-    ).map(lambda value: json.dumps(value).encode()),
-)
-
-
-def test_any_request_that_is_none_is_refused_in_a_line(place: Path, tried: Tried) -> None:
-    @settings(max_examples=300, deadline=None)
-    @given(content=requests, command=st.sampled_from(["report", "verify"]))
-    def check(content: bytes, command: str) -> None:
-        store(place / "asked", content, "request", "run")
-        before = (place / "asked/run.sqlite").read_bytes()
-        err = io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(err):
-            patch.chdir(place)
-            assert cli.main([command, "asked"]) == 2
-        assert err.getvalue().startswith("irl-bench: error: ")
-        assert err.getvalue().count("\n") == 1
-        assert (place / "asked/run.sqlite").read_bytes() == before
-        counts[command] += 1
-
-    with open_for_run(place / "asked", REQUEST):
-        pass
-    counts: Counter[str] = Counter()
-    check()
-    tried("damaged requests", counts)

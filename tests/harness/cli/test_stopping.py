@@ -132,18 +132,6 @@ def test_being_stopped_again_and_again_is_one_clean_stop(tmp_path: Path, after: 
     assert "Traceback" not in err
 
 
-def test_under_nohup_a_run_outlives_its_terminal_and_can_be_terminated(tmp_path: Path) -> None:
-    process = start(tmp_path, "nohup")
-    os.killpg(process.pid, signal.SIGHUP)
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(1)
-    process.terminate()
-    _, err = process.communicate(timeout=10)
-    assert process.returncode == 130
-    assert "stopped; what is finished is kept" in err
-    wait_until_gone(tmp_path)
-
-
 def test_a_second_run_is_refused_and_a_reader_that_leaves_stops_nothing(tmp_path: Path) -> None:
     process = start(tmp_path)
     assert process.stdout is not None
