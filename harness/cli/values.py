@@ -58,8 +58,8 @@ def seconds(text: str) -> int:
 
 def folder(text: str) -> Path:
     """With no '..' in it, which would mean another folder once those before it are made."""
-    if not text:
-        raise argparse.ArgumentTypeError("a folder is needed, not ''")
+    if not text or "\0" in text:
+        raise argparse.ArgumentTypeError(f"a folder is needed, not {text!r:.40}")
     path = Path(text)
     return Path(os.path.realpath(path)) if ".." in path.parts else path
 

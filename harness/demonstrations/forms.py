@@ -142,8 +142,8 @@ def _json(path: Path, kind: type[T]) -> T:
 def _checked(text: str | bytes, kind: type[T]) -> T:
     """Return JSON as `kind`. Raises ValueError, with the place, where it does not fit."""
     try:
-        return msgspec.json.decode(text, type=kind)
-    except (msgspec.MsgspecError, RecursionError) as error:
+        return msgspec.convert(json.loads(text), kind)  # which takes Infinity
+    except (msgspec.ValidationError, ValueError, RecursionError) as error:
         raise ValueError(printable(str(error)[:200])) from error
 
 

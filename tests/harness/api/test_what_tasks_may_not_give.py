@@ -145,9 +145,9 @@ class Wrong(Batch):
 @pytest.mark.parametrize(
     ("entry", "why"),
     [
-        (0, "gives 2.0 as obs 1, alone 0.5"),
-        (1, "gives 2.0 as reward, alone 1.0"),
-        (2, "gives True as terminated, alone False"),
+        (0, r"gives obs \[10. 2.\], alone \[10. 0.5\]"),
+        (1, "gives reward 2.0, alone 1.0"),
+        (2, "gives terminated True, alone False"),
     ],
 )
 def test_where_a_batch_is_wrong_step_copy_and_entry_are_told(
