@@ -9,6 +9,7 @@ nor the column `infos` of `imitation`, whose texts stand for any Python object.
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import zipfile
