@@ -189,10 +189,7 @@ def test_experts_come_first_and_then_what_takes_longest(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cells = [Cell("cartpole", method, 0) for method in ("brief", "good", "slow")]
-    for expected in (
-        ["brief", "good", "slow"],
-        ["slow", "brief", "good"],
-    ):  # before it is measured, and after
+    for expected in (["brief", "good", "slow"], ["slow", "brief", "good"]):  # unmeasured, then measured
         run(directory, cells)
         lines = capsys.readouterr().out.splitlines()
         assert [line.split("__")[1] for line in lines if line.startswith("start")] == ["expert", *expected]

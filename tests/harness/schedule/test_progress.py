@@ -21,6 +21,9 @@ from harness.schedule.events import AnyEvent, Events
 from harness.schedule.tally import Tally
 from tests.harness.fake_runs import CONDITIONS
 
+SHARED = Job((Cell("cartpole", "bc", 3),), True, CONDITIONS, "key")
+BC = Job((Cell("cartpole", "bc", 3, Shown(5, 20, "noisy"), "flipped"),), False, CONDITIONS, "key")
+
 
 def job(method: str, env: str = "cartpole", shared: bool = False) -> Job:
     return Job((Cell(env, method, 0),), shared, CONDITIONS, "key")
@@ -129,12 +132,6 @@ def test_a_terminal_shows_a_line_for_each_running_cell_and_one_for_the_whole(
     assert lines[4:] == ["latest: cartpole__bc__seed0: pi_star 480.0"]
 
 
-SHARED = Job((Cell("cartpole", "bc", 3),), True, CONDITIONS, "key")
-
-
-BC = Job((Cell("cartpole", "bc", 3, Shown(5, 20, "noisy"), "flipped"),), False, CONDITIONS, "key")
-
-
 def decoded(stream: io.StringIO) -> list[dict[str, Any]]:
     """Return every line, of a known type, which has every field of the line."""
     lines = stream.getvalue().splitlines()
@@ -147,8 +144,8 @@ def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(events, "LOOK_EVERY", 0.01)
     returns = {"pi_star": 66.125, "pi_R": math.nan}
     stream, phase = io.StringIO(), Phase("retrain", 12_000, 40_000, returns)
-    its = Tally({SHARED.name: 1.0, BC.name: 10.0}, {SHARED.name}, workers=2)
-    with Events(its, lambda name: phase if name == BC.name else Phase(), stream) as told:
+    tally = Tally({SHARED.name: 1.0, BC.name: 10.0}, {SHARED.name}, workers=2)
+    with Events(tally, lambda name: phase if name == BC.name else Phase(), stream) as told:
         told.started(SHARED)
         told.finished(SHARED, "ok")
         told.started(BC)
@@ -160,15 +157,19 @@ def test_what_happens_is_told_in_order_and_whole(monkeypatch: pytest.MonkeyPatch
     own = {"method": "bc", "dynamics": "flipped", "demos": 5, "every": 20, "demonstrator": "noisy"}
     finite = {"returns": {"pi_star": 66.125}}
     expected: list[dict[str, Any]] = [
-        {"event": "begun", "format": 1, "cells": 1, "workers": 2, "eta": pytest.approx(5.5, abs=5)},
+        {"format": 1, "cells": 1, "workers": 2, "eta": pytest.approx(5.5, abs=5)},
         shared,
-        {"event": "ended", "name": shared["name"], "cells_done": 0, "cells_left": 1},
+        {"name": shared["name"], "cells_done": 0, "cells_left": 1},
         shared | {"name": BC.name} | own,
-        {"event": "doing", "name": BC.name, "phase": "retrain", "step": 12_000, "of": 40_000} | finite,
-        {"event": "ended", "status": "ok", "reason": "", "cells_done": 1, "cells_failed": 0} | finite,
-        {"event": "computed", "cells_done": 1, "cells_left": 0, "stopped": False},
+        {"name": BC.name, "phase": "retrain", "step": 12_000, "of": 40_000} | finite,
+        {"status": "ok", "reason": "", "cells_done": 1, "cells_left": 0, "cells_failed": 0} | finite,
+        {"cells_done": 1, "stopped": False},
     ]
-    for event, wanted in zip(decoded(stream), expected, strict=True):
+    found = decoded(stream)
+    order = ["begun", "started", "ended", "started", "doing", "ended", "computed"]
+    assert [event["event"] for event in found] == order
+    assert found[5]["took"] is not None
+    for event, wanted in zip(found, expected, strict=True):
         its = event.get("job", event)
         assert {name: its[name] for name in wanted} == wanted
 

@@ -135,9 +135,6 @@ def test_what_a_killed_run_left_half_written_is_deleted_by_run_and_left_by_verif
         assert not any((run / name).exists() for name in half)
 
 
-__all__ = ["run"]
-
-
 def computed(run: Path) -> dict[Cell, CellResult]:
     with open_to_verify(run) as directory:
         return directory.load()[0]
