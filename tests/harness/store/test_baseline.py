@@ -166,23 +166,12 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     before = (tmp_path / "run/leaderboard.csv").read_bytes()
     assert main(["report", "run"]) == 0  # which needs the baseline no more
     assert (tmp_path / "run/leaderboard.csv").read_bytes() == before
+    for earlier, later in (("run", "second"), ("second", "third")):  # of a baseline's rows alone
+        assert run("--baseline", earlier, "--out", later) == 0
+        assert not Computes.asked
     damage(tmp_path / "run", "cartpole__shaped__seed0", "baseline")
     assert main(["verify", "run"]) == 1
     assert main(["report", "run"]) == 1
-
-
-def test_a_run_of_a_baselines_rows_alone_is_a_run_and_a_baseline(
-    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("--baseline", str(board), "--out", "first") == 0
-    for earlier, later in (("first", "second"), ("second", "third")):
-        assert run("--baseline", earlier, "--out", later) == 0
-        assert not Computes.asked
-    before = (tmp_path / "second/leaderboard.csv").read_bytes()
-    assert main(["report", "second"]) == 0
-    assert (tmp_path / "second/leaderboard.csv").read_bytes() == before
-    assert main(["export", "second", "--env", "cartpole", "--method", "gail"]) == 2
-    assert "cartpole gail in second is of a baseline" in capsys.readouterr().err
 
 
 def test_a_refused_baseline_writes_nothing_and_one_of_another_version_by_now_is_not_mixed(

@@ -12,10 +12,8 @@ from harness.cell.experts import source_for
 from harness.cell.shared import Shared, prepare
 from harness.process.environment import CACHE_VARIABLE, SAME_INSTRUCTIONS
 from harness.records import Conditions, Shown
-from harness.registry import SPECS, packages
+from harness.registry import packages
 from harness.registry.keys import experts_version, program
-from harness.rl.seeds import demonstration_seeds
-from harness.rl.simulator import Simulator
 from harness.store.cache import Kept, cache_file, kept, load
 
 VALUE = Kept({"x": np.linspace(0, 1, 50), "y": np.ones((2, 3))}, {"seconds": 1.5, "curve": [[1, 2.5]]})
@@ -82,22 +80,6 @@ def test_what_all_methods_share_is_made_once(folder: Path, monkeypatch: pytest.M
     assert len(list(folder.iterdir())) == before == 5
     with pytest.raises(pytest.fail.Exception, match="again"):
         prepare("cartpole", 4, [Shown(4)], conditions)
-
-
-def test_where_no_reward_is_retrained_nothing_is_made_to_measure_one() -> None:
-    conditions = Conditions("smoke", "absorbing", "sbx", retrain=False)
-    assert set(prepare("cartpole", 0, [], conditions)) == {shared_module.EXPERT}
-
-
-def test_demonstrations_come_back_as_they_were_drawn() -> None:
-    expert = source_for("cartpole", 2, CONDITIONS).expert
-    drawn = Simulator(SPECS["cartpole"]).run(expert.policy, demonstration_seeds(2, 6))
-    for _ in range(2):
-        demos = source_for("cartpole", 2, CONDITIONS).demonstrations(Shown(6))
-        assert demos.terminated == tuple(e.terminated for e in drawn)
-        for obs, act, episode in zip(demos.obs, demos.act, drawn, strict=True):
-            np.testing.assert_array_equal(obs, episode.obs)
-            np.testing.assert_array_equal(act, episode.act)
 
 
 def test_run_seeds_take_the_shipped_experts_in_turn() -> None:
