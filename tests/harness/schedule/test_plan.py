@@ -63,15 +63,6 @@ def test_no_number_of_cores_makes_a_chain_shorter(tmp_path: Path) -> None:
     assert alone.wall[1000] == 7.0
 
 
-def test_what_was_not_measured_is_a_guess_and_said_to_be(tmp_path: Path) -> None:
-    measured(tmp_path, bc=10.0, gail=30.0)
-    found = plan.plan([Cell("cartpole", m, 0) for m in ("bc", "shaped")], CONDITIONS, VARIABLES)
-    known = {line.name: (line.measured, line.seconds) for line in found.lines}
-    assert (known["cartpole bc"], known["cartpole shaped"]) == ((True, 10.0), (False, 30.0))
-    guessed = [line.split()[1] for line in plan.as_lines(found) if line.endswith("a guess")]
-    assert guessed == ["expert", "shaped"]
-
-
 def test_solves_multiply_what_retraining_takes_and_nothing_else(tmp_path: Path) -> None:
     measured(tmp_path, expert=2.0, gail=10.0, control_true=5.0, solve_gail=4.0, solve_control_true=4.0)
     several = cells("gail", 2) + cells("control_true", 2)

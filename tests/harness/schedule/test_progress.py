@@ -37,18 +37,6 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return lambda seconds: now.__setitem__(0, seconds)
 
 
-def test_the_time_left_is_known_at_once_and_a_slow_first_job_does_not_multiply_it(
-    at: Callable[[float], None],
-) -> None:
-    """What cells share was expected to take a second, and takes four, most of it its process's start."""
-    found = Tally({"shared": 1.0} | {f"cell{i}": 60.0 for i in range(20)}, {"shared"}, workers=2)
-    assert found.eta() == pytest.approx(1201 / 2)
-    found.begin("shared")
-    at(4.0)
-    found.end("shared", "ok")
-    assert 600 <= found.eta() < 620
-
-
 def test_the_time_left_follows_the_pace_and_is_never_none_of_a_job_that_runs(
     at: Callable[[float], None],
 ) -> None:
