@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,23 +98,25 @@ def test_a_cell_that_hangs_is_a_failed_row(cluster: LocalCluster, tmp_path: Path
 
 
 @pytest.fixture
-def hanging(tmp_path: Path) -> tuple[subprocess.Popen, list[psutil.Process]]:
+def hanging(tmp_path: Path) -> Iterator[tuple[subprocess.Popen, list[psutil.Process]]]:
     """A run whose last cell hangs, on a cluster of its own, and its processes."""
     run = start(tmp_path / "run", "--methods", "hangs", "--engine", "ray", "--workers", "2")
     wait_for(lambda: len(stored(tmp_path / "run")) == 1)
-    return run, psutil.Process(run.pid).children(recursive=True)
+    yield run, psutil.Process(run.pid).children(recursive=True)
+    if run.poll() is None:
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=PATIENCE)
 
 
 def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(
     hanging: tuple[subprocess.Popen, list[psutil.Process]],
 ) -> None:
     run, descendants = hanging
-    listening = {
-        connection.laddr.ip
-        for process in descendants
-        for connection in process.net_connections("inet")
-        if connection.status == psutil.CONN_LISTEN
-    }
+    listening = set()
+    for process in descendants:
+        with suppress(psutil.NoSuchProcess):
+            connections = process.net_connections("inet")
+            listening |= {one.laddr.ip for one in connections if one.status == psutil.CONN_LISTEN}
     assert listening <= {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
     assert listening
     run.send_signal(signal.SIGINT)

@@ -210,7 +210,7 @@ def test_cells_share_a_process_until_one_fails_or_it_has_done_its_share(
         return (directory / "computed.txt").read_text().split()[1::2]
 
     assert len(set(processes("good", "good", "good"))) == 1
-    for fault in ("raise", "kill", "hungry"):
+    for fault in ("raise", "kill"):
         assert len(set(processes(fault, "good"))) == 2
     monkeypatch.setattr("harness.engines.processes.MOST_JOBS", 1)
     assert len(set(processes("good", "good", "good"))) == 3
