@@ -1,7 +1,5 @@
 """A real Chromium: the one that is installed. Tests of pages skip where there is none."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from typing import Any
@@ -24,6 +22,5 @@ def play() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def browser(play: Any) -> Iterator[Any]:
-    browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-    yield browser
-    browser.close()
+    with play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]) as launched:
+        yield launched

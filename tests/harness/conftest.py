@@ -27,19 +27,13 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     import fake_cells
 
     # Set as they are, so that what is installed over them goes with the test.
-    monkeypatch.setattr(grid, "Grid", grid.Grid)
-    monkeypatch.setattr(processes, "Processes", processes.Processes)
-    monkeypatch.setattr(inline, "Inline", inline.Inline)
+    for module, name in ((grid, "Grid"), (processes, "Processes"), (inline, "Inline")):
+        monkeypatch.setattr(module, name, getattr(module, name))
     monkeypatch.setenv(fake_cells.FOLDER, "")
     monkeypatch.setitem(sys.modules, "harness.report.files", None)
     monkeypatch.setattr(runs, "handle_signals", lambda: None)
     fake_cells.install()
-
-    def call(*argv: str) -> tuple[int, str, str]:
-        code = cli.main(argv)
-        return code, *capsys.readouterr()
-
-    return call
+    return lambda *argv: (cli.main(argv), *capsys.readouterr())
 
 
 @pytest.fixture

@@ -4,16 +4,12 @@ beside the run's directory says for the cell's name; an env named 'nowhere' has 
 As a script it is the real command line with these cells, for tests that send it signals.
 """
 
-import contextlib
-import ctypes
-import dataclasses
 import functools
 import json
 import math
 import os
 import random
 import signal
-import stat
 import sys
 import tempfile
 import threading
@@ -29,7 +25,7 @@ from harness.engines.jobs import Engine
 from harness.process.environment import SAME_INSTRUCTIONS
 from harness.records import Cell, CellResult, Conditions, Row, policies_of, row_of
 from harness.report.model import Report
-from harness.store.store import Store
+from harness.store.store import REBUILT, Store
 
 
 class Panic(BaseException):
@@ -37,11 +33,6 @@ class Panic(BaseException):
 
     def __reduce__(self) -> str:
         raise TypeError("cannot pickle")
-
-
-class Mute(Exception):
-    def __str__(self) -> str:
-        raise RuntimeError("no words")
 
 
 HERE = str(Path(__file__).parent)
@@ -70,13 +61,6 @@ def _hoard() -> None:
         hoard.append(np.empty(1 << 27))
 
 
-def _babble() -> None:
-    for file in map(int, os.listdir("/proc/self/fd")):
-        with contextlib.suppress(OSError):
-            if stat.S_ISSOCK(os.fstat(file).st_mode):
-                os.write(file, b"\0\0\0\5hello")
-
-
 def _look_for_temporary_files() -> None:
     assert list(Path(tempfile.gettempdir()).iterdir()) == []
     (Path(tempfile.gettempdir()) / "large").write_bytes(bytes(1 << 20))
@@ -90,11 +74,8 @@ def _change_the_process() -> None:
 RAISES = {
     "raise": ValueError("two\nlines"),
     "panic": Panic("index out of bounds"),
-    "mute": Mute(),
     "surrogate": ValueError("caf\udce9 \x1b[2J"),
     "exit": SystemExit("gave up"),
-    "generator": GeneratorExit("left"),
-    "keyboard": KeyboardInterrupt(),
 }
 DOES: dict[str, Callable[[], object]] = {
     "vanish": lambda: os._exit(0),
@@ -102,7 +83,6 @@ DOES: dict[str, Callable[[], object]] = {
     "group": lambda: (os.kill(0, signal.SIGTERM), time.sleep(60)),
     "server": lambda: os.kill(os.getppid(), signal.SIGKILL),
     "stops_itself": lambda: os.kill(os.getpid(), signal.SIGSTOP),
-    "stops_server": lambda: os.kill(os.getppid(), signal.SIGSTOP),
     "hungry": _hoard,
     "sleep": lambda: time.sleep(60),
     "slow": lambda: time.sleep(2.0),
@@ -110,11 +90,8 @@ DOES: dict[str, Callable[[], object]] = {
     "looks_for_temporary_files": _look_for_temporary_files,
     "changes_its_process": _change_the_process,
     "forks": os.fork,  # and both go on
-    "leaves_an_alarm": lambda: signal.alarm(1),
     "leaves_a_thread": lambda: threading.Thread(target=time.sleep, args=(60,), daemon=True).start(),
     "draws": lambda: print("drawn:", random.random(), np.random.random()),  # noqa: NPY002
-    "closes_files": lambda: os.closerange(3, 4096),
-    "babbles": _babble,
 }
 """Cells of these methods do this before they return a result, if they do."""
 
@@ -129,28 +106,19 @@ def faked(cell: Cell, conditions: Conditions, directory: Path) -> CellResult:
     behaviour = json.loads(faults.read_text()).get(cell.name, "") if faults.exists() else cell.method
     if behaviour in RAISES:
         raise RAISES[behaviour]
-    DOES.get(behaviour, lambda: None)()
-    if behaviour.startswith("leaves_one"):
+    if behaviour.startswith("leaves_one_and_"):
         _leave_one_behind(directory)
-        DOES.get(behaviour.removeprefix("leaves_one_and_"), lambda: None)()
-    if behaviour == "never_yields":
-        (directory / "left_behind.txt").write_text(f"{os.getpid()}\n")
-        ctypes.PyDLL(None).sleep(60)  # No other thread of Python's runs meanwhile.
+    DOES.get(behaviour.removeprefix("leaves_one_and_"), lambda: None)()
     score = math.nan if behaviour == "nan" else 100.0 * cell.seed + len(cell.method)
     steps = 1j if behaviour == "unstorable" else 7
-    if behaviour == "other_protocol":
-        conditions = dataclasses.replace(conditions, protocol="another")
-    rows = _rows(Cell(cell.env, "bc", 99) if behaviour == "other" else cell, conditions, score, steps)
+    if behaviour == "other":
+        cell = Cell(cell.env, "bc", 99)
     curves = {"pi_R": [(0.0, math.nan), (1.0, 2.5)]}
     if behaviour == "large":
         curves |= {f"loss {i}": 1000 * curves["pi_R"] for i in range(29)}
-    return CellResult(
-        Cell(cell.env, "bc", 99) if behaviour == "other" else cell,
-        rows[: 1 if behaviour == "one_row" else 2],
-        curves,
-        warnings=["\x1b[2J" if behaviour == "escape" else f"{cell.env}: low bar"],
-        recordings={"ghost.rrd": "0" * 64} if behaviour == "ghost_recording" else {},
-    )
+    recordings = {"ghost.rrd": "0" * 64} if behaviour == "ghost_recording" else {}
+    rows = _rows(cell, conditions, score, steps)
+    return CellResult(cell, rows, curves, warnings=[f"{cell.env}: low bar"], recordings=recordings)
 
 
 def _rows(cell: Cell, conditions: Conditions, score: float, steps: float | complex) -> list[Row]:
@@ -160,45 +128,40 @@ def _rows(cell: Cell, conditions: Conditions, score: float, steps: float | compl
 
 
 def _leave_one_behind(directory: Path) -> None:
-    """A process of a session of its own, which keeps every file open, with another one below it."""
+    """Start a process of a session of its own, which keeps every file open, with another one below it."""
+    left = directory / "left_behind.txt"
     if os.fork() == 0:
         os.setsid()
         os.fork()
-        with (directory / "left_behind.txt").open("a") as file:
+        with left.open("a") as file:
             file.write(f"{os.getpid()}\n")
         time.sleep(60)
         os._exit(0)
-    while not (left := directory / "left_behind.txt").exists() or len(left.read_text().split()) < 2:
+    while not left.exists() or len(left.read_text().split()) < 2:
         time.sleep(0.01)
 
 
 def write_report(directory: Path, report: Report) -> list[Path]:
-    names = ("scores.csv", "leaderboard.csv", "leaderboard.md", "report.html")
-    for name in names:
+    for name in REBUILT:
         (directory / name).write_text(f"a table of {len(report.results)} cells\n")
-    return [directory / name for name in names]
+    return [directory / name for name in REBUILT]
 
 
 def install() -> None:
-    """Makes the command line use the cells and the report of this file."""
-    import harness.engines.inline
-    import harness.engines.processes
-    import harness.schedule.grid
+    """Make the command line use the cells and the report of this file."""
+    from harness.engines import inline, processes
+    from harness.schedule import grid
 
-    grid = harness.schedule.grid.Grid
+    Grid = grid.Grid
 
-    def told_where(
-        conditions: Conditions, run: Store, engine: Engine, *more: object
-    ) -> harness.schedule.grid.Grid:
+    def told_where(conditions: Conditions, run: Store, engine: Engine, *more: object) -> grid.Grid:
         os.environ[FOLDER] = str(run.path.absolute())
-        return grid(conditions, run, engine, *more)
+        return Grid(conditions, run, engine, *more)
 
-    harness.schedule.grid.Grid = told_where
-    harness.engines.processes.Processes = functools.partial(
-        harness.engines.processes.Processes, work="fake_cells", preload=PRELOAD
-    )
+    grid.Grid = told_where
+    processes.Processes = functools.partial(processes.Processes, work="fake_cells", preload=PRELOAD)
+    inline.Inline = functools.partial(inline.Inline, work="fake_cells")
     os.environ["PYTHONPATH"] = os.pathsep.join([HERE, *filter(None, [os.environ.get("PYTHONPATH")])])
-    harness.engines.inline.Inline = functools.partial(harness.engines.inline.Inline, work="fake_cells")
     files = types.ModuleType("harness.report.files")
     files.write_report, files.recorded_in = write_report, lambda directory: ()
     sys.modules["harness.report.files"] = files

@@ -1,5 +1,4 @@
-"""Imported once, in the process that those of fake cells are forked from: what each of them would import and
-read, half a second of work."""
+"""Imported once, in the process that those of fake cells are forked from: what all of them would import."""
 
 import gc
 

@@ -21,6 +21,7 @@ FAKE = [sys.executable, str(HERE / "fake_cells.py")]
 FAKE_ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
 SMOKE = ("run", "--budget", "smoke", "--envs", "cartpole")
 PER_SEED = 1 + len(CONTROLS)
+CONDITIONS = Conditions("smoke", "absorbing", "sb3")
 
 
 class Found:
@@ -44,27 +45,27 @@ class Found:
 
 
 def compute(directory: Path, cells: Sequence[Cell], workers: int = 1, timeout: float | None = None) -> Found:
-    """What a grid of fake cells finds; the directory must be there."""
+    """Return what a grid of fake cells finds; the directory must be there."""
     found = Found(directory)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("IRL_BENCH_FAKES", str(directory))
         patch.syspath_prepend(HERE)
         patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
         engine = Processes(workers, timeout, work="fake_cells", preload="fake_preload")
-        Grid(Conditions("smoke", "absorbing", "sb3"), found, engine).run(cells)
+        Grid(CONDITIONS, found, engine).run(cells)
     return found
 
 
 def prepared(directory: Path, source: str, deterministic: bool = True) -> Mapping[str, bytes]:
     """Return what the `prepare` of a module of this source returns in a worker."""
     (directory / "prepares.py").write_text(source)
-    cell, conditions = Cell("cartpole", REFERENCE, 0), Conditions("smoke", "absorbing", "sb3")
+    cell = Cell("cartpole", REFERENCE, 0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(directory), str(HERE)]))
         engine = Processes(1, deterministic=deterministic, work="prepares", preload="fake_preload")
-        (key,) = cell_keys([cell], conditions, engine.variables).values()
+        (key,) = cell_keys([cell], CONDITIONS, engine.variables).values()
         with engine:
-            engine.submit(Job((cell,), True, conditions, key))
+            engine.submit(Job((cell,), True, CONDITIONS, key))
             while not (ended := engine.completed()):
                 pass
     ((_, outcome),) = ended
@@ -81,8 +82,6 @@ def computed(directory: Path) -> list[str]:
 
 
 def scores(directory: Path) -> dict[str, str]:
-    """What the stored cells hold, but for when they were stored and how long they took."""
-    return {
-        name: json.dumps({**stored(directory, name), "finished": "", "seconds": {}})
-        for name in names(directory)
-    }
+    """Return what the stored cells hold, but for when they were stored and how long they took."""
+    known = {name: stored(directory, name) for name in names(directory)}
+    return {name: json.dumps({**cell, "finished": "", "seconds": {}}) for name, cell in known.items()}

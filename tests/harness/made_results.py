@@ -1,10 +1,9 @@
 """Results as a run of three seeds could have them, for tests of what is made of results."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -28,30 +27,26 @@ RETURNS = {
     ("control_minus1", "pi_R"): 20.0,
     ("control_untrained", "pi_R"): 110.0,
 }
+NUMBERS = {"episodes": 100, "return_std": 1 / 3, "discounted_mean": 90.0, "length_mean": 400.0}
+COSTS = {"fit_seconds": 12.5, "env_steps": 15_000, "rl_solves": 1}
 
 
 def make_results(envs: tuple[str, ...] = ENVS, seeds: int = 3) -> list[CellResult]:
-    """Results in which seed k of a method other than the reference earns 5 * k less. bc learns no reward;
-    maxmargin fails in the last seed."""
+    """Return results in which seed k of a method other than the reference earns 5 * k less. bc learns no
+    reward; maxmargin fails in the last seed."""
     rng = np.random.default_rng(0)
     results = []
-    methods = list(dict.fromkeys(method for method, _ in RETURNS))
-    for env, method, seed in itertools.product(envs, methods, range(seeds)):
-        rows = []
-        for (name, policy), value in RETURNS.items():
-            if name != method:
-                continue
-            if method == "maxmargin" and seed == seeds - 1 and seeds > 1:
-                rows.append(
-                    make_row(env, method, seed, policy, status="failed", reason="no | progress\nin LP")
-                )
-                continue
-            loss = 0 if method == "reference" else 5 * seed
-            rows.append(make_row(env, method, seed, policy, return_mean=value - loss))
+    for env, method, seed in itertools.product(envs, dict.fromkeys(m for m, _ in RETURNS), range(seeds)):
+        less = 0 if method == "reference" else 5 * seed
+        values = {policy: value - less for (name, policy), value in RETURNS.items() if name == method}
+        rows = [make_row(env, method, seed, policy, return_mean=value) for policy, value in values.items()]
+        if method == "maxmargin" and seed == seeds - 1 and seeds > 1:
+            why = {"status": "failed", "reason": "no | progress\nin LP"}
+            rows = [make_row(env, method, seed, policy, **why) for policy in values]
+        curves = {}
         if method == "bc":
             rows.append(make_row(env, method, seed, "pi_R", status="skipped", reason="learns no reward"))
-        curves = {}
-        if method != "bc":
+        else:
             steps = range(0, 15_001, 1000)
             rise = np.cumsum(rng.normal(3, 4, len(steps)))
             name = "expert" if method == "reference" else "pi_R"
@@ -65,18 +60,8 @@ def make_results(envs: tuple[str, ...] = ENVS, seeds: int = 3) -> list[CellResul
     return results
 
 
-def make_row(env: str, method: str, seed: int, policy: str, **values: object) -> Row:
-    numbers: dict[str, object] = {}
-    if values.get("status", "ok") == "ok":
-        numbers = {
-            "episodes": 100,
-            "return_std": 1 / 3,
-            "discounted_mean": 90.0,
-            "length_mean": 400.0,
-            "fit_seconds": 12.5,
-            "env_steps": 15_000,
-            "rl_solves": 1,
-        }
+def make_row(env: str, method: str, seed: int, policy: str, **values: Any) -> Row:
+    numbers: dict[str, Any] = NUMBERS | COSTS if values.get("status", "ok") == "ok" else {}
     return Row(env, method, seed, policy, "absorbing", **{**numbers, **values})  # type: ignore[arg-type]
 
 
@@ -84,9 +69,9 @@ def entry_of(results: list[CellResult], method: str, policy: str) -> Entry:
     return next(e for e in leaderboard(scored_rows(results)) if (e.method, e.policy) == (method, policy))
 
 
-def changed(results: list[CellResult], method: str, **values: object) -> list[CellResult]:
+def changed(results: list[CellResult], method: str, **values: Any) -> list[CellResult]:
     """Put these values into all rows of the method."""
     for result in results:
         if result.cell.method == method:
-            result.rows[:] = [dataclasses.replace(row, **values) for row in result.rows]  # type: ignore[arg-type]
+            result.rows[:] = [dataclasses.replace(row, **values) for row in result.rows]
     return results

@@ -1,7 +1,5 @@
 """A task that is odd where a test asks for it."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,21 +19,22 @@ BOX = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 class Odd(gym.Env):
-    """It observes the steps taken and a start in [0, 1], pays 1, and keeps what it was told to do."""
+    """It observes the steps taken and a start in [0, 1], pays 1, and keeps what it was told to do.
+
+    `odd`: functions of itself, in the place of what it observes, pays, or says of its end.
+    """
 
     observation_space = spaces.Box(-np.inf, np.inf, (2,), np.float32)
-    told: list[Any]
 
-    def __init__(self, act: spaces.Space = BOX, **odd: Any) -> None:
-        self.action_space, self.odd, self.steps = act, odd, 0
-        self.told = []
+    def __init__(self, act: spaces.Space = BOX, reuse: bool = False, **odd: Any) -> None:
+        self.action_space, self.reuse, self.steps = act, reuse, 0
+        self.odd = {"observe": observed, "pay": one, "end": never, "cut": never} | odd
+        self.told: list[Any] = []
         self.buffer = np.zeros(2, np.float32)
 
     def seen(self) -> Any:
         self.buffer[:] = self.steps, self.start
-        if "observe" in self.odd:
-            return self.odd["observe"](self)
-        return self.buffer if self.odd.get("reuse") else self.buffer.copy()
+        return self.odd["observe"](self)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
         super().reset(seed=seed)
@@ -46,10 +45,11 @@ class Odd(gym.Env):
         assert self.action_space.contains(action), action
         self.told.append(action)
         self.steps += 1
-        pay, end, cut = (
-            self.odd.get(name, of) for name, of in (("pay", one), ("end", never), ("cut", never))
-        )
-        return self.seen(), pay(self), end(self), cut(self), {}
+        return self.seen(), *(self.odd[name](self) for name in ("pay", "end", "cut")), {}
+
+
+def observed(env: Odd) -> Any:
+    return env.buffer if env.reuse else env.buffer.copy()
 
 
 def one(env: Odd) -> Any:
@@ -69,20 +69,10 @@ def task(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
     """A function that registers an odd task for the test alone, and returns its id."""
     numbers = itertools.count()
 
-    def register(
-        entry: Callable[..., gym.Env] | None = None,
-        limit: int | None = LIMIT,
-        wrapped: tuple = (),
-        **odd: Any,
-    ) -> str:
+    def register(entry: Any = None, limit: int | None = LIMIT, wrapped: tuple = (), **odd: Any) -> str:
         env_id = f"irl_bench_tests/Odd{next(numbers)}-v0"
-        spec = Registered(
-            env_id,
-            entry or partial(Odd, **odd),
-            max_episode_steps=limit,
-            disable_env_checker=True,
-            additional_wrappers=wrapped,
-        )
+        more: dict[str, Any] = {"disable_env_checker": True, "additional_wrappers": wrapped}
+        spec = Registered(env_id, entry or partial(Odd, **odd), max_episode_steps=limit, **more)
         monkeypatch.setitem(gym.registry, env_id, spec)
         return env_id
 
@@ -96,6 +86,5 @@ def lengths(spec: EnvSpec, count: int = 4) -> set[tuple[int, bool, str]]:
 
 
 def inner(env: gym.Env) -> Odd:
-    its = env.unwrapped
-    assert isinstance(its, Odd)
-    return its
+    assert isinstance(env.unwrapped, Odd)
+    return env.unwrapped

@@ -1,5 +1,4 @@
-"""A plug-in of methods for tests of engines: one that learns a line, one that never ends, one that asks for
-more memory than there is."""
+"""A plug-in of methods: one learns a line, one never ends."""
 
 import time
 from dataclasses import dataclass
@@ -24,12 +23,4 @@ class Hangs:
             time.sleep(60)
 
 
-@dataclass(frozen=True)
-class Eats:
-    def fit(self, demos: Episodes, world: World, rng: np.random.Generator) -> Learned:
-        eaten = []
-        while True:
-            eaten.append(np.empty(1 << 30))
-
-
-METHODS = {"line": Line, "hangs": Hangs, "eats": Eats}
+METHODS = {"line": Line, "hangs": Hangs}

@@ -17,13 +17,11 @@ class Mine(BehaviourCloning):
 METHODS = {"mine": Mine}
 ENVS = {"moon": from_gymnasium("Pendulum-v1", "moon", kwargs={"g": 1.62})}
 """
-
-
 SMOKE = ("--budget", "smoke", "--no-retrain", "--record", "none")
 
 
 def command(folder: Path, *words: str, code: int = 0, **variables: str) -> str:
-    """What the command line prints, run in a folder."""
+    """Return what the command line prints, run in a folder."""
     env = {**os.environ, "IRL_BENCH_CACHE": str(folder / "cache"), **variables}
     program = [sys.executable, "-c", "from harness.cli.main import main; import sys; sys.exit(main())"]
     done = subprocess.run(

@@ -1,7 +1,5 @@
 """Rewards for the target task."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

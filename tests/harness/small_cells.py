@@ -24,7 +24,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def run(cell: Cell, directory: Path, conditions: Conditions = SMOKE) -> CellResult:
-    """A cell, whose files go to the directory."""
+    """Return the result of a cell, whose files go to the directory."""
     result, files = run_cell(cell, conditions, prepare([cell], conditions))
     assert result.files == {name: sha256_of(data) for name, data in files.items()}
     for name, data in files.items():

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,18 +23,15 @@ from harness.store.database import FILE
 from tests.harness.small_runs import execute
 
 pytest.importorskip("ray", reason="of the extra irl-bench[ray]")
-TESTS = Path(__file__).parents[1]
-PLUGIN = TESTS / "odd_methods.py"
+PLUGIN = Path(__file__).parents[1] / "odd_methods.py"
 PATIENCE = 240.0
+ASKED = ["--envs", "cartpole", "--budget", "smoke", "--no-retrain", "--record", "none"]
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
     with local_cluster(2) as started:
         yield started
-
-
-ASKED = ["--envs", "cartpole", "--budget", "smoke", "--no-retrain", "--record", "none"]
 
 
 def start(out: Path, *more: str) -> subprocess.Popen:
@@ -44,9 +42,11 @@ def start(out: Path, *more: str) -> subprocess.Popen:
     )
 
 
-def finish(process: subprocess.Popen) -> tuple[int, str]:
+def finish(process: subprocess.Popen, code: int) -> str:
+    """Return what it printed, when it has ended with this exit code."""
     printed, _ = process.communicate(timeout=PATIENCE)
-    return process.returncode, printed
+    assert process.returncode == code, printed
+    return str(printed)
 
 
 def wait_for(truth: Callable[[], bool]) -> None:
@@ -57,18 +57,16 @@ def wait_for(truth: Callable[[], bool]) -> None:
 
 
 def stored(out: Path) -> dict[Cell, CellResult]:
+    """Return the stored results, without times."""
     if not (out / FILE).is_file():
         return {}
     try:
-        rows = execute(out, "SELECT data FROM cells")
+        results = [decode(data) for (data,) in execute(out, "SELECT data FROM cells")]
     except sqlite3.OperationalError:  # it has no tables yet
         return {}
-    return {(result := decode(data)).cell: result for (data,) in rows}
-
-
-def without_times(result: CellResult) -> CellResult:
-    rows = [replace(row, fit_seconds=0.0) for row in result.rows]
-    return replace(result, rows=rows, seconds={}, finished="")
+    timeless = [[replace(row, fit_seconds=0.0) for row in result.rows] for result in results]
+    pairs = zip(results, timeless, strict=True)
+    return {it.cell: replace(it, rows=rows, seconds={}, finished="") for it, rows in pairs}
 
 
 def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: LocalCluster, tmp_path: Path) -> None:
@@ -84,52 +82,62 @@ def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: LocalCluster, tmp_pa
     second = start(tmp_path / "there", *there)
     wait_for(lambda: len(stored(tmp_path / "there")) >= 4)
     cluster.kill_node()
-    code, printed = finish(second)
-    assert code == 0, printed
-    assert f"{8 - kept} cells to run, {kept} kept from before" in printed
-    code, printed = finish(start(tmp_path / "here", *asked))
-    assert code == 0, printed
-    expected, found = stored(tmp_path / "here"), stored(tmp_path / "there")
-    assert len(found) == 8
-    assert {cell: without_times(result) for cell, result in found.items()} == {
-        cell: without_times(result) for cell, result in expected.items()
-    }
+    assert f"{8 - kept} cells to run, {kept} kept from before" in finish(second, 0)
+    finish(start(tmp_path / "here", *asked), 0)
+    assert len(stored(tmp_path / "there")) == 8
+    assert stored(tmp_path / "there") == stored(tmp_path / "here")
 
 
-def test_a_cell_that_hangs_or_takes_too_much_memory_is_a_failed_row(
-    cluster: LocalCluster, tmp_path: Path
-) -> None:
-    asked = ["--methods", "line,hangs,eats", "--cell-timeout", "10"]
-    code, printed = finish(start(tmp_path / "run", *asked, "--engine", "ray", "--address", cluster.address))
-    assert code == 1, printed
+def test_a_cell_that_hangs_is_a_failed_row(cluster: LocalCluster, tmp_path: Path) -> None:
+    asked = ["--methods", "line,hangs", "--cell-timeout", "10"]
+    finish(start(tmp_path / "run", *asked, "--engine", "ray", "--address", cluster.address), 1)
     rows = {cell.method: result.rows[0] for cell, result in stored(tmp_path / "run").items()}
-    assert {name: row.status for name, row in rows.items()} == {
-        "reference": "ok",
-        "line": "ok",
-        "hangs": "failed",
-        "eats": "failed",
-    }
+    status = {"reference": "ok", "line": "ok", "hangs": "failed"}
+    assert {name: row.status for name, row in rows.items()} == status
     assert rows["hangs"].reason == "it was stopped after 10 s"
-    assert rows["eats"].reason.startswith("out of memory: ")
 
 
-def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(tmp_path: Path) -> None:
+@pytest.fixture
+def hanging(tmp_path: Path) -> Iterator[tuple[subprocess.Popen, list[psutil.Process]]]:
+    """A run whose last cell hangs, on a cluster of its own, and its processes."""
     run = start(tmp_path / "run", "--methods", "hangs", "--engine", "ray", "--workers", "2")
     wait_for(lambda: len(stored(tmp_path / "run")) == 1)
-    descendants = psutil.Process(run.pid).children(recursive=True)
-    listening = {
-        connection.laddr.ip
-        for process in descendants
-        for connection in process.net_connections("inet")
-        if connection.status == psutil.CONN_LISTEN
-    }
+    yield run, psutil.Process(run.pid).children(recursive=True)
+    if run.poll() is None:
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=PATIENCE)
+
+
+def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(
+    hanging: tuple[subprocess.Popen, list[psutil.Process]],
+) -> None:
+    run, descendants = hanging
+    listening = set()
+    for process in descendants:
+        with suppress(psutil.NoSuchProcess):
+            connections = process.net_connections("inet")
+            listening |= {one.laddr.ip for one in connections if one.status == psutil.CONN_LISTEN}
     assert listening <= {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
     assert listening
     run.send_signal(signal.SIGINT)
-    code, printed = finish(run)
-    assert code == 130, printed
-    assert "Traceback" not in printed
+    assert "Traceback" not in finish(run, 130)
     _, alive = psutil.wait_procs(descendants, timeout=30)
+    assert not alive
+
+
+def test_a_lost_head_ends_the_run_with_a_line_its_report_and_nothing_left(
+    tmp_path: Path, hanging: tuple[subprocess.Popen, list[psutil.Process]]
+) -> None:
+    run, descendants = hanging
+    (head,) = [process for process in descendants if process.name() == "gcs_server"]
+    head.kill()
+    printed = finish(run, 1)
+    line = r"^the head of the Ray cluster at .* is lost; .*the same command goes on$"
+    assert len(re.findall(line, printed, re.M)) == 1
+    assert "not computed yet, or gone: cartpole__hangs__seed0" in printed
+    assert "Traceback" not in printed
+    assert (tmp_path / "run" / "scores.csv").exists()
+    _, alive = psutil.wait_procs(descendants, timeout=5)
     assert not alive
 
 
@@ -142,26 +150,8 @@ def test_a_cluster_of_this_machine_listens_on_loopback_and_goes_with_its_run(tmp
 )
 def test_an_address_without_a_cluster_is_refused_in_a_line(address: str, said: str, tmp_path: Path) -> None:
     asked = ["--methods", "line", "--engine", "ray", "--address", address]
-    code, printed = finish(start(tmp_path / "run", *asked))
-    assert code == 2
+    printed = finish(start(tmp_path / "run", *asked), 2)
     assert printed.startswith(f"irl-bench: error: {said}")
     assert printed.endswith("(docs/cluster.md)\n")
     assert printed.count("\n") == 1
     assert not (tmp_path / "run").exists()
-
-
-def test_a_lost_head_ends_the_run_with_a_line_its_report_and_nothing_left(tmp_path: Path) -> None:
-    run = start(tmp_path / "run", "--methods", "hangs", "--engine", "ray", "--workers", "2")
-    wait_for(lambda: len(stored(tmp_path / "run")) == 1)
-    descendants = psutil.Process(run.pid).children(recursive=True)
-    (head,) = [process for process in descendants if process.name() == "gcs_server"]
-    head.kill()
-    code, printed = finish(run)
-    assert code == 1, printed
-    line = r"^the head of the Ray cluster at .* is lost; .*the same command goes on$"
-    assert len(re.findall(line, printed, re.M)) == 1
-    assert "not computed yet, or gone: cartpole__hangs__seed0" in printed
-    assert "Traceback" not in printed
-    assert (tmp_path / "run" / "scores.csv").exists()
-    _, alive = psutil.wait_procs(descendants, timeout=5)
-    assert not alive

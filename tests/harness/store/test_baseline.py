@@ -1,4 +1,4 @@
-"""A run is shown beside cells of others where those can be compared, and nowhere else; runs are compared."""
+"""A run is shown beside cells of others where those can be compared, and nowhere else."""
 
 import dataclasses
 from collections.abc import Callable
@@ -7,17 +7,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from harness.api import running
 from harness.cli import runs
 from harness.cli.main import main
 from harness.process.environment import numeric
-from harness.records import Cell, CellResult, policies_of
+from harness.records import Cell, CellResult, Shown, policies_of
 from harness.registry import KNOWN, BadInput, keys
 from harness.store import baseline
 from harness.store.opening import open_for_run
 from harness.store.request import Request
 from harness.store.store import Store
-from tests.harness.made_results import REQUEST, entry_of, make_results, make_row
+from tests.harness.made_results import REQUEST, make_results, make_row
 from tests.harness.small_runs import damage, names, store, stored
 
 MINE = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
@@ -25,7 +24,7 @@ VARIABLES = numeric(True)
 
 
 def made(path: Path, results: list[CellResult] | None = None, request: Request = REQUEST) -> Path:
-    """A run of these results."""
+    """Return a run of these results."""
     with open_for_run(path, request) as run:
         for result in make_results() if results is None else results:
             run.save(result)
@@ -44,21 +43,13 @@ def computed(seeds: tuple[int, ...], score: float = 470.0, method: str = "gail")
 
 
 def edited(board: Path, change: Callable[[dict], None], task: str = "") -> None:
-    """What the board's cells, of one task or all, hold is changed, and their checksums say so."""
+    """Change what the board's cells hold, of one task or all, and their checksums."""
     for file in board.glob("*/run.sqlite"):
         for name in names(file.parent):
             if name.startswith(task):
                 result = stored(file.parent, name)
                 change(result)
                 store(file.parent, result, name)
-
-
-def test_what_can_be_compared_is_taken_with_where_it_is_from(board: Path) -> None:
-    found, _ = baseline.comparable([board], MINE, VARIABLES)
-    assert {result.cell.env for result in found} == {"cartpole"}
-    fine = [r.cell for r in make_results(("cartpole",)) if all(row.status != "failed" for row in r.rows)]
-    assert [result.cell for result in found] == sorted(fine)
-    assert {row.source for result in found for row in result.rows} == {"baseline one"}
 
 
 def of_another_task(result: dict) -> None:
@@ -71,10 +62,19 @@ def of_another_method(result: dict) -> None:
         result["key"] = f"{keys.task_of(result['key'])}:other"
 
 
-def test_a_method_of_another_version_is_left_out_by_name(board: Path) -> None:
+def test_what_can_be_compared_is_taken_and_the_rest_is_left_out_by_name(board: Path) -> None:
+    found, _ = baseline.comparable([board], MINE, VARIABLES)
+    fine = [r.cell for r in make_results(("cartpole",)) if all(row.status != "failed" for row in r.rows)]
+    assert [result.cell for result in found] == sorted(fine)
+    assert {row.source for result in found for row in result.rows} == {"baseline one"}
+    shown = dataclasses.replace(MINE, shown=(Shown(5),))
+    found, left_out = baseline.comparable([board], shown, VARIABLES)
+    assert {"bc", "shaped"}.isdisjoint(result.cell.method for result in found)
+    told = "methods in one were shown as many demonstrations as the budget says, and here 5 demonstrations"
+    assert any(line.startswith(told) for line in left_out)
     edited(board, of_another_method)
     found, left_out = baseline.comparable([board], MINE, VARIABLES)
-    assert found
+    assert "shaped" in {result.cell.method for result in found}
     assert "bc" not in {result.cell.method for result in found}
     assert "bc in one is of another version of the method" in left_out
 
@@ -82,33 +82,27 @@ def test_a_method_of_another_version_is_left_out_by_name(board: Path) -> None:
 def test_seeds_of_two_versions_of_a_method_are_not_mixed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    request = dataclasses.replace(REQUEST, methods=("gail",), envs=("cartpole",))
-    runs = [
-        made(tmp_path / "one/a", computed((0, 1)), request),
-        made(tmp_path / "two/b", computed((1, 2)), request),
-    ]
-    edited(tmp_path / "two", lambda result: result.update(key=result["key"] + "0"))
+    runs = [made(tmp_path / f"{i}/{i}", computed(seeds), MINE) for i, seeds in enumerate([(0, 1), (1, 2)])]
+    edited(tmp_path / "1", lambda result: result.update(key=result["key"] + "0"))
     # As of a plug-in, which nobody knows here.
     monkeypatch.setattr(KNOWN, "entries", {"method": {}, "env": KNOWN.entries["env"]})
     found, left_out = baseline.comparable(runs, MINE, VARIABLES)
     assert [result.cell.seed for result in found] == [0, 1]
-    assert left_out == ["gail in b is of another version than in a"]
+    assert left_out == ["gail in 1 is of another version than in 0"]
 
 
 def test_trained_experts_of_another_machine_are_no_experts_of_this_one(board: Path) -> None:
     trained = dataclasses.replace(MINE.conditions, experts="trained")
-    request = dataclasses.replace(MINE, conditions=trained)
     made(board / "two", request=dataclasses.replace(REQUEST, conditions=trained))
     edited(board, of_another_task)
     with pytest.raises(BadInput, match="two is of another version of the task, its experts"):
-        baseline.comparable([board / "two"], request, VARIABLES)
+        baseline.comparable([board / "two"], dataclasses.replace(MINE, conditions=trained), VARIABLES)
     assert baseline.comparable([board / "one"], MINE, VARIABLES)
 
 
 def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
     edited(board, of_another_task)
-    edited(board, lambda result: result["origin"].update(processor="another"))
-    edited(board, lambda result: result["origin"].update(torch="1.0", scipy="1.0"))
+    edited(board, lambda result: result["origin"].update(processor="another", torch="1.0", scipy="1.0"))
     fast = dataclasses.replace(MINE.conditions, deterministic=False)
     found, _ = baseline.comparable([board], dataclasses.replace(MINE, conditions=fast), VARIABLES)
     (source,) = {row.source for result in found for row in result.rows}
@@ -116,39 +110,20 @@ def test_rows_of_another_machine_are_taken_and_marked(board: Path) -> None:
     assert source == f"baseline one, of {others}"
 
 
-def test_what_was_stored_before_versions_were_noted_counts_by_its_key(board: Path) -> None:
-    edited(board, lambda result: result.update(task_version=""))
-    assert baseline.comparable([board], MINE, VARIABLES)
-    edited(board, lambda result: result.update(key="other:other"))
-    with pytest.raises(BadInput, match="no cartpole that can be compared: one is of another version"):
-        baseline.comparable([board], MINE, VARIABLES)
+def test_no_run_other_conditions_and_damage_are_refused_by_name(board: Path, tmp_path: Path) -> None:
+    def refused(why: str, folder: Path = board, envs: tuple[str, ...] = MINE.envs, **change: object) -> None:
+        conditions = dataclasses.replace(MINE.conditions, **change)  # type: ignore[arg-type]
+        with pytest.raises(BadInput, match=why):
+            baseline.comparable([folder], Request(MINE.methods, envs, MINE.seeds, conditions), VARIABLES)
 
-
-@pytest.mark.parametrize(
-    ("change", "why"),
-    [
-        ({"budget": "full"}, "one has budget quick, not full"),
-        ({"rl": "sb3", "experts": "trained"}, "one has rl sbx, not sb3, experts shipped, not trained"),
-        ({"solves": 3}, "one has solves by task and budget, not 3"),
-    ],
-)
-def test_other_conditions_are_refused_by_name(board: Path, change: dict, why: str) -> None:
-    request = dataclasses.replace(MINE, conditions=dataclasses.replace(MINE.conditions, **change))
-    with pytest.raises(BadInput, match=why):
-        baseline.comparable([board], request, VARIABLES)
-
-
-def test_what_is_no_run_or_has_nothing_of_a_task_is_said(board: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(BadInput, match="empty holds no run"):
-        baseline.comparable([tmp_path / "empty"], MINE, VARIABLES)
-    more = dataclasses.replace(MINE, envs=("cartpole", "swingup"))
-    with pytest.raises(BadInput, match="no swingup that can be compared: none"):
-        baseline.comparable([board], more, VARIABLES)
+    refused("empty holds no run", tmp_path / "empty")
+    refused("no swingup that can be compared: none", envs=("cartpole", "swingup"))
+    refused("one has rl sbx, not sb3, experts shipped, not trained", rl="sb3", experts="trained")
+    refused("one has solves by task and budget, not 3", solves=3)
     for name in names(board / "one"):
         damage(board / "one", name)
-    with pytest.raises(BadInput, match=r"no cartpole that can be compared: .*/cartpole__\w+: its checksum"):
-        baseline.comparable([board], MINE, VARIABLES)
+    refused(r"no cartpole that can be compared: .*/cartpole__\w+: its checksum")
 
 
 class Computes:
@@ -192,60 +167,24 @@ def test_only_what_the_baseline_lacks_is_computed_and_all_is_shown(
     before = (tmp_path / "run/leaderboard.csv").read_bytes()
     assert main(["report", "run"]) == 0  # which needs the baseline no more
     assert (tmp_path / "run/leaderboard.csv").read_bytes() == before
+    for earlier, later in (("run", "second"), ("second", "third")):  # of a baseline's rows alone
+        assert run("--baseline", earlier, "--out", later) == 0
+        assert not Computes.asked
     damage(tmp_path / "run", "cartpole__shaped__seed0", "baseline")
     assert main(["verify", "run"]) == 1
     assert main(["report", "run"]) == 1
 
 
-def test_a_run_of_a_baselines_rows_alone_is_a_run(
-    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It computes nothing, is reported, and is a baseline itself."""
-    assert run("--baseline", str(board), "--out", "first") == 0
-    assert run("--baseline", "first", "--out", "second") == 0
-    assert not Computes.asked
-    before = (tmp_path / "second/leaderboard.csv").read_bytes()
-    assert main(["report", "second"]) == 0
-    assert (tmp_path / "second/leaderboard.csv").read_bytes() == before
-    assert run("--baseline", "second", "--out", "third") == 0
-    assert not Computes.asked
-    capsys.readouterr()
-    words = ("--env", "cartpole", "--method", "gail")
-    assert main(["export", "second", *words]) == 2
-    assert "cartpole gail in second is of a baseline" in capsys.readouterr().err
-
-
-def test_what_methods_were_shown_otherwise_is_told(
+def test_a_refused_baseline_writes_nothing_and_one_of_another_version_by_now_is_not_mixed(
     run: Callable[..., int],
     board: Path,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(running, "_computed", lambda *_: {})
-    run("--baseline", str(board), "--demos", "5", "--out", "run")
-    told = "methods in one were shown as many demonstrations as the budget says, and here 5 demonstrations"
-    assert told in capsys.readouterr().err
-
-
-def test_a_line_of_a_method_says_which_of_its_seeds_are_the_baselines() -> None:
-    results = make_results(("cartpole",))
-    for result in results:
-        if result.cell.seed != 1:
-            result.rows[:] = [dataclasses.replace(row, source="baseline one") for row in result.rows]
-    assert entry_of(results, "shaped", "pi_R").note == "baseline one (seeds 0, 2)"
-
-
-def test_a_refused_baseline_writes_nothing(
-    run: Callable[..., int], board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run("--baseline", str(board), "--budget", "full", "--out", "run") == 2
     assert "budget quick, not full" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-
-
-def test_a_run_whose_baseline_is_of_another_version_by_now_is_not_mixed(
-    run: Callable[..., int], board: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     assert run("--baseline", str(board), "--out", "run") == 0
     monkeypatch.setattr(baseline, "task_version", lambda env: "newer")
     monkeypatch.setattr(baseline, "task_of", lambda key: key)

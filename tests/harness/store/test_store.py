@@ -1,8 +1,6 @@
 """A run's directory: what is stored comes back, or is named as damaged; and who may write where."""
 
-import contextlib
 import dataclasses
-import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness.cli.main import main
-from harness.records import LEARNED, Cell, CellResult, Conditions
+from harness.records import LEARNED, Cell, CellResult
 from harness.registry import BadInput, packages
 from harness.store.database import FILE
 from harness.store.files import SUMS, sha256_of
@@ -38,10 +36,11 @@ __all__ = ["run"]
 
 CELL = Cell("cartpole", "bc", 0)
 SECOND = "cartpole__bc__seed1"
+TWO = dataclasses.replace(REQUEST, seeds=(0, 1))
 
 
-def with_learned(data: bytes = b"x") -> tuple[CellResult, dict[str, bytes]]:
-    return dataclasses.replace(result(), learned=sha256_of(data)), {LEARNED: data}
+def with_learned(of: CellResult, data: bytes = b"x") -> tuple[CellResult, dict[str, bytes]]:
+    return dataclasses.replace(of, learned=sha256_of(data)), {LEARNED: data}
 
 
 def test_a_damaged_or_renamed_cell_is_named_and_the_others_load(tmp_path: Path) -> None:
@@ -62,7 +61,7 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with open_for_run(tmp_path, REQUEST) as run:
-        run.save(*with_learned())
+        run.save(*with_learned(result()))
         assert list(run.load()[0]) == [CELL]
         assert run.learned(CELL) == b"x"
     monkeypatch.setattr(packages, "version_of", lambda package: "0")
@@ -75,93 +74,52 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
         assert list(run.load()[0]) == [CELL]
 
 
+def test_cells_that_a_run_was_not_asked_for_are_left_out(run: Path) -> None:
+    strange(run, protocol="native")
+    shaped = stored(run)
+    shaped["cell"]["method"] = shaped["rows"][0]["method"] = "shaped"
+    store(run, shaped, "cartpole__shaped__seed0")
+    with open_for_report(run) as directory:
+        assert directory.load()[1] == {
+            directory.place(NAME): "it was computed under another protocol",
+            directory.place("cartpole__shaped__seed0"): "this run was not asked for it",
+        }
+
+
 @pytest.mark.parametrize(
-    ("name", "changes", "why"),
+    ("lost", "how"),
     [
-        (NAME, {"protocol": "native"}, "it was computed under another protocol"),
-        ("cartpole__shaped__seed0", {"method": "shaped"}, "this run was not asked for it"),
+        (f"recordings/{RECORDING}", lambda run: (run / "recordings" / RECORDING).write_bytes(b"another")),
+        (f"{FILE}/learned/{NAME}", lambda run: delete(run, NAME, "learned")),
+        (f"{FILE}/learned/{NAME}", lambda run: store(run, b"of another cell", NAME, "learned")),
     ],
 )
-def test_cells_that_a_run_was_not_asked_for_are_left_out(
-    run: Path, name: str, changes: dict[str, str], why: str
+def test_a_cell_whose_recording_or_artifact_is_damaged_is_computed_again(
+    tmp_path: Path, lost: str, how: Callable[[Path], object]
 ) -> None:
-    cell = stored(run)
-    cell["cell"]["method"] = changes.get("method", "bc")
-    cell["rows"][0] |= changes
-    store(run, cell, name)
-    with open_for_report(run) as directory:
-        assert directory.load()[1] == {directory.place(name): why}
-
-
-def test_what_nobody_can_write_to_is_read_all_the_same(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opening = os.open
-
-    def refuse(path: Path, flags: int, *more: int) -> int:
-        if flags & (os.O_CREAT | os.O_RDWR):
-            raise PermissionError(errno.EROFS, "Read-only file system")
-        return opening(path, flags, *more)
-
-    monkeypatch.setattr(os, "open", refuse)
-    with open_to_verify(run) as opened:
-        assert opened.damaged() == {}
-    with pytest.raises(BadInput, match="cannot write to"), open_for_report(run):
-        pass
-
-
-def test_a_cell_whose_recording_is_gone_is_computed_again(run: Path) -> None:
-    (run / "recordings" / RECORDING).write_bytes(b"another")
-    with open_for_run(run, REQUEST) as opened:
-        opened.save(dataclasses.replace(result(), recordings={RECORDING: "0" * 64}))
-        found, unusable = opened.load()
-        assert found == {}
-        assert list(unusable.values()) == [f"recordings/{RECORDING} is missing or damaged"]
-    with open_for_report(run) as opened:
-        assert list(opened.load()[0]) == [CELL]
-
-
-@pytest.mark.parametrize("how", ["deleted", "swapped"])
-def test_a_cell_whose_artifact_is_damaged_is_computed_again(tmp_path: Path, how: str) -> None:
     with open_for_run(tmp_path, REQUEST) as run:
-        run.save(*with_learned(b"1"))
-        assert run.learned(CELL) == b"1"
-        if how == "deleted":
-            delete(tmp_path, NAME, "learned")
-        else:
-            store(tmp_path, b"of another cell", NAME, "learned")
+        its, files = recorded()
+        its, learned = with_learned(its)
+        run.save(its, files | learned)
+        assert (list(run.load()[0]), run.learned(CELL)) == ([CELL], b"x")
+        how(tmp_path)
+        assert run.load() == ({}, {run.place(NAME): f"{lost} is missing or damaged"})
         assert run.learned(CELL) == b""
-        assert run.load() == ({}, {run.place(NAME): f"{FILE}/learned/{NAME} is missing or damaged"})
     assert main(["verify", str(tmp_path)]) == 1
+    with open_for_report(tmp_path) as run:
+        assert list(run.load()[0]) == [CELL]
 
 
 def test_what_a_cell_had_before_goes_with_its_new_result(tmp_path: Path) -> None:
     with open_for_run(tmp_path, REQUEST) as run:
         first, files = recorded()
-        run.save(dataclasses.replace(first, learned=sha256_of(b"x")), files | {LEARNED: b"x"})
+        first, learned = with_learned(first)
+        run.save(first, files | learned)
         assert names(tmp_path, "learned") == [NAME]
         run.save(result())
         assert names(tmp_path, "learned") == []
         assert list((tmp_path / "recordings").iterdir()) == []
         assert run.damaged() == {}
-
-
-def test_a_cell_is_whole_or_absent_where_its_transaction_fails(tmp_path: Path) -> None:
-    with open_for_run(tmp_path, REQUEST) as run:
-        run.save(*with_learned())
-        with contextlib.suppress(KeyboardInterrupt), run._database.writing():
-            run._database.put("cells", NAME, "half")
-            raise KeyboardInterrupt
-        assert run.damaged() == {}
-        assert run.learned(CELL) == b"x"
-
-
-@pytest.mark.parametrize("seeds", [[], [1, 0], [-1], [1000], 0, "3", [0.5]])
-def test_a_request_that_is_none_is_damaged(tmp_path: Path, seeds: object) -> None:
-    with open_for_run(tmp_path, REQUEST):
-        pass
-    store(tmp_path, stored(tmp_path, "request", "run") | {"seeds": seeds}, "request", "run")
-    for another in (open_for_report(tmp_path), open_to_verify(tmp_path)):
-        with pytest.raises(BadInput, match="is damaged: what was asked for"), another:
-            pass
 
 
 def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Path) -> None:
@@ -177,36 +135,22 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
-    [({"budget": "full"}, "budget full, not smoke"), ({"record": "none"}, "record none, not both")],
+    ("there", "why"),
+    [
+        ({"conditions": dataclasses.replace(CONDITIONS, budget="full")}, "budget full, not smoke"),
+        ({"methods": tuple(f"m{i}" for i in range(200))}, "cannot hold so much"),
+    ],
 )
-def test_another_run_is_refused_and_left_as_it_was(
-    tmp_path: Path, changes: dict[str, str], message: str
+def test_a_run_that_cannot_grow_by_what_is_asked_is_refused_and_left_as_it_was(
+    tmp_path: Path, there: dict, why: str
 ) -> None:
-    conditions: Conditions = dataclasses.replace(CONDITIONS, **changes)  # type: ignore[arg-type]
-    with open_for_run(tmp_path, dataclasses.replace(REQUEST, conditions=conditions)):
+    with open_for_run(tmp_path, dataclasses.replace(REQUEST, **there)):
         pass
     before = snapshot(tmp_path)
     for another in (open_for_run(tmp_path, REQUEST), open_to_plan(tmp_path, REQUEST, {})):
-        with pytest.raises(BadInput, match=message), another:
+        with pytest.raises(BadInput, match=why), another:
             pass
     assert snapshot(tmp_path) == before
-
-
-def test_a_run_that_would_grow_beyond_what_can_be_read_is_refused(tmp_path: Path) -> None:
-    many = Request(tuple(f"m{i}" for i in range(200)), ("cartpole",), (0,), CONDITIONS)
-    with open_for_run(tmp_path, many):
-        pass
-    with pytest.raises(BadInput, match="cannot hold so much"), open_for_run(tmp_path, REQUEST):
-        pass
-
-
-def test_a_path_where_no_directory_can_be_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file", tmp_path / "file/below", tmp_path / ("x" * 300), Path("/proc/nowhere")):
-        with pytest.raises(BadInput, match="cannot"), open_for_run(path, REQUEST):
-            pass
-    assert snapshot(tmp_path) == {str(tmp_path / "file"): b""}
 
 
 def test_one_may_write_and_many_may_read(run: Path) -> None:
@@ -234,33 +178,11 @@ def test_a_run_does_not_write_into_another_one_that_took_its_place(tmp_path: Pat
                 pass
 
 
-@pytest.mark.parametrize("begun", [b"", b"half a page"])
-def test_a_run_killed_before_its_first_whole_file_can_be_started_again(tmp_path: Path, begun: bytes) -> None:
-    (tmp_path / ".lock").write_text("irl-bench 123456")
-    (tmp_path / FILE).touch()
-    (tmp_path / f"{FILE}-journal").write_bytes(begun)
-    with open_for_run(tmp_path, REQUEST):
-        assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", FILE]
-
-
-@pytest.mark.parametrize("gone", ["recordings/*", "scores.csv", "report.html", SUMS])
-def test_whatever_a_run_had_and_has_no_more_is_damage(
-    run: Path, gone: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for path in run.glob(gone):
-        path.unlink()
-    capsys.readouterr()
-    assert main(["verify", str(run)]) == 1
-    assert capsys.readouterr().out.endswith(": missing\n")
-    assert main(["report", str(run)]) == (1 if "recordings" in gone else 0)
-    assert main(["verify", str(run)]) == (1 if "recordings" in gone else 0)
-
-
 @pytest.mark.parametrize("how", [delete, damage])
 def test_a_cell_that_was_stored_and_is_gone_is_damage_and_no_full_report(
     tmp_path: Path, how: Callable[[Path, str], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with open_for_run(tmp_path, dataclasses.replace(REQUEST, seeds=(0, 1))) as directory:
+    with open_for_run(tmp_path, TWO) as directory:
         for seed in (0, 1):
             directory.save(result(seed=seed))
     assert main(["report", str(tmp_path)]) == 0
@@ -281,16 +203,14 @@ def test_tables_of_other_cells_or_lists_are_damage_and_mended_by_report(
     if how == "another run's":  # valid in itself
         strange(run, return_mean=9.0)
     elif how == "stored since":
-        with open_for_run(run, dataclasses.replace(REQUEST, seeds=(0, 1))) as directory:
+        with open_for_run(run, TWO) as directory:
             directory.save(result(seed=1))
     elif how == "a changed list":
-        lines = (run / SUMS).read_text().splitlines(keepends=True)
-        (run / SUMS).write_text("".join(line for line in lines if not line.endswith("  scores.csv\n")))
+        (run / SUMS).write_text((run / SUMS).read_text().replace("scores.csv", "scores.txt"))
         said = f"{run / SUMS}: its checksum does not match"
     else:
         damage(run, "report", "run")
         said = f"{run / FILE}/run/report: its checksum does not match"
-    capsys.readouterr()
     assert main(["verify", str(run)]) == 1
     assert said in capsys.readouterr().out
     with open_for_run(run, REQUEST) as directory:
