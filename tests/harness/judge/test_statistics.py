@@ -29,11 +29,14 @@ def test_the_interval_is_students_whatever_the_order() -> None:
     assert mean_interval([4.0, 4.0, 4.0]) == (4.0, 4.0)
 
 
-def test_interquartile_mean_ignores_the_outer_quarters() -> None:
+def test_interquartile_mean_ignores_the_outer_quarters_and_refuses_what_is_not_finite() -> None:
     assert interquartile_mean([-1e9, 1.0, 2.0, 1e9]) == 1.5
     assert interquartile_mean([3.0, 1.0, 2.0]) == 2.0  # too few to cut: the plain mean
     assert interquartile_mean([8, 1, 2, 3, 4, 5, 6, 7]) == 4.5
     assert math.isnan(interquartile_mean([]))
+    for function in (mean_interval, interquartile_mean):
+        with pytest.raises(ValueError, match="finite"):
+            function([1.0, math.nan])
 
 
 def test_interquartile_interval_resamples_within_tasks_only() -> None:
@@ -47,12 +50,6 @@ def test_interquartile_interval_resamples_within_tasks_only() -> None:
     middle = np.sort(np.concatenate(drawn, axis=1))[:, 77 : 309 - 77].mean(axis=1)
     expected = np.quantile(middle, [(1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2])
     assert interquartile_interval(tasks, seed=5) == tuple(expected)
-
-
-def test_values_that_are_not_finite_are_refused() -> None:
-    for function in (mean_interval, interquartile_mean):
-        with pytest.raises(ValueError, match="finite"):
-            function([1.0, math.nan])
 
 
 def test_ranks_correlate_as_scipy_has_it() -> None:
