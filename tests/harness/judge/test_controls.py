@@ -9,7 +9,6 @@ import pytest
 
 from harness.judge.controls import control_reward
 from harness.records import CONTROLS
-from harness.registry import SPECS
 from methods.base import Array, Episodes, Learned
 from methods.rewards import default_absorbing
 from tests.harness.rewards import Nothing
@@ -38,9 +37,9 @@ def never(*_: object) -> Any:
     raise AssertionError("this control asks for nothing")
 
 
-def paid(name: str, demos: Any = never, fit: Any = never, seed: int = 0, actions: Any = uniform) -> Any:
+def paid(name: str, demos: Any = never, fit: Any = never, seed: int = 0) -> Any:
     """Return a control's reward."""
-    return control_reward(name, demos, fit, actions, rng(seed))
+    return control_reward(name, demos, fit, uniform, rng(seed))
 
 
 def clone(method: str, demos: Episodes) -> Learned:
@@ -74,18 +73,6 @@ def test_the_untrained_control_is_drawn_by_seed_and_pays_nothing_on_average_abov
     assert above.std() > 1e-3
     # The absorbing value was estimated from 2000 pairs.
     assert abs(above.mean()) < 4 * above.std() / np.sqrt(2000)
-
-
-def test_the_untrained_control_of_choices_averages_over_choices() -> None:
-    spec, generator = SPECS["gridworld"], rng(5)
-    obs = tuple(generator.normal(size=(51, spec.obs_size)) for _ in range(40))
-    demos = Episodes(obs, tuple(np.tile(np.eye(5)[2], (50, 1)) for _ in obs), (False,) * 40)
-    reward = paid("control_untrained", lambda: demos, actions=spec.random_actions)
-    at = demos.pairs()[0]
-    each = np.stack([reward(at, np.tile(choice, (2000, 1)), at) for choice in np.eye(5)])
-    bound = each.std(axis=0).mean() / np.sqrt(2000)
-    assert abs(each.mean() - reward.absorbing) < 4 * bound
-    assert abs(each[2].mean() - reward.absorbing) > 8 * bound
 
 
 def test_the_clone_control_pays_for_being_near_what_cloning_does() -> None:

@@ -71,20 +71,14 @@ def test_settings_of_the_original_and_variables_are_part_of_the_key(monkeypatch:
     assert [a == b for a, b in zip(later, after, strict=True)] == [False, False, False, True]
 
 
-def result(method: str, steps: int, like: list[str] | None = None) -> CellResult:
-    row = Row("swingup", method, 0, "pi_star", "absorbing", env_steps=steps, check_steps=100)
-    return CellResult(Cell("swingup", method, 0), [row], like=like or [])
-
-
 @pytest.mark.parametrize(
-    ("steps", "like", "said"),
-    [
-        (2900, ["gail"], ""),
-        (2901, ["gail"], "mine in swingup took 3,001 .* 1,000 of gail:"),
-        (36_236, [], "mine in swingup took 36,236 .* of RL at this budget:"),
-    ],
+    ("steps", "said"), [(2900, ""), (2901, "mine in swingup took 3,001 .* 1,000 of gail:")]
 )
-def test_a_method_that_takes_many_more_steps_is_told(steps: int, like: list[str], said: str) -> None:
-    found = effort.warnings([result("gail", 900), result("mine", steps, like)], "smoke")
+def test_a_method_that_takes_many_more_steps_than_its_original_is_told(steps: int, said: str) -> None:
+    results = []
+    for method, took in (("gail", 900), ("mine", steps)):
+        row = Row("swingup", method, 0, "pi_star", "absorbing", env_steps=took, check_steps=100)
+        results.append(CellResult(Cell("swingup", method, 0), [row], like=["gail"]))
+    found = effort.warnings(results, "smoke")
     assert len(found) == bool(said)
     assert all(re.search(said, line) for line in found), found

@@ -198,14 +198,6 @@ def test_modules_of_the_current_folder_are_not_imported(tmp_path: Path) -> None:
     assert ran(tmp_path, ["-m", "harness", "list"], files, str(ROOT)) == (0, "")
 
 
-def test_a_package_of_the_programs_name_that_is_imported_already_is_named(tmp_path: Path) -> None:
-    files = {"envs/__init__.py": "", "script.py": "import envs\nimport irl_bench\n"}
-    code, err = ran(tmp_path, ["script.py"], files, str(ROOT))
-    assert code == 1
-    theirs = tmp_path / "envs/__init__.py"
-    assert f"{theirs} hides this program's package 'envs': rename it" in err.splitlines()[-1]
-
-
 @pytest.mark.parametrize(
     ("file", "text", "why"),
     [

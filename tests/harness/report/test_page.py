@@ -126,30 +126,34 @@ def test_filters_leave_what_they_say(page: Any) -> None:
 
 
 def test_columns_that_matter_are_there_at_once_and_the_others_behind_a_switch(page: Any) -> None:
-    def headings() -> list[str]:
-        cells = page.locator("#lines thead th:visible")
-        keys: list[str] = cells.evaluate_all("all => all.map(one => one.dataset.column)")
-        return keys
-
-    assert headings() == FIRST
+    headings = page.locator("#lines thead th:visible")
+    keys = "all => all.map(one => one.dataset.column)"
+    assert headings.evaluate_all(keys) == FIRST
     page.click("#more")
-    assert len(headings()) > 20
+    assert len(headings.evaluate_all(keys)) > 20
     page.click("#more")
-    assert headings() == FIRST
+    assert headings.evaluate_all(keys) == FIRST
 
 
-def test_the_leaderboard_is_saved_as_it_is_filtered(page: Any, tmp_path: Path) -> None:
+def saved(page: Any, what: str) -> list[dict[str, str]]:
+    """Click a button that saves; return the rows of the file."""
+    with page.expect_download() as download:
+        page.locator(what).first.click()
+    return list(csv.DictReader(io.StringIO(download.value.path().read_text())))
+
+
+def test_the_leaderboard_is_saved_as_it_is_filtered_and_curves_point_by_point(page: Any) -> None:
     page.select_option("select[data-filter='method']", "shaped")
-    lines = len(texts(page, "method"))
-    with page.expect_download() as saved:
-        page.click("#lines [data-save=csv]")
-    assert saved.value.suggested_filename == "leaderboard.csv"
-    saved.value.save_as(tmp_path / "saved")
-    rows = list(csv.DictReader(io.StringIO((tmp_path / "saved").read_text())))
-    assert len(rows) == lines
+    rows = saved(page, "#lines [data-save=csv]")
+    assert len(rows) == len(texts(page, "method"))
     assert {row["Method"] for row in rows} == {"shaped"}
     assert all(float(r["Score low"]) < float(r["Score"]) < float(r["Score high"]) for r in rows)
     assert {row["Env steps"] for row in rows} == {"15000"}
+    rows = saved(page, "#learning [data-file]")
+    assert {row["curve"] for row in rows} == {"expert", "pi_R", "pi_R_true"}
+    mine = [r for r in rows if (r["method"], r["curve"]) == ("shaped", "pi_R_true")]
+    assert len(mine) == 16
+    assert all(float(r["low"]) <= float(r["mean"]) <= float(r["high"]) for r in mine)
 
 
 def test_a_text_that_a_spreadsheet_would_compute_is_marked_where_it_is_saved(page: Any) -> None:
@@ -165,17 +169,6 @@ def test_a_text_that_a_spreadsheet_would_compute_is_marked_where_it_is_saved(pag
     assert row["Note"] == "'=1+1"
 
 
-def test_curves_are_saved_with_a_line_for_each_point(page: Any, tmp_path: Path) -> None:
-    with page.expect_download() as saved:
-        page.locator("#learning [data-file]").first.click()
-    saved.value.save_as(tmp_path / "saved")
-    rows = list(csv.DictReader(io.StringIO((tmp_path / "saved").read_text())))
-    assert {row["curve"] for row in rows} == {"expert", "pi_R", "pi_R_true"}
-    mine = [r for r in rows if (r["method"], r["curve"]) == ("shaped", "pi_R_true")]
-    assert len(mine) == 16
-    assert all(float(r["low"]) <= float(r["mean"]) <= float(r["high"]) for r in mine)
-
-
 def test_tooltips_follow_the_pointer_and_the_keyboard(page: Any) -> None:
     page.locator(".heat td[data-tip]").first.hover()
     assert re.search(r": \d\.\d\d \[\d\.\d\d, \d\.\d\d\], 3 of 3 seeds", page.text_content("#tip"))
@@ -185,21 +178,6 @@ def test_tooltips_follow_the_pointer_and_the_keyboard(page: Any) -> None:
     assert page.evaluate("document.activeElement.getAttribute('aria-describedby')") == "tip"
     page.keyboard.press("Escape")
     assert not page.is_visible("#tip")
-
-
-def test_every_heading_is_explained_in_the_glossary(page: Any) -> None:
-    keys, titles, meanings = page.evaluate(
-        """() => {
-            const all = (kind, read) => [...document.querySelectorAll(kind)].map(read);
-            return [all("th[data-column]", th => [th.dataset.column, th.textContent]),
-                    all("#glossary dt", dt => dt.textContent),
-                    Object.fromEntries(all("#glossary dd", dd => [dd.id, dd.textContent]))];
-        }"""
-    )
-    assert len(titles) == len(meanings) > 30
-    for key, title in keys:
-        assert title.removesuffix(" [95 %]") in titles
-        assert len(meanings[f"column-{key}"]) > 10
 
 
 def test_each_figure_has_words_and_its_data_and_links_lead_somewhere(page: Any) -> None:
@@ -259,12 +237,11 @@ def test_cautions_stand_beside_the_numbers_that_they_are_about(browser: Any, tmp
     write_report(tmp_path, build(REQUEST, results))
     page = browser.new_page()
     page.goto((tmp_path / "report.html").as_uri())
-    told = {
-        column.query_selector("a").text_content(): [
-            b.text_content() for b in column.query_selector_all("button")
-        ]
-        for column in page.query_selector_all(".heat thead tr:last-child th:has(a)")[2:]
-    }
+    heads = page.locator(".heat thead tr:last-child th:has(a)")
+    told = heads.evaluate_all("""all => Object.fromEntries(all.slice(2).map(head => [
+        head.querySelector("a").textContent,
+        [...head.querySelectorAll("button")].map(button => button.textContent),
+    ]))""")
     assert told == {
         "cartpole": ["not a result", "one seed", "controls tie"],
         "pendulum": ["one seed", "controls tie"],

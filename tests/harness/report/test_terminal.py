@@ -125,12 +125,6 @@ def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
     )
 
 
-def test_of_many_boards_it_counts() -> None:
-    envs = ("cartpole", "pendulum", "highway", "acrobot")
-    lines = closing(make_results(envs), dataclasses.replace(REQUEST, envs=envs))
-    assert lines["pi_R"] == "best, or not significantly worse, of 4 boards: shaped on 4"
-
-
 def test_who_asks_the_expert_is_marked_and_no_rival() -> None:
     results = make_results(("cartpole",))
     for seed in range(3):
