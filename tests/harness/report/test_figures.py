@@ -77,8 +77,10 @@ def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
         chart, few = curves.learning(board, 60), curves.learning(board, 2)
     assert chart is not None
     assert few is not None
+    (plot,) = chart.plots
+    assert plot.count('font-weight="700"') == 7, "control_true and the other controls, shaped, maxmargin"
     for value in (dict(r.curves["pi_R_true"])[9000.0] for r in results if r.cell.method == "shaped"):
-        assert f'data-tip="shaped, steps 9,000: true return {value:.1f}"' in chart.plots[0]
+        assert f'data-tip="shaped, steps 9,000: true return {value:.1f}"' in plot
     assert few.note == "The first 2 of 7 panels."
 
 

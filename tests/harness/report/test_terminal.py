@@ -125,16 +125,6 @@ def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
     )
 
 
-def test_who_asks_the_expert_is_marked_and_no_rival() -> None:
-    results = make_results(("cartpole",))
-    for seed in range(3):
-        row = make_row("cartpole", "dagger", seed, "pi_star", return_mean=499.0)
-        results.append(CellResult(Cell("cartpole", "dagger", seed), [row]))
-    expected = "cartpole: bc 0.95 [0.92, 0.97]; dagger asks the expert and is not ranked"
-    assert closing(results)["pi*"] == expected
-    assert "asks the expert: not ranked" in table_line(results, "dagger", "pi*")
-
-
 @pytest.mark.parametrize("columns", [60, 200])
 def test_tables_and_lines_are_within_the_terminals_width(
     columns: int, monkeypatch: pytest.MonkeyPatch
