@@ -32,8 +32,7 @@ NAMES = (
 )
 FILE = "cartpole__bc__seed0__pi_star.worst.rrd"
 GPU = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-DRAWN = 400
-"""Colours of a page. One on which nothing is drawn has 20 at most."""
+DRAWN = 400  # colours of a page: one on which nothing is drawn has 20 at most
 
 
 @pytest.fixture

@@ -76,13 +76,3 @@ def test_a_package_that_is_installed_is_found_by_its_metadata_and_imported_when_
     assert statuses(tmp_path / "run") == {"still": "ok"}
     broken = command(tmp_path, "run", "--methods", "broken", "--envs", "swingup", PYTHONPATH=path, code=2)
     assert "the method broken cannot be loaded: AttributeError" in broken
-
-
-def test_experts_of_a_task_of_gymnasium_are_trained_once_for_runs(tmp_path: Path) -> None:
-    out = command(tmp_path, "experts", "train", "gym:Pendulum-v1", "--budget", "smoke", "--seeds", "1")
-    assert "gym_Pendulum-v1, seed 0: mean return -" in out
-    (trained,) = (tmp_path / "cache").glob("expert*")
-    before = trained.stat().st_mtime_ns
-    command(tmp_path, "run", "--methods", "bc", "--envs", "gym:Pendulum-v1", *SMOKE, "--out", "run")
-    assert [*(tmp_path / "cache").glob("expert*")] == [trained]
-    assert trained.stat().st_mtime_ns == before

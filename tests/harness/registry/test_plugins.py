@@ -22,6 +22,7 @@ from tests.harness.plugged import MINE
 from tests.harness.registry.conftest import CONDITIONS, key_of
 
 pytestmark = pytest.mark.usefixtures("here")
+Capture = pytest.CaptureFixture[str]
 OWN_PROCESS = loading.in_a_process
 
 
@@ -71,7 +72,7 @@ def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine:
 
 
 def test_what_a_plugin_prints_goes_to_standard_error_and_a_fit_that_exits_fails_its_check(
-    mine: Path, capsys: pytest.CaptureFixture[str]
+    mine: Path, capsys: Capture
 ) -> None:
     """Standard output may be read by a program."""
     fit = "    def fit(self, demos, world, rng):\n        raise SystemExit(0)"
@@ -103,49 +104,45 @@ ENDING = {
 }
 
 
+def refused(words: list[str], why: str, capfd: Capture) -> None:
+    """Assert that a run is refused in a line that says why, and writes nothing."""
+    assert main(["run", "--methods", "bc", *words, "--out", "run"]) == 2
+    err = capfd.readouterr().err
+    assert why in err
+    assert err.count("\n") == 1
+    assert not Path("run").exists()
+
+
 @pytest.mark.parametrize("how", [*BROKEN, *ENDING])
 def test_a_plugin_that_cannot_be_loaded_is_one_line_and_nothing_is_written(
-    how: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    how: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text, reason = (BROKEN | ENDING)[how]
+    monkeypatch.chdir(tmp_path)
+    text, why = (BROKEN | ENDING)[how]
     (tmp_path / "odd.py").write_text(text)
     if how in ENDING:
         monkeypatch.setattr(loading, "in_a_process", OWN_PROCESS)
         monkeypatch.setattr(loading, "LONGEST", 2 if how == "hangs" else 100)
-    out = tmp_path / "run"
-    assert main(["run", "--plugin", str(tmp_path / "odd.py"), "--methods", "bc", "--out", str(out)]) == 2
-    err = capfd.readouterr().err
-    assert reason in err
-    assert err.count("\n") == 1
-    assert not out.exists()
+    refused(["--plugin", "odd.py"], why, capfd)
 
 
 @pytest.mark.parametrize(
-    ("words", "reason"),
+    ("option", "name", "why"),
     [
-        (["--envs", "gym:NoSuchTask-v0"], "NameNotFound"),
-        (["--envs", "gym:Pendulum"], "Pendulum names no version of the task"),
-        (["--envs", "gym:Blackjack-v1"], "observations must be a flat box"),
-        (["--envs", "gym:../run-v0"], "no id of Gymnasium"),
-        (["--plugin", "nowhere.py"], "there is no plug-in"),
-        (["--plugin", "no_such_module"], "cannot be loaded"),
-        (["--plugin", "mine.txt"], "does not end in .py"),
+        ("--envs", "gym:NoSuchTask-v0", "NameNotFound"),
+        ("--envs", "gym:Pendulum", "Pendulum names no version of the task"),
+        ("--envs", "gym:Blackjack-v1", "observations must be a flat box"),
+        ("--plugin", "nowhere.py", "there is no plug-in"),
+        ("--plugin", "no_such_module", "cannot be loaded"),
+        ("--plugin", "mine.txt", "does not end in .py"),
     ],
 )
 def test_what_is_no_plugin_or_no_task_of_gymnasium_is_refused_in_a_line(
-    words: list[str],
-    reason: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    option: str, name: str, why: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.txt").write_text(MINE)
-    assert main(["run", "--methods", "bc", *words, "--out", "run"]) == 2
-    err = capsys.readouterr().err
-    assert reason in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "run").exists()
+    refused([option, name], why, capfd)
 
 
 def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
