@@ -55,20 +55,19 @@ def act(path: Path, spec: EnvSpec, *words: str) -> list[Any]:
 def test_others_files_are_in_the_tasks_own_bounds_component_by_component(
     tmp_path: Path, pair: EnvSpec
 ) -> None:
-    spec = pair
     file = old_imitation(tmp_path / "d.npz", NATIVE)
     folder = imitation(
         tmp_path / "d", Episodes((np.zeros((5, 2)),), (MADE,), (True,)), [np.zeros(4)], 1, [NATIVE]
     )
-    assert act(file, spec) == act(folder, spec) == act(file, spec, "-2,1", "0,5") == MADE.tolist()
+    assert act(file, pair) == act(folder, pair) == act(file, pair, "-2,1", "0,5") == MADE.tolist()
     small = old_imitation(tmp_path / "small.npz", NATIVE[2:3] * [1, 0.2])  # all within [-1, 1]
-    assert act(small, spec) == [[0, -0.8]]
-    assert act(small, spec, "scaled") == act(small, spec, "-1,1") == [[-0.5, 0.5]]
+    assert act(small, pair) == [[0, -0.8]]
+    assert act(small, pair, "scaled") == act(small, pair, "-1,1") == [[-0.5, 0.5]]
     is_refused(
-        file, "have other bounds each, in the task [-2, 1] x [0, 5]; give --action-bounds for", spec, "-2,5"
+        file, "have other bounds each, in the task [-2, 1] x [0, 5]; give --action-bounds for", pair, "-2,5"
     )
-    is_refused(file, "is given 3 times, and its actions have 2 components", spec, "-2,1", "0,5", "0,5")
-    is_refused(file, "4 of 4 actions (1e+02 %) are outside of [-1, 0] x [0, 1]", spec, "-1,0", "0,1")
+    is_refused(file, "is given 3 times, and its actions have 2 components", pair, "-2,1", "0,5", "0,5")
+    is_refused(file, "4 of 4 actions (1e+02 %) are outside of [-1, 0] x [0, 1]", pair, "-1,0", "0,1")
 
 
 @pytest.mark.parametrize(
@@ -103,25 +102,24 @@ def test_a_task_that_is_a_public_one_of_other_bounds_asks_which_are_meant(tmp_pa
 
 
 def test_own_files_are_scaled_and_say_so(tmp_path: Path, pair: EnvSpec) -> None:
-    spec = pair
     write(tmp_path / "new.npz", Episodes((np.zeros((5, 2)),), (MADE,), (True,)))
     with np.load(tmp_path / "new.npz") as arrays:
         there = dict(arrays)
     assert there.pop("act_bounds").tolist() == [[-1, -1], [1, 1]]
     np.savez(tmp_path / "old.npz", **there)
     for name, why in (("new", "as the file says"), ("old", "by this project's form")):
-        found = read(tmp_path / f"{name}.npz", spec)
+        found = read(tmp_path / f"{name}.npz", pair)
         assert found.units is not None
         assert (found.episodes.act[0].tolist(), found.units.why) == (MADE.tolist(), why)
-    is_refused(tmp_path / "new.npz", "contradicts the file, which says [-1, 1]", spec, "-2,1", "0,5")
+    is_refused(tmp_path / "new.npz", "contradicts the file, which says [-1, 1]", pair, "-2,1", "0,5")
     np.savez(tmp_path / "native.npz", **there | {"act": NATIVE, "act_bounds": [[-2, 0], [1, 5]]})
-    assert act(tmp_path / "native.npz", spec) == MADE.tolist()
+    assert act(tmp_path / "native.npz", pair) == MADE.tolist()
     for name, odd, said in (
         ("flat", [-2, 1], "its bounds (2,) are no (2, A) of lows and highs"),
         ("other", [[-2, 0], [1, 6]], "its actions are in [-2, 1] x [0, 6], and the task's in [-1, 1] or "),
     ):
         np.savez(tmp_path / f"{name}.npz", **there | {"act_bounds": np.array(odd)})
-        is_refused(tmp_path / f"{name}.npz", said, spec)
+        is_refused(tmp_path / f"{name}.npz", said, pair)
 
 
 def test_inspect_says_what_bounds_it_takes_and_why(

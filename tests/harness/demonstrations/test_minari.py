@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from harness.cli.files import export_demonstrations
 from harness.cli.main import main
 from harness.demonstrations.reading import read
 from harness.demonstrations.units import SCALED
@@ -146,17 +145,6 @@ def test_minari_reads_what_is_exported(
         assert all(theirs.action_space.contains(one) for one in episode.actions)
     assert main([*export, "folder"]) == 2
     assert "is there already" in capfd.readouterr().err
-
-
-def test_nothing_is_left_of_an_export_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device", "x")
-
-    monkeypatch.setattr("minari.dataset._storages.arrow_storage.ParquetStorage.update_episodes", fail)
-    with pytest.raises(OSError, match="No space left"):
-        export_demonstrations(tmp_path / "folder", "swingup", 0, 1, "expert")
-    assert {path.name for path in tmp_path.iterdir()} <= {"cache"}
-    assert "MINARI_DATASETS_PATH" not in os.environ
 
 
 def test_without_the_extra_one_line_says_what_to_install(

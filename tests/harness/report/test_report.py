@@ -167,16 +167,6 @@ def test_tables_and_pages_say_how_they_were_computed(tmp_path: Path) -> None:
     assert conditions == ("quick", "sbx", "0.1.0 (abc)", "1a2b3c4d:0")
 
 
-def test_one_rule_names_the_best_wherever_it_is_named(tmp_path: Path) -> None:
-    seeds = {"shaped": 0, "maxmargin": 1}
-    results = [r for r in make_results(("cartpole",)) if seeds.get(r.cell.method, r.cell.seed) == r.cell.seed]
-    write_report(tmp_path, build(REQUEST, results))
-    lines = (tmp_path / "leaderboard.md").read_text().splitlines()
-    (line,) = [one for one in lines if one.startswith("| maxmargin | π_R | 0.") and "seed in common" in one]
-    assert "the best" not in line
-    assert (tmp_path / "report.html").read_text().count("<b>★</b>") == 3, "the legend, and one of each policy"
-
-
 def test_the_page_shows_endings_warnings_recordings_and_machines(report: Path) -> None:
     page, text = (report / "report.html").read_text(), words_of(report / "report.html")
     assert [link for link in re.findall('<a [^>]*href="([^"]*)"', page) if link[0] != "#"] == [
