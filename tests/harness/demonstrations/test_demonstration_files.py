@@ -53,13 +53,16 @@ def test_an_experts_demonstrations_are_those_that_a_run_shows(tmp_path: Path, sp
     assert same(read(tmp_path / "d.npz", spec).episodes, shown)
 
 
-def test_imitations_folders_are_read_and_their_infos_are_not(tmp_path: Path) -> None:
+def test_imitations_folders_are_read_and_imported_and_their_infos_are_not(tmp_path: Path) -> None:
     episodes, rewards = made()
     result = read(imitation(tmp_path / "folder", episodes, rewards, parts=1), SWINGUP, SCALED)
     assert same(result.episodes, episodes)  # the one as long as the horizon was cut there
     assert (result.guessed, result.form) == (1, "imitation")
     two = read(imitation(tmp_path / "two", episodes, rewards), SWINGUP, SCALED)
     assert [len(act) for act in two.episodes.act] == [200, 3, 7]
+    words = ["--env", "swingup", "--action-bounds=scaled", "--to", str(tmp_path / "d.npz")]
+    assert main(["demos", "import", str(tmp_path / "folder"), *words]) == 0
+    assert same(read(tmp_path / "d.npz", SWINGUP).episodes, episodes)
 
 
 def test_imitations_older_files_are_read(tmp_path: Path) -> None:
