@@ -16,7 +16,7 @@ from harness.api.preparing import Engine
 from harness.engines import processes
 from harness.engines.compute import compute
 from harness.engines.inline import Inline
-from harness.engines.jobs import Job
+from harness.engines.jobs import Job, Outcome
 from harness.process.environment import of_this_process
 from harness.records import Cell
 from harness.registry import KNOWN, SPECS, BadInput, keys, loading, plugins
@@ -96,7 +96,7 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
 
 def test_a_job_needs_the_plugins_of_its_method_and_its_task(both: None) -> None:
     cells = [Cell(env, method, 0) for env in ("swingup", "moon") for method in ("bc", "mine", "other")]
-    grid = Grid(CONDITIONS, plan.Silent(), plan.Simulated(1, plan._unknown))
+    grid = Grid(CONDITIONS, plan.Silent(), plan.Simulated(1, lambda job: (0.0, Outcome())))
     jobs = grid.jobs(cells, Costs(CONDITIONS))
     assert {job.name: [Path(one.place).stem for one in job.plugins] for job in jobs} == {
         "swingup__expert__seed0": [],

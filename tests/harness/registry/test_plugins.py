@@ -87,7 +87,6 @@ def test_what_a_plugin_prints_goes_to_standard_error_and_a_fit_that_exits_fails_
 CLASS = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass A:\n fit = print\n"
 BROKEN = {
     "syntax": ("def broken(:", "cannot be loaded: SyntaxError"),
-    "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
     "import": ("import nowhere_to_be_found", "is named as a module that Python can import"),
     "nothing": ("", "says neither METHODS nor ENVS"),
     "no fit": ("class A: ...\nMETHODS = {'mine': A}", "must be a class with a method fit"),
@@ -98,6 +97,7 @@ BROKEN = {
     "our package": ("import envs.of_mine", "'envs' is this program's package: give yours another name"),
 }
 ENDING = {
+    "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
     "leaves": ("import os\nos._exit(0)", "ended its process while it was loaded (0)"),
     "crashes": ("import ctypes\nctypes.string_at(0)", "ended its process while it was loaded (-11)"),
     "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
