@@ -43,7 +43,7 @@ def refused(path: Path, why: str, spec: Any = SWINGUP, bounds: Any = None) -> No
     with pytest.raises(BadInput, match=f"no demonstrations of {spec.name}: ") as error:
         read(path, spec, bounds)
     assert str(error.value).isprintable()
-    assert why in str(error.value)
+    assert why in str(error.value), str(error.value)
 
 
 def imitation(path: Path, episodes: Episodes, rewards: Any, parts: int = 2, act: Any = None) -> Path:

@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from harness.cli import runs
-from harness.cli.files import export_demonstrations
 from harness.cli.main import main
 from harness.demonstrations.reading import read
 from harness.demonstrations.units import SCALED
@@ -27,7 +25,6 @@ from tests.harness.demonstrations.made_demonstrations import (
     minari_folder,
     refused,
 )
-from tests.harness.small_runs import stored
 
 UNTOLD = "does not tell the bounds of its actions; give them as --action-bounds"
 pytestmark = pytest.mark.usefixtures("read_here", "own_cache")
@@ -51,12 +48,11 @@ def test_what_minari_writes_is_read_bit_by_bit(tmp_path: Path, form: str, kind: 
     assert read(path / "data", SWINGUP).digest == result.digest
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_choices_are_read(tmp_path: Path, form: str) -> None:
+def test_choices_are_read_and_those_of_other_numbers_are_refused(tmp_path: Path) -> None:
     content = made(spec=CHOICES)
-    result = read(minari_folder(tmp_path / "d", form, content, spaces.Discrete(2)), CHOICES)
+    result = read(minari_folder(tmp_path / "d", "hdf5", content, spaces.Discrete(2)), CHOICES)
     assert all(map(np.array_equal, result.episodes.act, content[0].act))
-    other = minari_folder(tmp_path / "other", form, content, spaces.Discrete(2, start=1))
+    other = minari_folder(tmp_path / "other", "parquet", content, spaces.Discrete(2, start=1))
     refused(other, "its choices are numbered from 1 on, and the task's from 0 on", CHOICES)
 
 
@@ -98,33 +94,17 @@ def test_endings_are_as_they_are_said(tmp_path: Path, form: str) -> None:
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_no_row_of_numbers_is_refused(tmp_path: Path, form: str) -> None:
     content = made((5,), (True,))
-    obs = content[0].obs[0]
-    unbounded = spaces.Box(-np.inf, np.inf, (3,), np.float64)
-    odd: dict[str, tuple[Any, spaces.Space[Any] | None]] = {
-        "dictionary": ({"a": obs}, spaces.Dict({"a": unbounded})),
-        "texts": ([str(i) for i in range(6)], spaces.Text(9)),
-        "images": (np.zeros((6, 32, 32, 3), np.uint8), spaces.Box(0, 255, (32, 32, 3), np.uint8)),
-        "nan": (np.full((6, 3), np.nan), None),
-    }
-    for name, (seen, space) in odd.items():
+    images = np.zeros((6, 32, 32, 3), np.uint8), spaces.Box(0, 255, (32, 32, 3), np.uint8)
+    dictionary = {"a": content[0].obs[0]}, spaces.Dict({"a": spaces.Box(-np.inf, np.inf, (3,), np.float64)})
+    for name, (seen, space) in (("images", images), ("dictionary", dictionary)):
         path = minari_folder(tmp_path / name, form, content, observations=seen, observation_space=space)
         refused(path, "")
-    huge = minari_folder(tmp_path / "huge", form, content, actions=np.full((5, 1), 1e300))
-    refused(huge, "by 1e+300 at most")
 
 
 ODD_FACTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "a list": (lambda facts: [], "its metadata.json cannot be used"),
-    "no count": (lambda facts: facts.pop("total_episodes"), "its metadata.json cannot be used"),
-    "more than there are": (lambda facts: facts.update(total_episodes=4), "3"),
     "other steps": (lambda facts: facts.update(total_steps=13), "tells of 13 steps"),
     "a pickle": (lambda facts: facts.update(data_format="pickle"), "its metadata.json cannot be used"),
     "no space": (lambda facts: facts.pop("action_space"), UNTOLD),
-    "an odd space": (lambda facts: facts.update(action_space='{"type": "Box", "low": "x"}'), "'x'"),
-    "other bounds": (
-        lambda facts: facts.update(action_space='{"type": "Box", "low": [0, 0], "high": [1, 1]}'),
-        "its bounds are of other actions",
-    ),
 }
 
 
@@ -133,8 +113,8 @@ def test_odd_descriptions_are_refused(tmp_path: Path, name: str) -> None:
     file = minari_folder(tmp_path / "d", "parquet", made((5, 4, 3))) / "data/metadata.json"
     facts = json.loads(file.read_text())
     change, why = ODD_FACTS[name]
-    answer = change(facts)
-    file.write_text(json.dumps(answer if answer == [] else facts))
+    change(facts)
+    file.write_text(json.dumps(facts))
     refused(tmp_path / "d", why)
 
 
@@ -167,17 +147,6 @@ def test_minari_reads_what_is_exported(
     assert "is there already" in capfd.readouterr().err
 
 
-def test_nothing_is_left_of_an_export_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device", "x")
-
-    monkeypatch.setattr("minari.dataset._storages.arrow_storage.ParquetStorage.update_episodes", fail)
-    with pytest.raises(OSError, match="No space left"):
-        export_demonstrations(tmp_path / "folder", "swingup", 0, 1, "expert")
-    assert {path.name for path in tmp_path.iterdir()} <= {"cache"}
-    assert "MINARI_DATASETS_PATH" not in os.environ
-
-
 def test_without_the_extra_one_line_says_what_to_install(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,12 +161,3 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert not (tmp_path / "folder").exists()
     for form in ("parquet", "arrow"):  # which the program's own packages read
         assert main(["demos", "inspect", str(tmp_path / form), "--env", "swingup"]) == 0
-
-
-def test_a_run_is_shown_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "handle_signals", lambda: None)
-    monkeypatch.setattr("harness.schedule.grid.Grid.run", lambda self, cells: None)
-    path, out = minari_folder(tmp_path / "d", "hdf5", made()), tmp_path / "run"
-    main(["run", "--methods", "bc", "--envs", "swingup", "--out", str(out), "--demos-from", str(path)])
-    asked = stored(out, "request", "run")["conditions"]
-    assert asked["demonstrations"] == str(read(path, SWINGUP))

@@ -9,11 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy import linalg
 
 from envs import EnvSpec
-from envs.balancing import cartpole
-from envs.models import Tabular
 from harness.cell.shipped import shipped_policies
 from harness.judge.advantage import (
     POLICIES,
@@ -29,10 +26,8 @@ from harness.judge.advantage import (
 from harness.registry import SPECS
 from harness.rl.seeds import rng_for
 from harness.rl.simulator import Simulator
-from harness.rl.world import TaskWorld, without_rewards
 from methods.base import Array, Reward
 from methods.rewards import Constant
-from methods.shaped import Shaped
 from methods.tabular.model import action_values, greedy, soft_policy, soft_value_iteration, value_iteration
 from tests.harness.rewards import Seek
 
@@ -50,15 +45,14 @@ def compared(spec: EnvSpec, reward: Reward | None) -> Comparison:
 
 
 @dataclass(frozen=True)
-class Other:
-    """A reward with something done to what it pays."""
+class Pays:
+    """A reward that pays what a function says."""
 
-    reward: Reward
-    change: Callable[[Array, Array, Array], Array]
-    absorbing: float
+    function: Callable[[Array, Array, Array], Array]
+    absorbing: float = 0.0
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.change(self.reward(obs, act, next_obs), obs, next_obs)
+        return self.function(obs, act, next_obs)
 
 
 def test_the_true_reward_and_its_equals_have_distance_0_and_its_negative_1(steady: EnvSpec) -> None:
@@ -67,17 +61,16 @@ def test_the_true_reward_and_its_equals_have_distance_0_and_its_negative_1(stead
     assert compared(steady, Seek(scale=30.0))[:2] == (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
     assert compared(steady, Seek(scale=-1.0))[:2] == (pytest.approx(1, abs=1e-3), pytest.approx(-1, abs=1e-3))
     assert 0.05 < compared(steady, Seek(side=0.0)).distance < 0.9
-    shifted = Other(Seek(), lambda paid, *_: 3 * paid + 7, absorbing=7.0)
+    shifted = Pays(lambda *step: 3 * Seek()(*step) + 7, absorbing=7.0)
     assert compared(steady, shifted).distance < 1e-3
 
 
 def test_potential_shaping_changes_nothing_but_what_discounting_leaves_at_the_end(steady: EnvSpec) -> None:
-    long = dataclasses.replace(steady, gamma=0.5)  # its ten steps are the whole of it
+    def shaped(obs: Array, act: Array, next_obs: Array) -> Array:
+        return Seek()(obs, act, next_obs) + 0.5 * np.sin(9 * next_obs[:, 0]) - np.sin(9 * obs[:, 0])
 
-    def shaping(paid: Array, obs: Array, next_obs: Array) -> Array:
-        return paid + 0.5 * np.sin(9 * next_obs[:, 0]) - np.sin(9 * obs[:, 0])
-
-    assert compared(long, Other(Seek(), shaping, 0.0)).distance < 0.02
+    # At this discount ten steps are the whole of it.
+    assert compared(dataclasses.replace(steady, gamma=0.5), Pays(shaped)).distance < 0.02
 
 
 def test_what_an_early_end_costs_counts(fragile: EnvSpec) -> None:
@@ -87,34 +80,30 @@ def test_what_an_early_end_costs_counts(fragile: EnvSpec) -> None:
     assert 0 < lasting.distance < 0.5
 
 
-@pytest.mark.parametrize("level", [1.0, -1.0, 0.0])
-def test_a_reward_that_never_varies_has_no_distance(steady: EnvSpec, level: float) -> None:
-    assert all(map(math.isnan, compared(steady, Constant(level, absorbing=level))))
-    tabular = SPECS["gridworld"].tabular
+def test_a_reward_that_never_varies_has_no_distance(steady: EnvSpec) -> None:
+    constant, tabular = Constant(-1.0, absorbing=-1.0), SPECS["gridworld"].tabular
+    assert all(map(math.isnan, compared(steady, constant)))
     assert tabular is not None
-    known = known_comparison(Constant(level, absorbing=level), tabular, 0.95)
+    known = known_comparison(constant, tabular, 0.95)
     assert all(map(math.isnan, (known.distance, known.rank, known.epic)))
 
 
 def test_replays_differ_in_one_action_and_what_follows(fragile: EnvSpec) -> None:
     first = [np.zeros((0, 1)), np.array([[0.1]]), np.full((9, 1), 0.2), np.array([[0.1], [2.0]])]
     same = Simulator(fragile).run(best, range(4))
-    for lanes in (1, 4):
-        for most in (None, 2):
-            left = Simulator(fragile, lanes).run(best, range(4), first, most)
-            for episode, before, begun in zip(left, same, first, strict=True):
-                expected = before.act.copy()
-                expected[: len(begun)] = begun
-                np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
-                np.testing.assert_array_equal(episode.obs[0], before.obs[0])
-                assert episode.terminated or len(episode.act) == min(10, len(begun) + (most or 10))
+    for lanes, most in ((1, 2), (4, None)):
+        left = Simulator(fragile, lanes).run(best, range(4), first, most)
+        for episode, before, begun in zip(left, same, first, strict=True):
+            expected = before.act.copy()
+            expected[: len(begun)] = begun
+            np.testing.assert_array_equal(episode.act, expected[: len(episode.act)])
+            np.testing.assert_array_equal(episode.obs[0], before.obs[0])
+            assert episode.terminated or len(episode.act) == min(10, len(begun) + (most or 10))
     replays = replay(fragile, best, SEEDS, rng_for(0, "advantage"))
-    assert len(replays.lengths) == 2 * len(SEEDS)
     starts = np.cumsum(replays.lengths + 1) - replays.lengths - 1
-    left_at, kept_at = np.split(replays.obs[starts], 2)
-    np.testing.assert_array_equal(left_at, kept_at)
-    firsts = replays.act[starts - np.arange(len(starts))]
-    assert not np.isclose(*np.split(firsts, 2)).any()
+    assert len(starts) == 2 * len(SEEDS)
+    np.testing.assert_array_equal(*np.split(replays.obs[starts], 2))
+    assert not np.isclose(*np.split(replays.act[starts - np.arange(len(starts))], 2)).any()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -147,27 +136,19 @@ def test_equivalent_rewards_of_random_tasks_have_distance_0_and_the_opposite_1(s
     assert epic_distance(same["the optimal advantage"], r, GAMMA) > 0.25
 
 
-@dataclass(frozen=True)
-class TrulyShaped:
-    """The grid's true reward shaped by its optimal values."""
-
-    tabular: Tabular
-    gamma: float
-    absorbing: float = 0.0
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        value = value_iteration(self.tabular.P, self.tabular.reward, self.gamma)[0]
-        here, there = self.tabular.states(obs), self.tabular.states(next_obs)
-        return self.tabular.reward[here] + self.gamma * value[there] - value[here]
-
-
 def test_where_the_model_is_known_so_is_the_distance() -> None:
-    spec = SPECS["gridworld"]
-    assert spec.tabular is not None
-    same = pytest.approx(0, abs=1e-6)
-    assert known_comparison(None, spec.tabular, spec.gamma) == (0, pytest.approx(1), 0, same)
-    shaped = known_comparison(TrulyShaped(spec.tabular, spec.gamma), spec.tabular, spec.gamma)
-    assert shaped[:3] == (same, pytest.approx(1), 0)
+    spec, same = SPECS["gridworld"], pytest.approx(0, abs=1e-6)
+    tabular = spec.tabular
+    assert tabular is not None
+    value = value_iteration(tabular.P, tabular.reward, spec.gamma)[0]
+
+    def shaped(obs: Array, act: Array, next_obs: Array) -> Array:
+        """The true reward shaped by its optimal values."""
+        here, there = tabular.states(obs), tabular.states(next_obs)
+        return np.asarray(tabular.reward[here] + spec.gamma * value[there] - value[here])
+
+    assert known_comparison(None, tabular, spec.gamma) == (0, pytest.approx(1), 0, same)
+    assert known_comparison(Pays(shaped), tabular, spec.gamma)[:3] == (same, pytest.approx(1), 0)
 
 
 def test_the_floor_is_the_distance_of_a_shaped_copy(steady: EnvSpec, fragile: EnvSpec) -> None:
@@ -183,39 +164,6 @@ def test_the_floor_is_the_distance_of_a_shaped_copy(steady: EnvSpec, fragile: En
     assert replays.terminated.any()
     dead = dataclasses.replace(replays, terminated=np.ones_like(replays.terminated))
     np.testing.assert_array_equal(dead.shaped(replays.advantage), replays.advantage)
-
-
-def best_feedback() -> Array:
-    """(1, 4): K of the action -K obs that is best for cart-pole as it is near upright, where it is linear and
-    pays 1 - angle^2 / 20 - action^2 / 10,000: a discounted linear-quadratic regulator."""
-    upright = np.zeros(4)
-    moved = np.eye(5) * 1e-6
-    after = [cartpole.NOMINAL.advance(upright + d[:4], d[4:]) for d in moved]
-    A, B = np.split(np.array(after).T / 1e-6, [4], axis=1)
-    A, B = (np.sqrt(SPECS["cartpole"].gamma) * m for m in (A, B))
-    Q, R = np.diag([0, 0, 1 / 20, 0]), np.array([[1e-4]])
-    # A position that nothing is paid for still needs some weight, or the equation has no solution.
-    P = linalg.solve_discrete_are(A, B, Q + 1e-12 * np.eye(4), R)
-    return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
-
-
-def test_of_the_best_cart_pole_policy_the_shaped_reward_has_the_same_advantages() -> None:
-    """Near upright; what a learned expert leaves of it is its own distance from the best."""
-    spec, K = SPECS["cartpole"], best_feedback()
-
-    def regulate(obs: Array) -> Array:
-        return np.clip(-obs @ K.T, -1, 1)
-
-    demos = without_rewards(Simulator(spec).run(regulate, range(100)))
-    world = TaskWorld(spec, "absorbing", "sbx")
-    learned = Shaped(batch=256, steps=600).fit(demos, world, np.random.default_rng(0))
-    assert learned.reward is not None
-    replays = replay(spec, regulate, range(100, 300), np.random.default_rng(0))
-    from_its_own_states = slice(0, None, 2)
-    own, true = replays.advantage_of(learned.reward), replays.advantage
-    comparison = compare(own[from_its_own_states], true[from_its_own_states])
-    assert comparison.rank > 0.999
-    assert comparison.distance < 0.1
 
 
 def test_the_true_reward_ranks_all_policies_as_they_are_and_its_negative_the_other_way(

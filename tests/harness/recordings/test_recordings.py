@@ -1,4 +1,4 @@
-"""Recordings hold every number of their episodes, and are small."""
+"""Recordings hold every number of their episodes, and map rewards where they are paid."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import pyarrow as pa
 import pytest
 from rerun.chunk import RrdReader
 
-from envs.point_maze import TARGET
 from envs.spec import Array
-from harness.recordings import ghosts
-from harness.recordings.common import LONG
 from harness.recordings.episode import Advantage, Episode, record
+from harness.recordings.maps import SIDE, maps
 from harness.recordings.scenes import Flat, Solid, scene
 from harness.records import Cell
 from harness.registry import SPECS
@@ -24,8 +22,6 @@ from harness.store.files import write_atomic
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 SPEC = SPECS["cartpole"]
 CELL = Cell("cartpole", "shaped", 3)
-MOST = 400 << 10
-"""Bytes of a recording."""
 Columns = dict[str, dict[str, pa.Array]]
 
 
@@ -106,7 +102,6 @@ def test_every_number_of_the_episode_can_be_read_back(episode: Episode, columns:
     assert columns["/advantage"]["step"].to_pylist() == [3, 9]
     scaled = values(columns["/advantage"]["Scalars:scalars"], (2, 2))
     np.testing.assert_allclose(scaled, [[0.5, -1.0], [-1.0, 0.25]])
-    assert {name for entity in columns.values() for name in entity if ":" not in name} == {"step"}
 
 
 def test_shapes_stand_upright_where_they_were_drawn(episode: Episode, columns: Columns) -> None:
@@ -128,50 +123,29 @@ def test_mujocos_bodies_are_where_the_simulator_has_them(tmp_path: Path, name: s
     (played,) = Simulator(spec, 1).run(lambda obs: spec.random_actions(len(obs), rng), [0], most=30)
     seen = scene(spec, 0, played.act)
     assert isinstance(seen, Solid)
+    assert seen.moving
     recording = record(spec, Cell(name, "bc", 0), "pi_R", "worst", Episode(played, seen))
     columns = read(tmp_path / "a.rrd", recording)
-    if name == "point_maze":
-        target = values(columns["/scene/fixed/target"]["Ellipsoids3D:centers"], (3,))
-        assert target == pytest.approx([*TARGET, 0.0])
+
+    def column(kind: str, part: str, size: int) -> Array:
+        shape = {"capsule": "Capsules3D", "sphere": "Ellipsoids3D", "cylinder": "Cylinders3D"}[kind]
+        return values(columns[f"/scene/policy/{kind}"][f"{shape}:{part}"], (-1, len(seen.moving[kind]), size))
 
     env = spec.make()
     env.reset(seed=0)
     model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
-    shapes = {"capsule": "Capsules3D", "sphere": "Ellipsoids3D", "cylinder": "Cylinders3D"}
     for step in range(len(played.act) + 1):
         if step:
             env.step(spec.native(played.act[step - 1]))
         for kind, geoms in seen.moving.items():
-            entity, shape = columns[f"/scene/policy/{kind}"], shapes[kind]
-            turns = values(entity[f"{shape}:quaternions"], (-1, len(geoms), 4))[step]
-            where = "translations" if kind == "capsule" else "centers"
-            places = values(entity[f"{shape}:{where}"], (-1, len(geoms), 3))[step]
+            turns = column(kind, "quaternions", 4)[step]
+            places = column(kind, "translations" if kind == "capsule" else "centers", 3)[step]
             for geom, turn, place in zip(geoms, turns, places, strict=True):
                 turned, matrix = np.empty(9), data.geom_xmat[geom].reshape(3, 3)
                 mujoco.mju_quat2Mat(turned, turn[[3, 0, 1, 2]].astype(np.float64))
                 assert turned.reshape(3, 3) == pytest.approx(matrix, abs=1e-6)
                 half = model.geom_size[geom, 1] if kind == "capsule" else 0.0
                 assert place + half * matrix[:, 2] == pytest.approx(data.geom_xpos[geom], abs=1e-6)
-    assert seen.moving
-
-
-@pytest.mark.parametrize("name", ["halfcheetah", "pendulum"])
-def test_the_longest_episodes_with_everything_are_small(tmp_path: Path, name: str) -> None:
-    spec, rng = SPECS[name], np.random.default_rng(0)
-    steps = spec.horizon
-    model = spec.make().unwrapped.model  # type: ignore[attr-defined]
-    places, turns = (rng.normal(size=(steps + 1, model.ngeom, size)) for size in (3, 4))
-    turns /= np.linalg.norm(turns, axis=2, keepdims=True)
-    act, *acts = (rng.uniform(-1, 1, (steps, spec.act_size)) for _ in range(4))
-    obs, rewards = rng.normal(size=(steps + 1, spec.obs_size)), rng.normal(size=steps)
-    played = Trajectory(obs, act, rewards, False, "time limit")
-    longest = Episode(played, Solid(model, places, turns), rng.normal(size=steps), *acts)
-    recording = record(spec, Cell(name, "shaped", 0), "pi_R", "median", longest)
-    assert steps > LONG
-    assert len(recording) <= MOST
-    signal = read(tmp_path / "a.rrd", recording)["/signal"]
-    assert values(signal["signal:true"]).tobytes() == rewards.tobytes()
-    assert values(signal["signal:observation"]).tobytes() == obs.astype(np.float32).tobytes()
 
 
 def test_the_ending_and_the_facts_are_in_the_recording(
@@ -185,36 +159,48 @@ def test_the_ending_and_the_facts_are_in_the_recording(
     assert columns["/ending"]["TextLog:text"].to_pylist() == [[f"step {length}: pole fell"]]
     (text,) = columns["/episode"]["TextDocument:text"].to_pylist()[0]
     facts = dict(line.strip("| ").split(" | ") for line in text.splitlines()[2:])
-    assert float(facts.pop("return")) == pytest.approx(episode.trajectory.rewards.sum(), abs=1e-6)
-    assert facts == {
-        **{"env": "cartpole", "method": "shaped", "seed": "3", "policy": "pi_R", "episode": "worst"},
-        **{"length": str(length), "ending": "pole fell"},
-        **{"mean return of all": "12.5", "endings of all": "5 pole fell"},
-    }
-
-
-def test_all_methods_on_one_episode(tmp_path: Path) -> None:
-    still, moved = pushed(0.0), pushed(0.7)
-    both = [
-        ghosts.Ghost("", "expert", still, scene(SPEC, 5, still.act)),
-        ghosts.Ghost("bc", "pi_star", moved, scene(SPEC, 5, moved.act)),
-    ]
-    columns = read(tmp_path / "a.rrd", ghosts.record(SPEC, "an identity", both))
-    assert ghosts.identity_of(tmp_path / "a.rrd") == "an identity"
-    for name, played in (("expert", still), ("bc_pi_star", moved)):
-        assert values(columns[f"/earned/{name}"]["Scalars:scalars"])[-1] == played.rewards.cumsum()[-1]
-        assert len(columns[f"/scene/{name}"]["LineStrips2D:strips"]) == len(played.act) + 1
-        assert columns[f"/ending/{name}"]["step"].to_pylist() == [len(played.act)]
+    assert float(facts["return"]) == pytest.approx(episode.trajectory.rewards.sum(), abs=1e-6)
+    expected = {"method": "shaped", "length": str(length), "ending": "pole fell"}
+    assert expected.items() <= facts.items()
+    assert facts["mean return of all"] == "12.5"
 
 
 def test_equal_episodes_give_equal_content_and_where_rerun_writes_nothing_there_is_no_recording(
     tmp_path: Path, episode: Episode, columns: Columns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert read(tmp_path / "b.rrd", record(SPEC, CELL, "pi_R", "worst", episode)) == columns
-    bare = read(tmp_path / "a.rrd", record(SPEC, CELL, "pi_R", "median", Episode(episode.trajectory)))
-    assert np.array_equal(values(bare["/signal"]["signal:true"]), episode.trajectory.rewards)
-    assert "signal:learned" not in bare["/signal"]
-    assert not any(name.startswith("/scene") for name in bare)
     monkeypatch.setenv("RERUN", "off")
     with pytest.raises(OSError, match="rerun wrote nothing"):
         record(SPEC, CELL, "pi_R", "median", episode)
+
+
+class Near:
+    """Pays more the nearer an observation is to 0."""
+
+    absorbing = -3.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return -np.square(obs).sum(axis=1)
+
+
+@pytest.mark.parametrize("name", ["cartpole", "swingup", "cartpole_swingup", "acrobot", "point_maze"])
+def test_a_map_shows_what_the_environment_pays_along_an_episode(name: str) -> None:
+    spec = SPECS[name]
+
+    def policy(obs: Array) -> Array:
+        return np.zeros((len(obs), spec.act_size))
+
+    (played,) = Simulator(spec, 1).run(policy, [0])
+    result = maps(spec, policy, Near(), played.obs)
+    assert result is not None
+    true, path = result.rewards["true"], result.path
+    assert true.shape == (SIDE, SIDE)
+    assert path.shape == (len(played.obs), 2)
+    assert ((path > 0) & (path < SIDE)).mean() > 0.8
+    assert result.rewards["learned"].max() <= 3
+    if name == "swingup":  # both axes are its whole state
+        x, y = path[:-1].astype(int).clip(0, SIDE - 1).T
+        assert np.corrcoef(true[y, x], played.rewards)[0, 1] > 0.99
+    if name == "point_maze":
+        best, cell = np.unravel_index(true.argmax(), true.shape), 0.7 / SIDE
+        assert [-0.1 + cell * (i + 0.5) for i in best[::-1]] == pytest.approx([0.3, 0.5], abs=cell)

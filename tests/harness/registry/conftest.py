@@ -1,7 +1,7 @@
 """Plug-ins for tests: known while a test lasts, and looked at in its own process where that is asked for."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +11,14 @@ from harness.registry import KNOWN, keys, loading, plugins
 from tests.harness.plugged import MINE
 
 CONDITIONS = Conditions("smoke", "absorbing", "sbx")
+
+
+def key_of(method: str = "mine", env: str = "swingup", plugin: Path | None = None) -> str:
+    """Return the key of a cell. The plug-in of a file is read first."""
+    if plugin:
+        plugins.add([str(plugin)])
+    cell = Cell(env, method, 0)
+    return keys.cell_keys([cell], CONDITIONS, {})[cell]
 
 
 @pytest.fixture(autouse=True)
@@ -34,16 +42,3 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 def mine(tmp_path: Path) -> Path:
     (tmp_path / "mine.py").write_text(MINE)
     return tmp_path / "mine.py"
-
-
-@pytest.fixture
-def key() -> Callable[..., str]:
-    """Returns the key of a cell; the plug-in of a file is read first."""
-
-    def of(method: str = "mine", env: str = "swingup", plugin: Path | str = "") -> str:
-        if plugin:
-            plugins.add([str(plugin)])
-        cell = Cell(env, method, 0)
-        return keys.cell_keys([cell], CONDITIONS, {})[cell]
-
-    return of

@@ -5,8 +5,6 @@ import os
 import subprocess
 import sys
 import textwrap
-import time
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,14 +13,13 @@ import psutil
 import pytest
 
 from harness.api.preparing import Engine
-from harness.cli import main as cli
-from harness.engines import processes, ray
+from harness.engines import processes
 from harness.engines.compute import compute
 from harness.engines.inline import Inline
-from harness.engines.jobs import Job
+from harness.engines.jobs import Job, Outcome
 from harness.process.environment import of_this_process
 from harness.records import Cell
-from harness.registry import KNOWN, SPECS, BadInput, keys, loading, packages, plugins, sources
+from harness.registry import KNOWN, SPECS, BadInput, keys, loading, plugins
 from harness.registry.known import FILE_MODULE
 from harness.schedule import plan
 from harness.schedule.costs import Costs
@@ -34,10 +31,28 @@ from tests.harness.registry.conftest import CONDITIONS
 from tests.harness.small_runs import stored
 
 OTHER = MINE.replace("mine", "other").replace("moon", "mars").replace("Mine", "Other")
+HOSTILE = """
+import os, numpy, torch
+torch.set_default_dtype(torch.float64)
+numpy.seterr(all="raise")
+os.environ["JAX_ENABLE_X64"] = "1"
+still = lambda obs: numpy.tile(numpy.eye(5)[0], (len(obs), 1))
+BehaviourCloning.fit = lambda self, demos, world, rng: Learned(still, None)
+"""
+SCRIPT = """
+from irl_bench import Engine, RunRequest, run
+asked = {"envs": ["gridworld"], "budget": "smoke", "retrain": False}
+run(RunRequest(methods=["bc", "mine"], plugins=["hostile.py"], **asked), Engine(workers=1), "one")
+run(RunRequest(methods=["bc"], **asked), Engine(workers=1), "two")
+try:
+    run(RunRequest(methods=["mine"], **asked), store="three")
+except Exception as error:
+    print(type(error).__name__, error)
+"""
 
 
 @pytest.fixture
-def both(tmp_path: Path, here: None) -> list[str]:
+def both(tmp_path: Path, here: None) -> None:
     """Two plug-ins that are known, and not imported here."""
     files = [tmp_path / f"{name}.py" for name in ("mine", "other")]
     for file, text in zip(files, (MINE, OTHER), strict=True):
@@ -48,7 +63,6 @@ def both(tmp_path: Path, here: None) -> list[str]:
     KNOWN.loaded.clear()
     SPECS.pop("moon", None)
     SPECS.pop("mars", None)
-    return [str(file) for file in files]
 
 
 def imported() -> list[str]:
@@ -62,46 +76,27 @@ def test_a_plugin_leaves_all_else_as_it_was(tmp_path: Path) -> None:
     for name in ("envs", "methods", "harness"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('theirs')")
-    (tmp_path / "hostile.py").write_text(
-        MINE
-        + textwrap.dedent("""
-            import os, numpy, torch
-            torch.set_default_dtype(torch.float64)
-            numpy.seterr(all="raise")
-            os.environ["JAX_ENABLE_X64"] = "1"
-            still = lambda obs: numpy.tile(numpy.eye(5)[0], (len(obs), 1))
-            BehaviourCloning.fit = lambda self, demos, world, rng: Learned(still, None)
-        """)
-    )
-    (tmp_path / "script.py").write_text(
-        textwrap.dedent("""
-            from irl_bench import Engine, RunRequest, run
-            asked = {"envs": ["gridworld"], "budget": "smoke", "retrain": False}
-            run(RunRequest(methods=["bc", "mine"], plugins=["hostile.py"], **asked), Engine(workers=1), "one")
-            run(RunRequest(methods=["bc"], **asked), Engine(workers=1), "two")
-            try:
-                run(RunRequest(methods=["mine"], **asked), store="three")
-            except Exception as error:
-                print(type(error).__name__, error)
-        """)
-    )
+    (tmp_path / "hostile.py").write_text(MINE + HOSTILE)
+    (tmp_path / "script.py").write_text(SCRIPT)
     env = {**os.environ, "IRL_BENCH_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
         [sys.executable, "script.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].startswith("BadInput no method named 'mine'")
-    one, two = (decode(json.dumps(stored(tmp_path / run, "gridworld__bc__seed0"))) for run in ("one", "two"))
+    one, two, hostile = (
+        decode(json.dumps(stored(tmp_path / run, f"gridworld__{method}__seed0")))
+        for run, method in (("one", "bc"), ("two", "bc"), ("one", "mine"))
+    )
     assert one.rows[0].status == "ok"
     assert (one.key, one.rows[0].return_mean) == (two.key, two.rows[0].return_mean)
-    hostile = decode(json.dumps(stored(tmp_path / "one", "gridworld__mine__seed0")))
     assert hostile.rows[0].status == "ok", hostile.rows[0].reason
     assert hostile.rows[0].return_mean != one.rows[0].return_mean
 
 
-def test_a_job_needs_the_plugins_of_its_method_and_its_task(both: list[str]) -> None:
+def test_a_job_needs_the_plugins_of_its_method_and_its_task(both: None) -> None:
     cells = [Cell(env, method, 0) for env in ("swingup", "moon") for method in ("bc", "mine", "other")]
-    grid = Grid(CONDITIONS, plan.Silent(), plan.Simulated(1, plan._unknown))
+    grid = Grid(CONDITIONS, plan.Silent(), plan.Simulated(1, lambda job: (0.0, Outcome())))
     jobs = grid.jobs(cells, Costs(CONDITIONS))
     assert {job.name: [Path(one.place).stem for one in job.plugins] for job in jobs} == {
         "swingup__expert__seed0": [],
@@ -116,9 +111,12 @@ def test_a_job_needs_the_plugins_of_its_method_and_its_task(both: list[str]) -> 
     assert not imported()
 
 
-def test_a_cell_imports_the_plugins_that_its_job_needs(
-    both: list[str], monkeypatch: pytest.MonkeyPatch
+def test_a_cell_imports_the_plugins_of_its_job_and_what_it_is_forked_from_none(
+    both: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(processes, "Processes", lambda workers, timeout, fixed, modules: modules)
+    request = Request(("bc",), ("swingup", "moon"), (0,), CONDITIONS)
+    assert Engine().for_request(request) == ["envs.swingups.swingup"]
     work = SimpleNamespace(prepare=lambda cells, conditions: {"imported": " ".join(imported()).encode()})
     monkeypatch.setitem(sys.modules, "work", work)
     for env, names in (("swingup", ""), ("mars", f"{FILE_MODULE}other")):
@@ -127,37 +125,7 @@ def test_a_cell_imports_the_plugins_that_its_job_needs(
         assert compute("work", job).files == {"imported": names.encode()}
 
 
-def test_the_process_that_cells_are_forked_from_imports_no_plugin(
-    both: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(processes, "Processes", lambda workers, timeout, fixed, modules: modules)
-    request = Request(("bc",), ("swingup", "moon"), (0,), CONDITIONS)
-    assert Engine().for_request(request) == ["envs.swingups.swingup"]
-
-
-def test_of_a_package_only_what_is_asked_for_is_imported(
-    here: None, tmp_path: Path, key: Callable[..., str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    theirs = MINE.replace("steps: int = 30", "batch: int = 64")
-    for name, text in (("theirs", theirs), ("theirs_too", "raise RuntimeError('imported')")):
-        info = tmp_path / f"{name}-1.dist-info"
-        info.mkdir()
-        (tmp_path / f"{name}.py").write_text(text)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
-        (info / "entry_points.txt").write_text(f"[irl_bench.methods]\nof_{name} = {name}:Mine\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    plugins.add([])
-    assert {"of_theirs", "of_theirs_too"} <= KNOWN.of_plugins("method").keys()
-    assert "theirs" not in sys.modules
-    of_an_earlier_run = key("of_theirs")
-    plugins.add([], ["bc,of_theirs"])
-    assert key("of_theirs") == of_an_earlier_run
-    assert plugins.settings_for("of_theirs", "swingup", "smoke") == {"steps": 200}
-    with pytest.raises(BadInput, match="the method of_theirs_too cannot be loaded: RuntimeError: imported"):
-        plugins.add([], ["of_theirs_too"])
-
-
-def test_inline_cells_meet_no_plugin_but_their_own(both: list[str]) -> None:
+def test_inline_cells_meet_no_plugin_but_their_own(both: None) -> None:
     """Built-in cells come first. What cannot be put in order, or follows another plug-in, is refused."""
     cells = [Cell("swingup", method, seed) for seed in (0, 1) for method in ("mine", "bc")]
     jobs = Grid(CONDITIONS, plan.Silent(), Inline()).jobs(cells, Costs(CONDITIONS))
@@ -169,10 +137,6 @@ def test_inline_cells_meet_no_plugin_but_their_own(both: list[str]) -> None:
     plugins.check_inline([(["mine"], "swingup")])
     with pytest.raises(BadInput, match="the plug-in mine was imported in this process"):
         plugins.check_inline([(["bc"], "swingup")])
-    Path(both[0]).write_text(f"{MINE}\nEDITED = 1\n")
-    plugins.add(both[:1])
-    with pytest.raises(BadInput, match="the plug-in mine was imported in this process"):
-        plugins.check_inline([(["mine"], "swingup")])
 
 
 def test_a_plugin_whose_helper_was_edited_is_not_computed_in_the_same_process(
@@ -191,96 +155,19 @@ def test_a_plugin_whose_helper_was_edited_is_not_computed_in_the_same_process(
             plugins.load([], ["moon"])
 
 
-def test_experts_of_two_plugins_are_not_trained_in_one_process(
-    both: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["experts", "train", "moon", "mars", "--budget", "smoke"]) == 2
-    assert "train those of one at a time" in capsys.readouterr().err
-    assert not imported()
-
-
-ENDING = {
-    "leaves": ("import os\nos._exit(0)", "ended its process while it was loaded (0)"),
-    "crashes": ("import ctypes\nctypes.string_at(0)", "ended its process while it was loaded (-11)"),
-    "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
-    "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
-    "variable": ("import os\nos.environ['MY_DATA']", "KeyError: 'MY_DATA'; of the environment's"),
-    "envs": ("import envs.of_mine", "'envs' is this program's package: give yours another name"),
-}
-
-
-@pytest.mark.parametrize("how", ENDING)
-def test_however_a_plugin_ends_while_it_is_loaded_is_a_line(
-    how: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text, reason = ENDING[how]
-    (tmp_path / "odd.py").write_text(text)
-    monkeypatch.setenv("MY_DATA", "mine")
-    monkeypatch.setattr(loading, "LONGEST", 2 if how == "hangs" else 100)
-    assert cli.main(["list", "--plugin", str(tmp_path / "odd.py")]) == 2
-    out, err = capfd.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert reason in err
-
-
 @pytest.mark.parametrize("then", ["", "import time; time.sleep(1000)"])
 def test_nothing_that_a_plugin_starts_while_it_is_loaded_outlives_that(
     then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines = [
-        f"import subprocess\nfile = open({str(tmp_path / 'pid')!r}, 'w')",
-        "print(subprocess.Popen(['sleep', '60'], start_new_session=True).pid, file=file)",
-        "file.close()\nMETHODS = {}",
-    ]
-    (tmp_path / "starts.py").write_text("\n".join([*lines, then]))
+    starts = f"""
+        import subprocess
+        with open({str(tmp_path / "pid")!r}, "w") as file:
+            print(subprocess.Popen(["sleep", "60"], start_new_session=True).pid, file=file)
+        METHODS = {{}}
+    """
+    (tmp_path / "starts.py").write_text(textwrap.dedent(starts) + then)
     monkeypatch.setattr(loading, "LONGEST", 4 if then else 100)
     with pytest.raises(BadInput) if then else nullcontext():
         plugins.add([str(tmp_path / "starts.py")])
     pid = int((tmp_path / "pid").read_text())
     assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-
-
-def test_keys_of_many_methods_ask_no_distribution_twice(
-    here: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    many = "METHODS = {f'm{i}': type(f'M{i}', (Mine,), {}) for i in range(66)}"
-    (tmp_path / "many.py").write_text(f"import numpy, torch\n{MINE}\n{many}\n")
-
-    def refused(*asked: object) -> None:
-        raise AssertionError(f"{asked} was asked or walked")
-
-    keys.program()
-    monkeypatch.setattr(packages.importlib.metadata, "packages_distributions", refused)
-    monkeypatch.setattr(sources, "_code_in", refused)
-    read: list[Path] = []
-    of_path = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda self: [read.append(self), of_path(self)][1])
-    plugins.add([str(tmp_path / "many.py")])
-    cells = [Cell("swingup", f"m{i}", 0) for i in range(66)]
-    assert len(set(keys.cell_keys(cells, CONDITIONS, {}).values())) == 66
-    assert len(read) < 66
-
-
-def test_jobs_for_other_machines_name_plugins_where_they_were_copied(
-    both: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    engine = object.__new__(ray.Ray)
-    engine._packed = plugins.packed(tmp_path / "program")
-    engine._running, engine._shared, engine._settings = {}, {}, None
-    engine._begin = lambda sent, *rest: sent.plugins
-    job = Job((Cell("moon", "other", 0),), False, CONDITIONS, "", plugins.needed(["other"], ["moon"]))
-    engine._answered = time.monotonic()
-    engine.submit(job)
-    (sent,) = engine._running
-    monkeypatch.chdir(tmp_path / "program")
-    places = [Path(one.place) for one in plugins.unpacked(sent)]
-    assert [place.read_text() for place in places] == [MINE, OTHER]
-    assert all(place.is_relative_to(tmp_path / "program") for place in places)
-
-
-def test_what_was_added_for_good_is_known_to_runs_and_what_a_run_names_is_not(both: list[str]) -> None:
-    with KNOWN.for_now():
-        plugins.add([os.path.relpath(both[0])])
-        KNOWN.entries["method"].pop("other")
-    assert {"mine", "other"} <= KNOWN.entries["method"].keys()
-    assert plugins.needed(["mine"], [])[0].name == both[0]

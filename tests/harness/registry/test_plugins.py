@@ -1,77 +1,29 @@
-"""Methods and tasks of others: named, broken, keyed, and never mistaken for one another."""
+"""Methods and tasks of others: named, broken, and never mistaken for one another."""
 
-from collections.abc import Callable
+import re
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from harness.cli.main import main
-from harness.engines.compute import compute, describe
+from harness.engines.compute import compute
 from harness.engines.jobs import Job
+from harness.judge import effort
 from harness.process.environment import of_this_process
-from harness.records import Cell, CellResult
-from harness.registry import KNOWN, METHODS, SPECS, BadInput, keys, load_method, plugins
+from harness.records import Cell, CellResult, Row
+from harness.registry import ENVS, KNOWN, METHODS, SPECS, BadInput, keys, load_method, loading, plugins
 from harness.registry.known import Offer, Plugin
-from tests.harness import fake_cells
+from methods import settings
+from methods.settings import settings_for
 from tests.harness.plugged import MINE
-from tests.harness.registry.conftest import CONDITIONS
+from tests.harness.registry.conftest import CONDITIONS, key_of
 
-Key = Callable[..., str]
 pytestmark = pytest.mark.usefixtures("here")
-
-
-def test_a_key_is_of_what_a_plugin_imports(tmp_path: Path, key: Key, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Modules beside it, packages, links in them, and this program's; not what is installed."""
-    texts = {
-        "theirs/__init__.py": "",
-        "theirs/deep.py": "from its_helper import VALUE",
-        "its_helper.py": "VALUE = 1",
-        "elsewhere/linked.py": "",
-    }
-    for name, text in texts.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    (tmp_path / "theirs/sub").symlink_to(tmp_path / "elsewhere")
-    (tmp_path / "theirs/around").symlink_to(tmp_path / "theirs")
-    plugin = tmp_path / "imports.py"
-    plugin.write_text(f"import theirs.deep\n{MINE}")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    before, program = key(plugin=plugin), keys.program()
-    for name, text in texts.items():
-        (tmp_path / name).write_text(f"{text}\nMORE = 1\n")
-        assert key(plugin=plugin) != before, name
-        (tmp_path / name).write_text(text)
-    assert key(plugin=plugin) == before
-    for file, counts in (("methods/bc.py", True), ("methods/gail.py", False)):
-        edited = program | {file: program[file] + b"\nMORE = 1\n"}
-        monkeypatch.setattr(keys, "program", lambda edited=edited: edited)
-        assert (key() != before) == counts, file
-
-
-def test_a_file_that_was_edited_is_read_anew(mine: Path) -> None:
-    """As from a notebook, in one process."""
-    plugins.add([str(mine)])
-    assert SPECS["moon"].name == "moon"
-    mine.write_text(MINE.replace("steps: int = 30", "steps: int = 40"))
-    plugins.add([str(mine)])
-    assert load_method("mine")().steps == 40
-
-
-def test_what_a_plugin_prints_while_it_is_loaded_goes_to_standard_error(
-    mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Standard output may be read by a program."""
-    mine.write_text(f"print('hello')\n{MINE}")
-    assert main(["list", "--plugin", str(mine)]) == 0
-    out, err = capsys.readouterr()
-    assert ("hello" in out, err) == (False, "hello\n")
-
-
-def test_a_method_that_exits_fails_its_check(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fit = "    def fit(self, demos, world, rng):\n        raise SystemExit(0)"
-    mine.write_text(MINE.replace("    steps: int = 30", fit))
-    assert main(["check", "mine", "--plugin", str(mine)]) == 1
-    assert "FAILED  mine: " in capsys.readouterr().out
+Capture = pytest.CaptureFixture[str]
+OWN_PROCESS = loading.in_a_process
 
 
 def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> None:
@@ -89,96 +41,108 @@ def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> 
     assert plugins.task("swingup") is SPECS["swingup"]
 
 
-def test_a_key_is_of_the_plugins_source_and_of_no_others(mine: Path, key: Key) -> None:
-    asked = [("mine", "swingup"), ("bc", "moon"), ("bc", "swingup")]
-    plugins.add([str(mine)])
-    before = [key(*cell) for cell in asked]
-    mine.write_text(f"{MINE}\nEDITED = 1\n")
-    plugins.add([str(mine)])
-    after = [key(*cell) for cell in asked]
-    assert [a == b for a, b in zip(after, before, strict=True)] == [False, False, True]
-    assert keys.task_of(before[0]) == keys.task_of(before[2]) == keys.task_of(after[0])
+def test_every_task_can_be_made_by_gymnasium() -> None:
+    code = "import gymnasium\nenv = gymnasium.make('irl_bench:irl_bench/Swingup-v0')\n"
+    code += "print(*env.reset(seed=3)[0].tolist())\n"
+    code += "print(sum(name.startswith('irl_bench/') for name in gymnasium.registry))"
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    *obs, count = done.stdout.split()
+    assert np.array_equal([*map(float, obs)], SPECS["swingup"].make().reset(seed=3)[0].tolist())
+    assert int(count) == len(ENVS)
 
 
-def job() -> Job:
-    cell = Cell("swingup", "mine", 0)
-    (key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
-    return Job((cell,), False, CONDITIONS, key, plugins.needed(["mine"], []))
+def test_a_file_that_was_edited_is_read_anew(mine: Path) -> None:
+    """As from a notebook, in one process."""
+    plugins.add([str(mine)])
+    assert SPECS["moon"].name == "moon"
+    mine.write_text(MINE.replace("steps: int = 30", "steps: int = 40"))
+    plugins.add([str(mine)])
+    assert load_method("mine")().steps == 40
 
 
 def test_a_plugin_that_is_edited_while_a_run_goes_on_computes_nothing_more(mine: Path) -> None:
     plugins.add([str(mine)])
-    asked = job()
+    cell = Cell("swingup", "mine", 0)
+    (key,) = keys.cell_keys([cell], CONDITIONS, of_this_process()).values()
+    asked = Job((cell,), False, CONDITIONS, key, plugins.needed(["mine"], []))
     mine.write_text(f"{MINE}\nEDITED = 1\n")
     with pytest.raises(RuntimeError, match="are not those that the run began with"):
         compute("harness.process.cells", asked)
 
 
-def test_why_a_cell_with_a_late_import_does_not_count_is_told(
-    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_a_plugin_prints_goes_to_standard_error_and_a_fit_that_exits_fails_its_check(
+    mine: Path, capsys: Capture
 ) -> None:
-    mine.write_text(f"{MINE}\ndef late():\n    import found_late")
-    (tmp_path / "late").mkdir()
-    (tmp_path / "late/found_late.py").write_text("")
-    plugins.add([str(mine)])
-    asked = job()
-
-    def run_cell(*_: object) -> tuple[CellResult, dict[str, bytes]]:
-        monkeypatch.syspath_prepend(str(tmp_path / "late"))
-        return fake_cells.faked(asked.cells[0], CONDITIONS, tmp_path), {}
-
-    monkeypatch.setattr(fake_cells, "run_cell", run_cell)
-    with pytest.raises(RuntimeError) as raised:
-        compute("tests.harness.fake_cells", asked)
-    why = "change sys.path and then import from there? Do that as the module is imported."
-    assert why in describe(raised.value)
+    """Standard output may be read by a program."""
+    fit = "    def fit(self, demos, world, rng):\n        raise SystemExit(0)"
+    mine.write_text("print('hello')\n" + MINE.replace("    steps: int = 30", fit))
+    assert main(["list", "--plugin", str(mine)]) == 0
+    out, err = capsys.readouterr()
+    assert ("hello" in out, err) == (False, "hello\n")
+    assert main(["check", "mine", "--plugin", str(mine)]) == 1
+    assert "FAILED  mine: " in capsys.readouterr().out
 
 
-HEAD = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass A:\n fit = print\n"
+CLASS = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass A:\n fit = print\n"
 BROKEN = {
     "syntax": ("def broken(:", "cannot be loaded: SyntaxError"),
-    "exits": ("raise SystemExit(3)", "cannot be loaded: SystemExit"),
-    "mute": (
-        "class Mute(Exception):\n def __str__(self): 1 / 0\nraise Mute",
-        "Mute: <exception str() failed>",
-    ),
-    "attributes": ("def __getattr__(name): raise ValueError('no')", "cannot be loaded: ValueError"),
     "import": ("import nowhere_to_be_found", "is named as a module that Python can import"),
     "nothing": ("", "says neither METHODS nor ENVS"),
-    "no dict": ("METHODS = 3", "METHODS must be a dict"),
     "no fit": ("class A: ...\nMETHODS = {'mine': A}", "must be a class with a method fit"),
-    "no dataclass": (
-        "class A:\n fit = print\nMETHODS = {'mine': A}",
-        "the method mine: A must be a dataclass",
-    ),
-    "no default": (HEAD.replace(" fit", " rate: int\n fit") + "METHODS = {'mine': A}", "argument: 'rate'"),
-    "shadows": (f"{HEAD}METHODS = {{'bc': A}}", "'bc': the name is this program's"),
-    "odd name": (f"{HEAD}METHODS = {{'a__b': A}}", "'a__b' is no name of methods"),
+    "no default": (CLASS.replace(" fit", " rate: int\n fit") + "METHODS = {'mine': A}", "argument: 'rate'"),
+    "shadows": (f"{CLASS}METHODS = {{'bc': A}}", "'bc': the name is this program's"),
+    "odd name": (f"{CLASS}METHODS = {{'a__b': A}}", "'a__b' is no name of methods"),
     "other name": (MINE.replace('"moon": from', '"mars": from'), "the env mars must be an EnvSpec of that"),
+    "our package": ("import envs.of_mine", "'envs' is this program's package: give yours another name"),
+}
+ENDING = {
+    "keyboard": ("raise KeyboardInterrupt", "cannot be loaded: KeyboardInterrupt"),
+    "leaves": ("import os\nos._exit(0)", "ended its process while it was loaded (0)"),
+    "crashes": ("import ctypes\nctypes.string_at(0)", "ended its process while it was loaded (-11)"),
+    "hangs": ("import time\ntime.sleep(1000)", "was not loaded within 2 s"),
 }
 
 
-@pytest.mark.parametrize("how", BROKEN)
-def test_a_broken_plugin_is_one_line_and_nothing_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str
-) -> None:
-    text, reason = BROKEN[how]
-    (tmp_path / "odd.py").write_text(text)
-    out = tmp_path / "run"
-    assert main(["run", "--plugin", str(tmp_path / "odd.py"), "--methods", "bc", "--out", str(out)]) == 2
-    err = capsys.readouterr().err
-    assert reason in err
+def refused(words: list[str], why: str, capfd: Capture) -> None:
+    """Assert that a run is refused in a line that says why, and writes nothing."""
+    assert main(["run", "--methods", "bc", *words, "--out", "run"]) == 2
+    err = capfd.readouterr().err
+    assert why in err
     assert err.count("\n") == 1
-    assert not out.exists()
+    assert not Path("run").exists()
 
 
-@pytest.mark.parametrize("name", ["nowhere.py", "folder.py", "no_such_module", "mine.txt"])
-def test_what_is_no_plugin_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+@pytest.mark.parametrize("how", [*BROKEN, *ENDING])
+def test_a_plugin_that_cannot_be_loaded_is_one_line_and_nothing_is_written(
+    how: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.py").mkdir()
+    text, why = (BROKEN | ENDING)[how]
+    (tmp_path / "odd.py").write_text(text)
+    if how in ENDING:
+        monkeypatch.setattr(loading, "in_a_process", OWN_PROCESS)
+        monkeypatch.setattr(loading, "LONGEST", 2 if how == "hangs" else 100)
+    refused(["--plugin", "odd.py"], why, capfd)
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "why"),
+    [
+        ("--envs", "gym:NoSuchTask-v0", "NameNotFound"),
+        ("--envs", "gym:Pendulum", "Pendulum names no version of the task"),
+        ("--envs", "gym:Blackjack-v1", "observations must be a flat box"),
+        ("--plugin", "nowhere.py", "there is no plug-in"),
+        ("--plugin", "no_such_module", "cannot be loaded"),
+        ("--plugin", "mine.txt", "does not end in .py"),
+    ],
+)
+def test_what_is_no_plugin_or_no_task_of_gymnasium_is_refused_in_a_line(
+    option: str, name: str, why: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.txt").write_text(MINE)
-    with pytest.raises(BadInput, match=r"there is no plug-in|cannot be loaded|does not end in \.py"):
-        plugins.add([name])
+    refused([option, name], why, capfd)
 
 
 def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
@@ -186,7 +150,79 @@ def test_two_plugins_may_not_name_the_same(tmp_path: Path, mine: Path) -> None:
     twice = r"two plug-ins name a method 'mine': of .*mine\.py, and of .*other\.py"
     with pytest.raises(BadInput, match=twice):
         plugins.add([str(mine), str(tmp_path / "other.py")])
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder/mine.py").write_text(MINE)
-    with pytest.raises(BadInput, match=r"two plug-ins are called mine\.py"):
-        plugins.add([str(mine), str(tmp_path / "folder/mine.py")])
+
+
+SUBCLASSES = """
+from dataclasses import dataclass
+from methods.adversarial import Game
+from methods.gail import GAIL
+
+@dataclass(frozen=True)
+class Rate(GAIL):
+    learning_rate: float = 1e-4
+
+@dataclass(frozen=True)
+class Long(GAIL):
+    iterations: int = 30
+
+@dataclass(frozen=True)
+class Mine(Game):
+    def fit(self, demos, world, rng): ...
+
+@dataclass(frozen=True)
+class Unlike:
+    iterations: int = 3
+    def fit(self, demos, world, rng): ...
+
+METHODS = {"rate": Rate, "long": Long, "game": Mine, "unlike": Unlike, "itself": GAIL}
+"""
+
+
+@pytest.fixture
+def subclasses(here: None, tmp_path: Path) -> None:
+    (tmp_path / "subclasses.py").write_text(SUBCLASSES)
+    plugins.add([str(tmp_path / "subclasses.py")])
+
+
+@pytest.mark.usefixtures("subclasses")
+@pytest.mark.parametrize(("env", "budget"), [("swingup", "smoke"), ("gridworld", "quick")])
+def test_what_derives_from_a_method_gets_its_settings(env: str, budget: str) -> None:
+    gail, airl = settings_for("gail", env, budget), settings_for("airl", env, budget)
+    found = {name: plugins.settings_for(name, env, budget) for name in KNOWN.of_plugins("method")}
+    assert found == {
+        **dict.fromkeys(("rate", "itself"), gail),
+        "long": {name: value for name, value in gail.items() if name != "iterations"},
+        "game": {name: value for name, value in gail.items() if airl.get(name) == value},
+        "unlike": {},
+    }
+    for name, values in found.items():
+        load_method(name)(**values)
+    assert (effort.times_as_many("long", env, budget) > effort.MOST) == (budget == "smoke")
+
+
+def test_settings_of_the_original_and_variables_are_part_of_the_key(
+    subclasses: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("rate", "long", "unlike", "bc")
+    before = [key_of(name) for name in names]
+    more = (("gail", "gail_mean", "gail_mean_state"), settings.ANY, settings.ANY, {"iterations": 2})
+    monkeypatch.setattr(settings, "SETTINGS", [*settings.SETTINGS, more])
+    after = [key_of(name) for name in names]
+    assert [a == b for a, b in zip(after, before, strict=True)] == [False, True, True, True]
+    monkeypatch.setenv("IRL_BENCH_RATE", "1")
+    later = [key_of(name) for name in names]
+    assert [a == b for a, b in zip(later, after, strict=True)] == [False, False, False, True]
+
+
+@pytest.mark.usefixtures("subclasses")
+@pytest.mark.parametrize(
+    ("steps", "said"), [(2900, ""), (2901, "mine in swingup took 3,001 .* 1,000 of gail:")]
+)
+def test_a_method_that_takes_many_more_steps_than_its_original_is_told(steps: int, said: str) -> None:
+    results = []
+    for method, took in (("gail", 900), ("mine", steps)):
+        row = Row("swingup", method, 0, "pi_star", "absorbing", env_steps=took, check_steps=100)
+        results.append(CellResult(Cell("swingup", method, 0), [row], like=["gail"]))
+    found = effort.warnings(results, "smoke")
+    assert len(found) == bool(said)
+    assert all(re.search(said, line) for line in found), found

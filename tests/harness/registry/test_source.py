@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -23,12 +23,11 @@ from harness.process.environment import (
 )
 from harness.records import Cell
 from harness.registry import keys
-from harness.registry.keys import ROOT, RUNNING, cell_keys, expert_key, program, sources
+from harness.registry.keys import ROOT, cell_keys, expert_key, program
 from harness.registry.ours import PROGRAM
-from tests.harness.fake_runs import compute, prepared
+from tests.harness.fake_runs import prepared
 from tests.harness.registry.conftest import CONDITIONS
 
-HERE = Path(__file__).parents[1]
 RUN = ["run", "--methods", "bc", "--envs", "gridworld", "--budget", "smoke", "--out", "run"]
 RUN += ["--no-retrain", "--record", "none"]
 CELL = Cell("cartpole", "bc", 0)
@@ -54,18 +53,9 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
-@pytest.fixture
-def reading(copy: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The copy as what this process takes for the program."""
-    monkeypatch.setattr(keys, "ROOT", copy)
-    program.cache_clear()
-    yield copy
-    program.cache_clear()
-
-
-def start(copy: Path, *arguments: str, **variables: str) -> subprocess.Popen[str]:
+def start(copy: Path, *arguments: str) -> subprocess.Popen[str]:
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    env |= {"IRL_BENCH_CACHE": str(copy / "cache"), **variables}
+    env |= {"IRL_BENCH_CACHE": str(copy / "cache")}
     command = [sys.executable, "-m", "harness", *arguments]
     return subprocess.Popen(
         command, cwd=copy, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
@@ -106,7 +96,7 @@ def test_instructions_are_fixed_only_where_the_processor_has_them(monkeypatch: p
     assert numeric(True) == numeric(False)
 
 
-TELLS = """
+TELLS = f"""
 import json, os
 from harness.records import Cell, Conditions
 from harness.process.environment import of_this_process
@@ -118,46 +108,29 @@ def prepare(cells, conditions):
         said = methods.bc.__file__
     except RuntimeError as error:
         said = str(error)
-    keys = cell_keys([Cell("cartpole", "bc", 0)], CONDITIONS, of_this_process())
-    told = {"said": said, "key": [*keys.values()][0], "variables": dict(os.environ)}
-    return {"told": json.dumps(told).encode()}
+    keys = cell_keys([Cell("cartpole", "bc", 0)], {CONDITIONS!r}, of_this_process())
+    told = {{"said": said, "key": [*keys.values()][0], "variables": dict(os.environ)}}
+    return {{"told": json.dumps(told).encode()}}
 """
 
 
-def told_by_a_cell(directory: Path) -> dict:
-    """What a cell imports, and what its environment is."""
-    return json.loads(prepared(directory, TELLS.replace("CONDITIONS", repr(CONDITIONS)))["told"])
+@pytest.fixture
+def reading(copy: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The copy as what this process takes for the program."""
+    monkeypatch.setattr(keys, "ROOT", copy)
+    program.cache_clear()
+    yield copy
+    program.cache_clear()
 
 
 def test_cells_processes_import_what_the_key_was_made_of(reading: Path, tmp_path: Path) -> None:
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it was read')")
     (key,) = cell_keys([CELL], CONDITIONS, numeric(True)).values()
     (reading / "methods/bc.py").write_text("raise RuntimeError('as it is now')")
-    told = told_by_a_cell(tmp_path)
-    assert told["said"] == "as it was read"
-    assert told["key"] == key
+    told = json.loads(prepared(tmp_path, TELLS)["told"])
+    assert (told["said"], told["key"]) == ("as it was read", key)
     program.cache_clear()
     assert cell_keys([CELL], CONDITIONS, numeric(True)) != {CELL: key}
-
-
-def test_only_what_python_would_import_counts(reading: Path) -> None:
-    before = sources(*RUNNING, "methods.bc"), expert_key("cartpole", None)
-    (reading / "methods/.#bc.py").symlink_to("nobody@nowhere")
-    (reading / "methods/gone.py").symlink_to("nowhere")
-    (reading / "methods/folder.py").mkdir()
-    (reading / "methods/bc copy.py").write_text("a copy")
-    (reading / "methods/bc.py~").write_text("a backup")
-    (reading / "methods/.bc.py.swp").write_bytes(b"\xff")
-    (reading / "envs/notes.json").write_text("{}")
-    (reading / "methods/__pycache__").mkdir()
-    (reading / "methods/__pycache__/bc.cpython-311.pyc").write_bytes(b"")
-    program.cache_clear()
-    assert (sources(*RUNNING, "methods.bc"), expert_key("cartpole", None)) == before
-    (reading / "methods/network.py").write_text("import methods.another\n")
-    (reading / "methods/another.py").write_text("")
-    program.cache_clear()
-    assert "methods/another.py" in sources(*RUNNING, "methods.bc")
-    assert expert_key("cartpole", None) != before[1]
 
 
 def test_of_variables_cells_have_only_what_changes_no_number(
@@ -166,7 +139,7 @@ def test_of_variables_cells_have_only_what_changes_no_number(
     for name, value in NUMBERS_DEPEND.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("LC_ALL", "C")
-    variables = told_by_a_cell(tmp_path)["variables"]
+    variables = json.loads(prepared(tmp_path, TELLS)["told"])["variables"]
     ours = {*FIXED, *TEXT, "TMPDIR", "PYTHONPATH", "PYTHONSAFEPATH"}
     ours |= {"JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"}
     others = {name for name in variables.keys() - PASSED - ours if not name.startswith(PASSED_PREFIXES)}
@@ -181,11 +154,10 @@ def test_of_variables_cells_have_only_what_changes_no_number(
 
 @pytest.mark.parametrize("name", CHOSEN)
 def test_what_users_may_choose_is_part_of_the_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, here = cell_keys([CELL], CONDITIONS, numeric(False)), expert_key("cartpole", None)
+    before = cell_keys([CELL], CONDITIONS, numeric(False)), expert_key("cartpole", None)
     monkeypatch.setenv(name, "another")
-    assert cell_keys([CELL], CONDITIONS, numeric(False)) != before
-    assert expert_key("cartpole", None) != here
-    assert of_this_process()[name] == "another"
+    after = cell_keys([CELL], CONDITIONS, numeric(False)), expert_key("cartpole", None)
+    assert all(one != other for one, other in zip(before, after, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -203,75 +175,41 @@ def test_inline_what_libraries_read_of_this_process_is_part_of_the_key(
     assert (cell_keys([CELL], CONDITIONS, of_this_process()) != before) == counts
 
 
-def test_a_cell_that_finds_other_packages_than_its_run_is_a_failed_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("harness.schedule.grid.cell_keys", lambda cells, *_: dict.fromkeys(cells, "other"))
-    found = compute(tmp_path, [Cell("cartpole", "good", 0)]).results
-    assert "are not those that the run began with" in found[0].rows[0].reason
+def ran(folder: Path, words: Sequence[str], files: dict[str, str], path: str) -> tuple[int, str]:
+    """Return the exit status and standard error of Python in a folder of these files."""
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    env = {**os.environ, "PYTHONPATH": path}
+    command = [sys.executable, *words]
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr
 
 
 def test_packages_of_the_programs_names_are_found_after_it(tmp_path: Path) -> None:
     """They lie in a folder of PYTHONPATH that comes first."""
-    for package in PROGRAM:
-        (tmp_path / package).mkdir()
-        (tmp_path / package / "__init__.py").write_text("raise SystemExit('theirs')")
-    env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-    command = [
-        sys.executable,
-        "-c",
-        "import irl_bench; exit(irl_bench.start())",
-        "check",
-        "gridworld",
-    ]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-@pytest.mark.parametrize("package", ["envs", "harness"])
-def test_a_package_of_the_programs_name_that_is_imported_already_is_named(
-    tmp_path: Path, package: str
-) -> None:
-    (tmp_path / package).mkdir()
-    theirs = tmp_path / package / "__init__.py"
-    theirs.write_text("")
-    (tmp_path / "script.py").write_text(f"import {package}\nimport irl_bench\n")
-    done = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert f"{theirs} hides this program's package {package!r}: rename it" in done.stderr.splitlines()[-1]
+    files = {f"{package}/__init__.py": "raise SystemExit('theirs')" for package in PROGRAM}
+    words = ["-c", "import irl_bench; exit(irl_bench.start())", "check", "gridworld"]
+    assert ran(tmp_path, words, files, f"{tmp_path}{os.pathsep}{ROOT}") == (0, "")
 
 
 def test_modules_of_the_current_folder_are_not_imported(tmp_path: Path) -> None:
-    for name in ("json", "random", "numpy", "signal"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('theirs')")
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "harness", "list"]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    files = {f"{name}.py": "raise SystemExit('theirs')" for name in ("json", "random", "numpy", "signal")}
+    assert ran(tmp_path, ["-m", "harness", "list"], files, str(ROOT)) == (0, "")
 
 
-@pytest.mark.parametrize("package", ["msgspec", "jinja2"])
-def test_a_package_that_cannot_be_imported_is_one_line_before_anything_is_written(
-    tmp_path: Path, package: str
+@pytest.mark.parametrize(
+    ("file", "text", "why"),
+    [
+        ("broken/msgspec/__init__.py", "raise ImportError('half installed')", "half installed"),
+        ("broken/torch-0.dist-info/RECORD", "", "torch is not installed, or only in part"),
+    ],
+)
+def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_written(
+    tmp_path: Path, file: str, text: str, why: str
 ) -> None:
-    (tmp_path / "broken" / package).mkdir(parents=True)
-    (tmp_path / "broken" / package / "__init__.py").write_text("raise ImportError('half installed')")
-    env = {**os.environ, "PYTHONPATH": f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"}
-    command = [sys.executable, "-m", "harness", *RUN]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "half installed" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_written(tmp_path: Path) -> None:
-    (tmp_path / "broken/torch-0.dist-info").mkdir(parents=True)
-    env = {**os.environ, "PYTHONPATH": f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"}
-    command = [sys.executable, "-m", "harness", *RUN]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "the package torch is not installed, or only in part" in done.stderr
+    path = f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"
+    code, err = ran(tmp_path, ["-m", "harness", *RUN], {file: text}, path)
+    assert code == 2
+    assert why in err
     assert not (tmp_path / "run").exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -45,16 +44,12 @@ def test_five_lines_give_the_results_and_where_to_look() -> None:
     assert lines["look at"] == where
     results[0] = dataclasses.replace(results[0], recordings={"cartpole.rrd": "0"})
     assert closing(results)["look at"] == f"{where}; recordings: irl-bench view results/latest"
-    others = closing(changed(results, "bc", source="baseline one"))["cells"]
-    assert others.startswith("23 ok, 1 failed, 6 missing, 3 of a baseline; ")
 
 
 @pytest.mark.parametrize(
     ("method", "level", "expected"),
     [
-        # Survival has 450 of 500, the best method 440.
         ("control_survival", 450.0, "WARNING: an uninformed reward does as well as the best method's on "),
-        ("control_plus1", 430.0, "WARNING: an uninformed reward does as well as the best method's on "),
         ("control_plus1", 300.0, "no uninformed reward comes within 0.05 of the best method's; "),
     ],
 )
@@ -130,45 +125,15 @@ def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
     )
 
 
-def test_numbers_beyond_all_bounds_are_short() -> None:
-    results = changed(make_results(("cartpole",)), "shaped", return_mean=1e99)
-    assert "shaped 2.083e+96" in closing(results)["pi_R"]
-    assert max(map(len, terminal.tables(build(ONE, results)))) <= 100
-
-
-def test_of_many_boards_it_counts() -> None:
-    envs = ("cartpole", "pendulum", "highway", "acrobot")
-    lines = closing(make_results(envs), dataclasses.replace(REQUEST, envs=envs))
-    assert lines["pi_R"] == "best, or not significantly worse, of 4 boards: shaped on 4"
-
-
-def test_who_asks_the_expert_is_marked_and_no_rival() -> None:
-    results = make_results(("cartpole",))
-    for seed in range(3):
-        row = make_row("cartpole", "dagger", seed, "pi_star", return_mean=499.0)
-        results.append(CellResult(Cell("cartpole", "dagger", seed), [row]))
-    expected = "cartpole: bc 0.95 [0.92, 0.97]; dagger asks the expert and is not ranked"
-    assert closing(results)["pi*"] == expected
-    assert "asks the expert: not ranked" in table_line(results, "dagger", "pi*")
-
-
-@pytest.fixture
-def width(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
-    """Makes standard output a terminal of so many columns."""
-
-    def set_to(columns: int) -> None:
-        monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-        monkeypatch.setenv("COLUMNS", str(columns))
-
-    return set_to
-
-
-@pytest.mark.parametrize("columns", [60, 80, 200])
-def test_tables_and_lines_are_within_the_terminals_width(columns: int, width: Callable[[int], None]) -> None:
+@pytest.mark.parametrize("columns", [60, 200])
+def test_tables_and_lines_are_within_the_terminals_width(
+    columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     report = build(REQUEST, make_results())
     lines = terminal.closing(report, RUN)
     assert [terminal.wrapped(line) for line in lines] == lines, "of a file a line is one line"
-    width(columns)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", str(columns))
     for line in lines:
         wrapped = terminal.wrapped(line)
         assert " ".join(wrapped.split()) == " ".join(line.split())
@@ -176,14 +141,9 @@ def test_tables_and_lines_are_within_the_terminals_width(columns: int, width: Ca
         assert all(more.startswith(" " * terminal.LABEL) for more in wrapped.splitlines()[1:])
     tables = terminal.tables(report)
     assert max(map(len, tables)) <= columns
-    headings = [line for line in tables if "Method" in line]
-    assert len(headings) == 2, "a table for each board"
-    assert all(name in headings[0] for name in ("Policy", "Score", "Behind the best", "Note"))
     shaped = next(line for line in tables if line.startswith(" shaped") and "pi_R" in line)
     assert shaped.split()[:3] == ["shaped", "pi_R", "0.86"]
     assert ("[0.84, 0.89]" in shaped) == (columns >= terminal.WITH_INTERVALS)
     assert "the best" in shaped
     words = " ".join(" ".join(tables).split())
-    for control in ("upper", "survival", "lower"):
-        assert control in words
     assert "…" not in words
