@@ -1,4 +1,4 @@
-"""The solver learns what a reward asks for, nothing where it asks for nothing, and its best checkpoint counts."""
+"""What a solve takes and returns: the best of its checkpoints, and of a reward that says nothing, nothing."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sbx
-import stable_baselines3
 
 from envs import EnvSpec
 from envs.copies import Copies
@@ -24,8 +22,6 @@ from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
 STEPS = 1500
-OBS = np.linspace(-0.8, 0.8, 33)[:, None]
-both_libraries = pytest.mark.parametrize("library", LIBRARIES)
 
 
 def solve(
@@ -64,17 +60,9 @@ def test_every_solve_that_runs_ask_for_suits_the_learner(spec: EnvSpec) -> None:
         assert all(steps % one.rl.unit == 0 for steps in (*one.rl_steps.values(), one.rl.checkpoint_every))
 
 
-def test_no_reward_means_the_environments_own(steady: EnvSpec) -> None:
-    own, learned = solve(steady, None), solve(steady, Seek())
-    np.testing.assert_allclose(own.policy(OBS), learned.policy(OBS), atol=0.05)
-    np.testing.assert_allclose(own.curve, learned.curve, atol=0.2)
-
-
-@both_libraries
+@pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize(
-    "settings",
-    [TD3(), SAC(), PPO(copies=10, steps=2, batch=10)],
-    ids=lambda settings: type(settings).__name__,
+    "settings", [TD3(), SAC(), PPO(copies=10, steps=2, batch=10)], ids=["TD3", "SAC", "PPO"]
 )
 def test_the_generator_decides_everything(steady: EnvSpec, library: Library, settings: Learner) -> None:
     steady = replace(steady, rl=settings)
@@ -102,32 +90,6 @@ def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pyte
     assert solve(fragile, Seek()).check_steps > 20
     assert len(seeds) > 120
     assert min(seeds) >= TRAINING > evaluation_seeds(999, 1000).stop
-
-
-@both_libraries
-def test_the_learning_rate_falls_within_each_solve(
-    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library
-) -> None:
-    rates: list[float] = []
-    solver: Any = (sbx if library == "sbx" else stable_baselines3).TD3
-    train = solver.train
-
-    def spy(self: Any, *arguments: Any, **named: Any) -> None:
-        train(self, *arguments, **named)
-        if library == "sbx":
-            rates.append(float(self.policy.actor_state.opt_state.hyperparams["learning_rate"]))
-        else:
-            rates.append(self.actor.optimizer.param_groups[0]["lr"])
-
-    monkeypatch.setattr(solver, "train", spy)
-    settings = TD3(learning_rate=1e-3, final_learning_rate=1e-4)
-    agent = Agent(replace(steady, rl=settings), "absorbing", np.random.default_rng(0), library)
-    for _ in range(2):
-        rates.clear()
-        agent.solve(Seek(), 400)
-        assert rates == sorted(rates, reverse=True)
-        assert rates[-1] == pytest.approx(1e-4)
-    assert rates[0] > 9e-4
 
 
 def test_a_power_of_two_times_the_reward_changes_nothing(fragile: EnvSpec) -> None:

@@ -233,17 +233,3 @@ def test_choices_are_demonstrated_as_the_library_takes_them() -> None:
     assert shown.actions[:30].ravel().tolist() == [1] * 30
     assert set(shown.actions[30:].ravel().tolist()) <= {0, 1}
     assert (agent.policy(obs).argmax(axis=1) == 1).all()
-
-
-def test_once_it_is_full_the_replay_is_still_in_order(steady: EnvSpec) -> None:
-    spec = replace(steady, rl=DDPG(net=(), copies=2, buffer=60))
-    agent, seen = Agent(spec, "absorbing", rng(), "sb3"), []
-    for _ in range(5):
-        agent.learn(20, Seek())
-        seen.append(agent.replay().last(20).act)
-    np.testing.assert_array_equal(agent.replay().act, np.concatenate(seen[2:]))
-    # Rewards are those of their own steps.
-    rewards = agent._env.normalise((agent.replay(), np.zeros(60)))[0]
-    agent._replay.relabel()
-    order = np.roll(np.arange(30), -agent._replay.pos)
-    np.testing.assert_allclose(agent._replay.rewards[order].ravel(), rewards, rtol=1e-5)

@@ -59,15 +59,6 @@ def test_it_counts_steps_and_solves(steady: EnvSpec, fragile: EnvSpec) -> None:
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 40, 3)
 
 
-def test_the_expert_answers_those_who_may_ask_and_is_counted(steady: EnvSpec) -> None:
-    world, obs = TaskWorld(steady, "absorbing", "sb3", expert=off_target), np.array([[0.3], [-0.2]])
-    np.testing.assert_array_equal(world.ask(obs), [[-1.0], [1.0]])
-    world.ask(obs[:1])
-    assert (world.answers, world.env_steps) == (3, 0)
-    with pytest.raises(ValueError, match="only methods that are marked"):
-        TaskWorld(steady, "absorbing", "sb3").ask(obs)
-
-
 def test_an_agent_begins_with_what_its_method_gives_it(steady: EnvSpec) -> None:
     spec = dataclasses.replace(steady, rl=SAC(net=()))
     world = TaskWorld(spec, "absorbing", "sb3")
@@ -141,7 +132,7 @@ def test_where_the_model_is_known_a_solve_takes_no_steps_and_begins_with_nothing
 
 
 def test_an_agents_learner_is_of_the_kind_that_is_asked_for_and_takes_whole_bouts(steady: EnvSpec) -> None:
-    ppo = PPO(net=(8,), copies=4, steps=5, batch=10)
+    ppo = PPO(net=(8,))
     soft = SAC(net=(8,), n_steps=1, checkpoint_every=5000)
     ddpg, choices = DDPG(net=(8,), tau=0.1, copies=5), SPECS["cartpole_discrete"]
     asked: list[tuple[EnvSpec, Learner, Kind, Library, Learner]] = [
@@ -155,6 +146,6 @@ def test_an_agents_learner_is_of_the_kind_that_is_asked_for_and_takes_whole_bout
     for spec, own, kind, library, expected in asked:
         world = TaskWorld(dataclasses.replace(spec, rl=own), "absorbing", library)
         assert world.agent(rng(), kind=kind)._solver.settings == expected
-    world = TaskWorld(dataclasses.replace(steady, rl=ppo), "absorbing", "sbx")
+    world = TaskWorld(dataclasses.replace(steady, rl=PPO(copies=4, steps=5, batch=10)), "absorbing", "sbx")
     world.agent(rng()).learn(21, ZERO)
     assert world.env_steps == 40
