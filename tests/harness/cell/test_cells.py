@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.cell import run as running
 from harness.cell.experts import source_for
 from harness.cell.phases import Phase
 from harness.cell.run import prepare, run_cell
@@ -77,63 +76,6 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     assert np.array_equal(again.policy(obs), learned["pi_R"](obs))
 
 
-def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> None:
-    conditions, told = dataclasses.replace(SMOKE, record="none"), list[Phase]()
-    result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
-    assert result.rows[0].status == "ok"
-    assert [phase.stage for phase in told] == ["demonstrate", "fit", "score", "score", "record"]
-    assert told[-1].returns == {"pi_star": result.rows[0].return_mean}
-    assert result.recordings == {}
-    assert files.keys() == result.files.keys() == {LEARNED}
-    recorded = run(BC, tmp_path)
-    assert [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows] == [
-        dataclasses.replace(row, fit_seconds=0.0) for row in recorded.rows
-    ]
-    kept = learned_in((tmp_path / LEARNED).read_bytes())
-    obs = np.random.default_rng(0).standard_normal((20, 4))
-    assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
-
-
-def test_the_reference_scores_the_expert_and_a_random_policy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out_of_reach = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 501.0)
-    monkeypatch.setitem(SPECS, "cartpole", out_of_reach)
-    result = run(Cell("cartpole", "reference", 0), tmp_path)
-    expert, random = result.rows
-    assert [row.policy for row in result.rows] == ["expert", "random"]
-    assert {row.status for row in result.rows} == {"ok"}
-    shipped = SPECS["cartpole"].shipped
-    assert shipped is not None
-    assert (expert.env_steps, expert.rl_solves) == (shipped.steps, 1)
-    assert expert.check_steps > 0
-    assert (random.env_steps, random.check_steps, random.rl_solves) == (0, 0, 0)
-    assert result.below_bar
-    assert random.length_mean < 100
-    assert result.curves["expert"] == list(source_for("cartpole", 0, SMOKE).expert.curve)
-    assert set(result.endings) == {"expert", "random"}
-    (warning,) = result.warnings
-    assert "misses its bar" in warning
-    assert "at least 501.00" in warning
-    assert f"{expert.return_mean:.2f}" in warning
-    both = [f"{policy}.{which}" for policy in ("expert", "random") for which in ("median", "worst")]
-    assert recordings(tmp_path) == [f"cartpole__reference__seed0__{one}.rrd" for one in both]
-
-
-@pytest.mark.parametrize(("early", "warnings"), [(2, 0), (3, 1)])
-def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, early: int, warnings: int
-) -> None:
-    allowed = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 0.0, max_terminated={"smoke": 0.02})
-    monkeypatch.setitem(SPECS, "cartpole", allowed)
-    scored = evaluate(allowed, lambda obs: np.zeros((len(obs), 1)), range(1))
-    scored = dataclasses.replace(
-        scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
-    )
-    monkeypatch.setattr(running, "evaluate", lambda *of: scored)
-    assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
-
-
 @pytest.mark.parametrize(("control", "steps"), [("control_untrained", 4096), ("control_plus1", 0)])
 def test_a_control_has_pi_r_alone(tmp_path: Path, control: str, steps: int) -> None:
     result = run(Cell("cartpole", control, 1), tmp_path)
@@ -156,12 +98,50 @@ def test_the_clones_control_is_the_same_with_what_bc_learned_and_without(tmp_pat
     assert scores[0] == scores[1]
 
 
-def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None:  # noqa: F811
+def test_where_nothing_is_recorded_scores_and_what_was_learned_are_the_same(tmp_path: Path) -> None:
+    conditions, told = dataclasses.replace(SMOKE, record="none"), list[Phase]()
+    result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
+    assert [phase.stage for phase in told] == ["demonstrate", "fit", "score", "score", "record"]
+    assert told[-1].returns == {"pi_star": result.rows[0].return_mean}
+    assert files.keys() == result.files.keys() == {LEARNED}
+    recorded = run(BC, tmp_path)
+    nothing = {"recordings": {}, "files": {}}
+    assert timeless(dataclasses.replace(recorded, **nothing)) == timeless(
+        dataclasses.replace(result, **nothing)
+    )
+    kept = learned_in((tmp_path / LEARNED).read_bytes())
+    obs = np.random.default_rng(0).standard_normal((20, 4))
+    assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
+
+
+def test_the_reference_scores_the_expert_and_a_random_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out_of_reach = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 501.0)
+    monkeypatch.setitem(SPECS, "cartpole", out_of_reach)
+    result = run(Cell("cartpole", "reference", 0), tmp_path)
+    expert, random = result.rows
+    assert [(row.policy, row.status) for row in result.rows] == [("expert", "ok"), ("random", "ok")]
+    shipped = out_of_reach.shipped
+    assert shipped is not None
+    assert (expert.env_steps, expert.rl_solves) == (shipped.steps, 1)
+    assert (random.env_steps, random.check_steps, random.rl_solves) == (0, 0, 0)
+    assert random.length_mean < 100
+    assert result.curves["expert"] == list(source_for("cartpole", 0, SMOKE).expert.curve)
+    assert set(result.endings) == {"expert", "random"}
+    (warning,) = result.warnings
+    assert result.below_bar
+    assert "misses its bar" in warning
+    assert f"{expert.return_mean:.2f}" in warning
+
+
+def test_a_known_model_is_solved_without_rl(tmp_path: Path) -> None:
     reference, method, control, constant = (
         run(Cell("gridworld", name, 0), tmp_path)
         for name in ("reference", "maxmargin", "control_true", "control_plus1")
     )
     assert reference.warnings == []
+    assert reference.endings["expert"] == {"time limit": 5}
     expert, random = reference.rows
     assert expert.return_mean > max(0, random.return_mean, constant.rows[0].return_mean)
     assert (expert.env_steps, expert.check_steps, expert.rl_solves) == (0, 0, 1)
@@ -171,8 +151,3 @@ def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None
         assert (row.status, row.length_mean) == ("ok", 50)
         assert (row.env_steps, row.check_steps) == (0, 0)
         assert row.rl_solves == 1 or row is star
-    assert reference.endings["expert"] == {"time limit": 5}
-    assert {p.name.split("__")[0] for p in cache.iterdir() if "gridworld" in p.name} == {
-        *("demonstrations0", "ranking0")
-    }
-    assert "gridworld__maxmargin__seed0__pi_star.median.rrd" in recordings(tmp_path)

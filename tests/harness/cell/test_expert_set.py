@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from harness.benchmarks.expert_training import Candidate, is_good, measure
 from harness.cell.experts import source_for
 from harness.cell.shipped import shipped_experts
-from harness.process.environment import CACHE_VARIABLE, numeric
+from harness.process.environment import numeric
 from harness.records import Cell, Conditions
 from harness.registry import SPECS, BadInput, all_specs, keys
 from harness.registry.keys import EXPERTS, ROOT, cell_keys, experts_version, program
@@ -64,45 +63,21 @@ def test_experts_are_as_good_as_they_say_on_a_few_episodes_that_nothing_else_use
     assert half.mean_return < best.mean_return
 
 
-def key(env: str) -> str:
-    (its,) = cell_keys([Cell(env, "bc", 0)], CONDITIONS, numeric(False)).values()
-    return its
-
-
-def change(copy: Path, env: str = "cartpole") -> None:
-    """Write another bias into a task's file, with its checksum renewed."""
-    content = from_bytes((copy / f"{env}.safetensors").read_bytes())
-    content.arrays["expert1/bias0"] = content.arrays["expert1/bias0"] + 1
-    (copy / f"{env}.safetensors").write_bytes(as_bytes(content))
-    program.cache_clear()
-
-
 def test_whatever_changes_an_expert_is_another_version_and_damage(copy: Path) -> None:
-    versions = {env: (experts_version(env), key(env)) for env in ("cartpole", "cartpole_discrete")}
-    change(copy)
-    assert experts_version("cartpole") != versions["cartpole"][0]
-    assert key("cartpole") != versions["cartpole"][1]
-    other = experts_version("cartpole_discrete"), key("cartpole_discrete")
-    assert other == versions["cartpole_discrete"]
-    file = copy / "cartpole.safetensors"
+    def version(env: str) -> tuple[str, ...]:
+        program.cache_clear()
+        return experts_version(env), *cell_keys([Cell(env, "bc", 0)], CONDITIONS, numeric(False)).values()
+
+    before = {env: version(env) for env in ("cartpole", "cartpole_discrete")}
+    file, other = copy / "cartpole.safetensors", copy / "cartpole_discrete.safetensors"
+    content = from_bytes(file.read_bytes())
+    content.arrays["expert1/bias0"] = content.arrays["expert1/bias0"] + 1
+    file.write_bytes(as_bytes(content))  # with its checksum renewed
+    assert all(one != its for one, its in zip(version("cartpole"), before["cartpole"], strict=True))
+    assert version("cartpole_discrete") == before["cartpole_discrete"]
     whole = file.read_bytes()
-    for odd in (
-        whole[:-1],
-        whole[:-9] + b"x" + whole[-8:],
-        (copy / "cartpole_discrete.safetensors").read_bytes(),
-    ):
+    for odd in (whole[:-1], whole[:-9] + b"x" + whole[-8:], other.read_bytes()):
         file.write_bytes(odd)
         program.cache_clear()
         with pytest.raises(BadInput, match=r"cartpole.safetensors is damaged"):
             shipped_experts("cartpole")
-
-
-def test_a_task_without_shipped_experts_trains_its_own(
-    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    (copy / "cartpole.safetensors").unlink()
-    program.cache_clear()
-    assert (experts_version("cartpole"), shipped_experts("cartpole")) == ("", [])
-    conditions = dataclasses.replace(CONDITIONS, rl="sb3")
-    assert source_for("cartpole", 2, conditions).expert.name == "trained:2"

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 import pytest
 
 from harness.cell.settings import settings_of
-from harness.cli.main import main
 from harness.judge.leaderboard import scored_rows
 from harness.records import CONTROLS, REFERENCE, Conditions
 from harness.registry import METHODS, SPECS, load_method
@@ -38,19 +37,3 @@ def test_conditions_and_controls_count() -> None:
     assert settings_of("bc", "gridworld", QUICK)["learner"] == {"name": "exact"}
     for method in (REFERENCE, CONTROLS[0]):
         assert "method" not in settings_of(method, "hopper", QUICK)
-
-
-def test_list_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", "gail", "--env", "hopper", "--budget", "smoke"]) == 0
-    said = capsys.readouterr().out
-    assert all(part in said for part in ("method:\n", "learner:\n", "budget:\n", "  iterations    1\n"))
-    for words, why in (
-        (["gail"], "irl-bench list METHOD --env ENV"),
-        (["--env", "hopper"], "irl-bench list METHOD --env ENV"),
-        (["gail,bc", "--env", "hopper"], "one method is needed"),
-        (["gial", "--env", "hopper"], "did you mean 'gail'"),
-    ):
-        assert main(["list", *words]) == 2
-        err = capsys.readouterr().err
-        assert why in err
-        assert err.count("\n") == 1

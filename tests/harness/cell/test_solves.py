@@ -16,7 +16,6 @@ from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
 from harness.cell.experts import task_for
 from harness.cell.inputs import Inputs
-from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate
@@ -96,17 +95,14 @@ def earned(policy: Policy, seeds: range) -> tuple[float, float]:
 
 
 def test_the_solve_that_earns_most_on_judging_episodes_counts(
-    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = run(CELL, tmp_path, many(4))
     star, trained = result.rows
     judging, evaluation = judging_seeds(1, JUDGING_EPISODES), evaluation_seeds(1, 5)
     for force, solve in zip(FORCES, result.solves, strict=True):
-        judged, _ = earned(Push(force), judging)
-        assert (solve.judged, solve.own_return, solve.return_mean) == (
-            judged,
-            *earned(Push(force), evaluation),
-        )
+        assert solve.judged == earned(Push(force), judging)[0]
+        assert (solve.own_return, solve.return_mean) == earned(Push(force), evaluation)
     most = result.solves[1]
     assert most == result.solves[2]
     assert most.judged == max(solve.judged for solve in result.solves)
@@ -123,15 +119,10 @@ def test_the_solve_that_earns_most_on_judging_episodes_counts(
     assert (trained.solved, star.solves) == (1, 0)
     assert math.isnan(star.solved)
     assert decode(encode(result)).solves == result.solves
-
-
-def test_what_earns_no_number_is_never_chosen(
-    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    # What earns no number is never chosen.
     monkeypatch.setattr(retraining, "judge", lambda *asked: ([math.nan, -3.0, -3.0, -2.0], 0))
     result = run(CELL, tmp_path, many(4))
     assert result.curves["pi_R_chosen"] == [(float(STEPS), -0.5)]
-    assert decode(encode(result)).solves[1:] == result.solves[1:]
 
 
 def test_a_solve_is_the_same_whatever_others_there_are(
@@ -148,14 +139,6 @@ def test_a_solve_is_the_same_whatever_others_there_are(
     assert len(set(states[2])) == 3
 
 
-def test_one_solve_is_compared_with_none(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
-    result = run(CELL, tmp_path)
-    (solve,) = result.solves
-    assert math.isnan(solve.judged)
-    assert (solve.own_return, solve.return_mean) == earned(Push(0.1), evaluation_seeds(1, 5))
-    assert (result.rows[1].check_steps, result.rows[1].solves, result.rows[1].solved) == (FEW, 1, 0)
-
-
 @pytest.mark.parametrize(
     ("method", "dynamics"), [("control_plus1", NOMINAL), ("control_true", NOMINAL), ("shaped", "flipped")]
 )
@@ -168,35 +151,12 @@ def test_controls_and_variants_take_one_solve(
     assert math.isnan(result.rows[-1].own_return_random) == (dynamics == NOMINAL)
 
 
-def test_where_no_reward_is_learned_or_none_is_solved_nothing_is_said_of_it(
-    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
+def test_where_no_reward_is_solved_nothing_is_said_of_it(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
 ) -> None:
-    without = [run(CELL, tmp_path, dataclasses.replace(many(3), retrain=False))]
-    monkeypatch.setattr(Fits, "reward", None)
-    without.append(run(CELL, tmp_path, many(3)))
-    for result in without:
-        assert result.solves == []
-        assert all(math.isnan(x) for row in result.rows for x in (row.solved, row.own_return_random))
-    assert solved == []
-
-
-def test_the_task_says_how_many_unless_the_run_does() -> None:
-    def solves(env: str, budget: str, asked: int = 0) -> int:
-        return Inputs(
-            Cell(env, "shaped", 0), Conditions(budget, "absorbing", "sbx", solves=asked), None
-        ).solves  # type: ignore[arg-type]
-
-    assert [solves("swingup", budget) for budget in ("smoke", "quick", "full")] == [1, 2, 5]
-    assert [solves(env, "full") for env in ("halfcheetah", "hopper", "walker2d", "gridworld")] == [2, 2, 2, 1]
-    assert solves("swingup", "smoke", 7) == solves("hopper", "full", 7) == 7
-
-
-def test_it_is_told_how_far_all_solves_are(tmp_path: Path, solved: list[tuple[EnvSpec, Any]]) -> None:
-    told: list[Phase] = []
-    task = Inputs(CELL, many(2), None, report=told.append)  # type: ignore[arg-type]
-    for number in range(2):
-        retraining.solve(task, None, number)
-    assert told == [Phase("retrain", done * STEPS, 2 * STEPS) for done in (1, 2)]
+    result = run(CELL, tmp_path, dataclasses.replace(many(3), retrain=False))
+    assert result.solves == solved == []
+    assert all(math.isnan(x) for row in result.rows for x in (row.solved, row.own_return_random))
 
 
 @pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])
