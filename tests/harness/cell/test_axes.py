@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import shlex
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 
 from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
+from harness.cell.settings import settings_of
 from harness.cli.arguments import parser
 from harness.cli.main import main
 from harness.judge.leaderboard import leaderboard, scored_rows
@@ -29,11 +31,14 @@ from harness.records import (
     Shown,
     row_of,
 )
+from harness.registry import METHODS, SPECS, load_method
 from harness.rl.seeds import rng_for
+from harness.store.codec import decode, encode
 from harness.store.names import files_of
 from harness.store.opening import open_to_verify
 from harness.store.request import Request, command_of
 from methods.base import Episodes
+from methods.settings import settings_for
 
 SMOKE = Conditions("smoke", "absorbing", "sbx")
 MANY = Request(
@@ -163,17 +168,37 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_a_variant_whose_method_is_fitted_again_says_no_more_than_one_that_is_carried() -> None:
-    nominal, cell = (Cell("swingup", "shaped", 0, dynamics=dynamics) for dynamics in (NOMINAL, "flipped"))
+@pytest.mark.parametrize(
+    ("learned_in", "cell"),
+    [
+        (Cell("cartpole", "bc", 0), Cell("cartpole", "control_clone", 0)),
+        (Cell("swingup", "shaped", 0), Cell("swingup", "shaped", 0, dynamics="flipped")),
+    ],
+)
+def test_what_another_cell_learned_and_what_is_fitted_again_score_the_same(
+    learned_in: Cell, cell: Cell
+) -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
-    _, files = run_cell(nominal, conditions, prepare([nominal], conditions))
-    inputs = prepare([cell], conditions)
-    learned = files[LEARNED]
-    rows = []
-    for given in (inputs, {**inputs, LEARNED: learned}):
+    _, files = run_cell(learned_in, conditions, prepare([learned_in], conditions))
+    inputs, rows = prepare([cell], conditions), []
+    for given in (inputs, {**inputs, LEARNED: files[LEARNED]}):
         result, _ = run_cell(cell, conditions, given)
         rows.append([repr(dataclasses.replace(row, fit_seconds=0.0)) for row in result.rows])
     assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_result_has_every_setting_that_its_cell_has(method: str) -> None:
+    conditions = Conditions("quick", "absorbing", "sbx", learner="ddpg", solves=3)
+    settings = settings_of(method, "hopper", conditions)
+    its = load_method(method)(**settings_for(method, "hopper", "quick"))
+    assert settings["method"].keys() == {field.name for field in dataclasses.fields(its)}  # type: ignore[arg-type]
+    assert (settings["learner"]["name"], settings["budget"]["solves"]) == ("DDPG", 3)
+    assert settings["budget"]["rl_steps"] == SPECS["hopper"].ddpg_steps["quick"]
+    there = dataclasses.replace(made(Cell("hopper", method, 0), pi_star=1.0), settings=settings)
+    (row,) = scored_rows([decode(encode(there))])
+    assert json.loads(row.settings) == json.loads(json.dumps(settings))
+    assert "\n" not in row.settings
 
 
 @pytest.mark.parametrize(

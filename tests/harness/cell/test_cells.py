@@ -86,18 +86,6 @@ def test_a_control_has_pi_r_alone(tmp_path: Path, control: str, steps: int) -> N
     assert ({y for _, y in result.curves["pi_R"]} == {0.0}) == (control == "control_plus1")
 
 
-def test_the_clones_control_is_the_same_with_what_bc_learned_and_without(tmp_path: Path) -> None:
-    run(BC, tmp_path)
-    cell = Cell("cartpole", "control_clone", 0)
-    inputs = prepare([cell], SMOKE)
-    artifact = (tmp_path / LEARNED).read_bytes()
-    scores = []
-    for given in (inputs, {**inputs, LEARNED: artifact}):
-        result, _ = run_cell(cell, SMOKE, given)
-        scores.append([dataclasses.replace(row, fit_seconds=0.0) for row in result.rows])
-    assert scores[0] == scores[1]
-
-
 def test_where_nothing_is_recorded_scores_and_what_was_learned_are_the_same(tmp_path: Path) -> None:
     conditions, told = dataclasses.replace(SMOKE, record="none"), list[Phase]()
     result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
@@ -133,21 +121,3 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert result.below_bar
     assert "misses its bar" in warning
     assert f"{expert.return_mean:.2f}" in warning
-
-
-def test_a_known_model_is_solved_without_rl(tmp_path: Path) -> None:
-    reference, method, control, constant = (
-        run(Cell("gridworld", name, 0), tmp_path)
-        for name in ("reference", "maxmargin", "control_true", "control_plus1")
-    )
-    assert reference.warnings == []
-    assert reference.endings["expert"] == {"time limit": 5}
-    expert, random = reference.rows
-    assert expert.return_mean > max(0, random.return_mean, constant.rows[0].return_mean)
-    assert (expert.env_steps, expert.check_steps, expert.rl_solves) == (0, 0, 1)
-    star, retrained = method.rows
-    assert (star.policy, retrained.policy) == ("pi_star", "pi_R")
-    for row in (star, retrained, *control.rows):
-        assert (row.status, row.length_mean) == ("ok", 50)
-        assert (row.env_steps, row.check_steps) == (0, 0)
-        assert row.rl_solves == 1 or row is star

@@ -11,17 +11,14 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from harness.cell import fitting
-from harness.cell.inputs import Inputs
 from harness.cell.recording import LEAST_WEIGHT, advantages, chosen
 from harness.cell.run import prepare, run_cell
-from harness.cell.shared import Shared
 from harness.records import Cell, Conditions
 from harness.registry import SPECS
 from harness.rl.seeds import evaluation_seeds
 from harness.rl.simulator import Simulator
 from harness.store.names import files_of, recording_of
-from methods.base import Array, Episodes, Learned
+from methods.base import Array
 from methods.rewards import Constant
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
@@ -64,23 +61,6 @@ def test_what_a_policy_does_to_its_arrays_changes_no_episode() -> None:
         (same,) = Simulator(SPEC, 1).run(lambda obs: np.zeros((len(obs), 1)), [seed], [next(again)])
         for name in ("obs", "act", "rewards"):
             assert np.array_equal(getattr(same, name), getattr(episode, name)), name
-
-
-def test_what_a_method_does_to_its_demonstrations_stays_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Spoiling:
-        def fit(self, demos: Episodes, world: object, rng: object) -> Learned:
-            for array in (*demos.obs, *demos.act):
-                assert not array.flags.writeable
-                array.flags.writeable = True
-                array[:] = 0
-            return Learned(lambda obs: np.zeros((len(obs), SPEC.act_size)), None)
-
-    task = Inputs(Cell("cartpole", "bc", 0), SMOKE, Shared(shared()))
-    demos = fitting.demonstrations(task)
-    before = [array.copy() for array in (*demos.obs, *demos.act)]
-    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Spoiling())
-    fitting.learned_by(task, "bc", demos, task.world())
-    assert all(map(np.array_equal, (*demos.obs, *demos.act), before))
 
 
 def test_the_median_is_the_lower_of_two_and_the_worst_the_first_of_equals() -> None:

@@ -151,14 +151,6 @@ def test_controls_and_variants_take_one_solve(
     assert math.isnan(result.rows[-1].own_return_random) == (dynamics == NOMINAL)
 
 
-def test_where_no_reward_is_solved_nothing_is_said_of_it(
-    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
-) -> None:
-    result = run(CELL, tmp_path, dataclasses.replace(many(3), retrain=False))
-    assert result.solves == solved == []
-    assert all(math.isnan(x) for row in result.rows for x in (row.solved, row.own_return_random))
-
-
 @pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])
 def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dynamics: str) -> None:
     spec = dataclasses.replace(CARTPOLE, rl=SAC(), ddpg=DDPG(batch=64), ddpg_steps=dict.fromkeys(BUDGETS, 70))
