@@ -7,7 +7,7 @@ import torch
 from methods.base import Array, Episodes, Transitions
 from methods.fourier import FourierFeatures
 from methods.network import mlp
-from methods.rewards import Constant, MeanReward, NetworkReward, default_absorbing, deterred, fast, paid
+from methods.rewards import MeanReward, NetworkReward, default_absorbing, deterred, paid
 from methods.visits import visitations, visited
 
 
@@ -52,24 +52,6 @@ def uniform(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 MEAN, STD = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
-
-
-def test_visitations_standardise_and_count_absorbing_steps_up_to_the_horizon() -> None:
-    rng = np.random.default_rng(0)
-    lengths, terminated = (4, 10, 3, 10), (True, False, False, True)
-    episodes = Episodes(
-        tuple(rng.normal(size=(n + 1, 3)) for n in lengths),
-        tuple(rng.uniform(-1, 1, (n, 2)) for n in lengths),
-        terminated,
-    )
-    visits = visitations(episodes, 10 - episodes.lengths, MEAN, STD)
-    alive, absorbed = visits[: sum(lengths)], visits[sum(lengths) :]
-    obs, act = episodes.pairs()
-    np.testing.assert_allclose(alive[:, :3] * STD + MEAN, obs)
-    np.testing.assert_array_equal(alive[:, 3:5], act)
-    assert (alive[:, 5] == 0).all()
-    # Only the first episode terminated before the horizon, six steps early.
-    np.testing.assert_array_equal(absorbed, np.tile([0, 0, 0, 0, 0, 1.0], (6, 1)))
 
 
 def test_steps_of_an_agent_are_described_as_those_of_episodes_are() -> None:
@@ -157,12 +139,3 @@ def test_a_mean_pays_in_float32_what_it_pays_in_float64(bound: float | None, row
         assert compiled.absorbing == pytest.approx(reward.absorbing)
         expected = reward(obs, act, obs)
         np.testing.assert_allclose(compiled(obs, act, obs), expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_a_subclass_and_a_mean_of_other_rewards_stay_as_they_are() -> None:
-    class Own(NetworkReward):
-        pass
-
-    own = Own(**vars(reward(0)))
-    for other in (own, MeanReward((own,)), MeanReward((reward(0), Constant(1.0, 0.0)))):
-        assert fast(other) is other

@@ -81,10 +81,10 @@ BROKEN = [
     (Returns(None), "fit returns a policy and a reward", "fit must return a Learned, not NoneType"),
     (Returns(Learned(lambda obs: obs[:, :2], None)), "fit returns", r"lie in \[-1, 1\]"),
     (Returns(Learned(lambda obs: linear(obs - len(obs)), None)), "fit returns", "same batch"),
-    (Returns(Learned(lambda obs: linear(obs) + 0j, None)), "fit returns", "real numbers.*docs/plugins.md"),
     (Returns(Learned(linear, linear)), "fit returns", "lacks `absorbing`"),  # type: ignore[arg-type]
     (Returns(Learned(linear, Pays(size=2))), "fit returns", r"one number a step, \(40,\), not \(80,\)"),
     (Returns(Learned(linear, Pays(np.inf))), "fit returns", "one finite number for each step"),
+    (Returns(Learned(linear, Pays(absorbing=np.inf))), "fit returns", "one finite number"),
     (Returns(change), "it leaves demonstrations as they are", "changed the demonstrations"),
     (Returns(draw), "nothing but its generator decides", "draw from `rng` alone"),
     (Returns(lambda demos, rng: 1 / 0), "fit returns", "ZeroDivisionError"),

@@ -86,8 +86,8 @@ def shaped() -> Learned:
 
 
 @pytest.mark.parametrize("method", [BehaviourCloning(steps=800), Shaped(steps=800)])
-@pytest.mark.parametrize(("centre", "size"), [(0.0, 1e-2), (0.5, 1e-4)])
-def test_an_expert_that_hardly_moves_is_cloned_as_well(method: Any, centre: float, size: float) -> None:
+def test_an_expert_that_hardly_moves_is_cloned_as_well(method: Any) -> None:
+    centre, size = 0.5, 1e-4
     demos = REGULATOR.demonstrations(seed=0)
     small = replace(demos, act=tuple(centre + size * act for act in demos.act))
     learned = method.fit(small, WORLD, np.random.default_rng(0))
@@ -117,14 +117,10 @@ def test_an_inverse_regulator_finds_the_hessian_of_a_cost_of_squares(seed: int) 
     np.testing.assert_allclose(found / np.trace(found), truth.M / np.trace(truth.M), atol=1e-4)
 
 
-@pytest.fixture(scope="module")
-def shaped_ml() -> Learned:
-    method = ShapedML(steps=600)
-    return method.fit(REGULATOR.demonstrations(seed=0), WORLD, np.random.default_rng(0))
-
-
 def test_likelihood_finds_the_advantage_of_demonstrations_without_noise(
-    shaped: Learned, shaped_ml: Learned
+    shaped: Learned,
 ) -> None:
+    demos = REGULATOR.demonstrations(seed=0)
+    shaped_ml = ShapedML(steps=600).fit(demos, WORLD, np.random.default_rng(0))
     assert correlation(shaped_ml) > 0.98 > 0.9 > correlation(shaped)
     np.testing.assert_array_equal(shaped_ml.policy(HELD_OUT), shaped.policy(HELD_OUT))

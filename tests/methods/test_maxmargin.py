@@ -17,7 +17,6 @@ from methods.maxmargin import (
     exact_feature_expectations,
     feature_expectations,
     max_margin,
-    projection,
 )
 from tests.methods.worlds import FiniteWorld, constant, demonstrate
 
@@ -33,23 +32,6 @@ def test_the_margin_is_the_distance_to_the_segment_of_two(expert: Array, a: Arra
     assert t == pytest.approx(np.linalg.norm(expert - a - share * along), abs=1e-4)
     assert np.linalg.norm(w) <= 1 + 1e-6
     assert min((expert - mu) @ w for mu in (a, b)) == pytest.approx(t, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("found", "point"),
-    [
-        ([[2, 0], [0, 2]], [1, 1]),
-        ([[2, 0], [0, 2], [-1, 0]], [-0.2, 0.4]),
-        ([[2, 0], [3, 1]], [2, 0]),
-        ([[2, 1], [-4, -2]], [0, 0]),
-    ],
-)
-def test_projections_by_hand(found: list[list[float]], point: list[float]) -> None:
-    expert = np.array([5.0, -3.0])
-    w, t = projection(expert, [expert + mu for mu in found])
-    margin = np.linalg.norm(point)
-    assert t == pytest.approx(margin, abs=1e-12)
-    np.testing.assert_allclose(w, -np.array(point) / (margin or 1), atol=1e-12)
 
 
 @pytest.mark.parametrize(("length", "terminated"), [(10, True), (4, True), (4, False)])
@@ -83,18 +65,6 @@ def test_the_closest_policy_is_returned_with_the_mean_of_the_latest_rewards(
     np.testing.assert_array_equal(learned.reward.w, last)
     one, other = learned.curves["margin"][1:3]
     np.testing.assert_allclose(last, (one * second + other * third) / (one + other))
-
-
-def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
-    rng = np.random.default_rng(0)
-    lives = demonstrate(constant(0.0, 0.0))
-    dies = demonstrate(constant(0.0, 0.0), lifetime=2)
-    settings = MaxMargin(iterations=1)
-    for demos, where, sign in ((lives, mortal_world, -1), (dies, world, 1)):
-        reward: Any = settings.fit(demos, where, rng).reward
-        alive = reward(np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3)))[0]
-        assert np.sign(reward.absorbing) == sign
-        assert np.sign(alive) == -sign
 
 
 def distance_to_mixtures(expert: Array, found: list[Array]) -> float:
