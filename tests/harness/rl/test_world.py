@@ -20,10 +20,7 @@ from harness.rl.exact import ExactSolver
 from harness.rl.simulator import Simulator, Trajectory
 from harness.rl.solving import Agent
 from harness.rl.world import TaskWorld
-from methods.base import Array, Kind, Transitions
-from methods.network import Network
-from methods.rewards import Constant
-from methods.stochastic import SquashedGaussian
+from methods.base import Array, Kind
 from tests.harness.rewards import Nothing
 
 ZERO = Nothing()
@@ -57,27 +54,6 @@ def test_it_counts_steps_and_solves(steady: EnvSpec, fragile: EnvSpec) -> None:
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 20, 3)
     agent.best(ZERO)
     assert (world.env_steps, world.check_steps, world.rl_solves) == (30 + 80, 40, 3)
-
-
-def test_an_agent_begins_with_what_its_method_gives_it(steady: EnvSpec) -> None:
-    spec = dataclasses.replace(steady, rl=SAC(net=()))
-    world = TaskWorld(spec, "absorbing", "sb3")
-    network = Network(np.zeros(1), np.ones(1), (np.array([[0.5, -0.2]]),), (np.array([0.1, -1.0]),))
-    init = SquashedGaussian(network)
-    demos = world.rollout(on_target, 3, rng())
-    agent = world.agent(rng(), init=init, demonstrations=demos)
-    seen: list[Transitions] = []
-    agent.learn(40, lambda steps: seen.append(steps) or np.zeros(len(steps)))
-    # The demonstrations were paid, and are no steps of the agent's own.
-    assert (world.env_steps, world.rl_solves) == (30 + 40, 1)
-    (shown,) = (steps for steps in seen if steps.demonstrated.any())
-    np.testing.assert_array_equal(shown.obs, demos.pairs()[0])
-    assert shown.demonstrated.all()
-    still = world.agent(rng(), init=init)
-    still.learn(40, Constant(0.0, 0.0))
-    obs, act = demos.pairs()
-    np.testing.assert_allclose(still.policy(obs), init.mean(obs), atol=1e-6)
-    np.testing.assert_allclose(still.behaviour.log_prob(obs, act), init.log_prob(obs, act), atol=1e-4)
 
 
 def reachable(start: list[Any]) -> list[Any]:
