@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from envs.models import Tabular
+from methods.adversarial import Game
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Transitions
 from methods.f_irl import FIRL
@@ -15,6 +17,7 @@ from methods.gail import GAIL
 from methods.maxent import MaxEnt
 from methods.maxent_linear import MaxEntLinear
 from methods.maxmargin import MaxMargin
+from methods.network import mlp
 from methods.tabular.model import (
     greedy,
     policy_value,
@@ -68,20 +71,29 @@ def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(world: Any) -> N
     np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        *(
-            GAIL(iterations=3),
-            AIRL(iterations=3),
-            FIRL(iterations=3),
-            MaxMargin(iterations=1),
-            MaxEntLinear(),
-        ),
-        MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1),
-    ],
-    ids=lambda method: type(method).__name__,
-)
+def test_an_end_pays_less_than_a_fall() -> None:
+    """Demonstrations stay about the mean of observations, where the absorbing state's zeros are as well;
+    what falls leaves it, and ends."""
+    rng, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    falling = rng.normal(0, 0.1, (500, 3)) + rng.uniform(0, 3, (500, 1))
+    ends = np.tile([0.0, 0.0, 0.0, 1.0], (500, 1))
+    shown, own = (np.pad(rows, ((0, 0), (0, 1))) for rows in (rng.normal(0, 0.1, (1000, 3)), falling))
+    game = Game(reward_steps=400)
+    discriminator = game.discriminator(mlp(4, *game.layers, 1, generator=generator), generator)
+    discriminator.learn(shown, np.concatenate([own, ends]), rng)
+    with torch.no_grad():
+        logits = discriminator.logit(torch.as_tensor(np.vstack([own, ends[:1]]), dtype=torch.float32))[:, 0]
+    assert logits[-1] < logits[:-1].mean()
+
+
+GAMES = [GAIL(iterations=3), AIRL(iterations=3), FIRL(iterations=3)]
+OTHERS = [
+    *(MaxMargin(iterations=1), MaxEntLinear()),
+    MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1),
+]
+
+
+@pytest.mark.parametrize("method", [*GAMES, *OTHERS], ids=lambda method: type(method).__name__)
 def test_an_end_that_is_shown_pays_more_than_one_that_is_not(
     world: Any, mortal_world: Any, method: Any
 ) -> None:
