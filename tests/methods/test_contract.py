@@ -129,18 +129,15 @@ def test_transitions_are_of_steps_that_follow_each_other() -> None:
     np.testing.assert_array_equal(done, [act[0][0], act[1][5]])
 
 
-@pytest.mark.parametrize(
-    ("obs", "act"),
-    [
-        ([], []),
-        ([np.zeros((4, 3))], [np.zeros((4, 2))]),
-        ([np.full((4, 3), np.nan)], [np.zeros((3, 2))]),
-        ([np.zeros((4, 3))], [np.full((3, 2), 1.5)]),
-    ],
-)
-def test_bad_episodes_are_refused(obs: list[np.ndarray], act: list[np.ndarray]) -> None:
-    with pytest.raises(ValueError, match="episode"):
-        Episodes(tuple(obs), tuple(act), tuple(False for _ in obs))
+def test_bad_episodes_are_refused() -> None:
+    obs, act = np.zeros((4, 3)), np.zeros((3, 2))
+    assert len(Episodes((obs,), (act,), (False,)).act) == 1
+    for wrong in (((), ()), ((obs,), (obs,)), ((obs * np.nan,), (act,)), ((obs,), (act + 1.5,))):
+        with pytest.raises(ValueError, match="episode"):
+            Episodes(*wrong, (False,) * len(wrong[0]))
+    for times in ([0, 0, 1], [3, 4, 9], [3, 4]):
+        with pytest.raises(ValueError, match="ascend"):
+            Episodes((obs[:3],), (act,), (False,), times=(np.array(times),), steps=(9,))
 
 
 def uniform(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -227,11 +227,6 @@ def ranked() -> Learned:
     return METHOD.fit(DEMOS, LINE, np.random.default_rng(2))
 
 
-def test_its_policy_is_that_of_shaped(ranked: Learned) -> None:
-    shaped = Shaped(**FITS).fit(DEMOS, LINE, np.random.default_rng(2))
-    np.testing.assert_array_equal(ranked.policy(OBS), shaped.policy(OBS))
-
-
 def test_its_reward_prefers_demonstrated_states_whatever_the_action(ranked: Any) -> None:
     reward = ranked.reward
     values = [reward(*at(x))[0] for x in (0.7, 0.0, -0.7)]

@@ -11,7 +11,6 @@ from scipy.stats import norm
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from methods.network import ADAM, Network, contrast, descend, mlp
-from methods.soap import Soap
 from methods.stochastic import LOG_STD, EpsilonGreedy, Gaussian, Softmax, SquashedGaussian
 
 
@@ -69,23 +68,6 @@ def test_slopes_are_those_of_the_network() -> None:
     found = contrast(lambda x: x @ slope.T + 7, a, b, torch.Generator().manual_seed(1))  # type: ignore[arg-type]
     assert float(found.squared_slope) == pytest.approx(26, rel=0.1)
     torch.testing.assert_close(torch.cat([found.a, found.b]), torch.cat([a, b]) @ slope.T + 7)
-
-
-def test_a_fit_leaves_less_than_a_third_of_what_as_many_steps_of_adam_leave() -> None:
-    left = []
-    for kind in (
-        lambda net: torch.optim.Adam(net.parameters(), 1e-2, **ADAM),
-        lambda net: Soap([net], [1e-2]),
-    ):
-        x = np.random.default_rng(0).normal(size=(2000, 3))
-        y = np.sin(x @ [1.0, -2.0, 0.5])[:, None]
-        net = mlp(3, 32, 16, 1, generator=torch.Generator().manual_seed(0))
-
-        def loss(x: torch.Tensor, y: torch.Tensor, net: torch.nn.Module = net) -> torch.Tensor:
-            return (net(x) - y).square().mean()
-
-        left.append(descend(loss, kind(net), (x, y), 1000, 256, np.random.default_rng(1))[-1])
-    assert left[1] < left[0] / 3
 
 
 def gaussian(*entries: float) -> SquashedGaussian:

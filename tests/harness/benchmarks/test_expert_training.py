@@ -21,10 +21,6 @@ from harness.rl.seeds import held_out_seeds, tuning_seeds
 from methods.network import Network
 
 
-def candidate(env: str, seed: int, mean: float) -> Candidate:
-    return Candidate(env, seed, "", mean, 0.0, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
-
-
 def agent(seed: int) -> ShippedExpert:
     """Return an agent whose networks are numbered by its seed."""
     expert, medium = (
@@ -42,8 +38,10 @@ def trained(monkeypatch: pytest.MonkeyPatch, steady: EnvSpec) -> list[int]:
 
     def launch(env: str, seed: int) -> object:
         seeds.append(seed)
+        mean = 8.0 if seed in (0, 3, *range(10, 20)) else 9.5
         future: Future[object] = Future()
-        future.set_result((candidate(env, seed, 8.0 if seed in (0, 3, *range(10, 20)) else 9.5), agent(seed)))
+        judged = Candidate(env, seed, "", mean, 0.0, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
+        future.set_result((judged, agent(seed)))
         return future
 
     monkeypatch.setattr(expert_files, "in_a_process", lambda **_: lambda function: launch)
