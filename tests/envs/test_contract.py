@@ -9,7 +9,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 
-from envs import EnvSpec, Shape, from_gymnasium
+from envs import EnvSpec, from_gymnasium
 from envs.learners import DQN
 from envs.scaled import scaled
 from envs.spec import Quantity
@@ -49,11 +49,6 @@ BROKEN = [
     (broken(rl_steps={"smoke": 900, "quick": 600, "full": 600}), "budgets grow", "rl_steps must not fall"),
     (broken(phi=lambda obs, act: obs), "features are bounded", r"within \[-1, 1\]"),
     (broken(wrap=lambda env: Forgetful(scaled(env))), "the same seed", "differs after a reset"),
-    (
-        broken(draw=lambda env: {"a": Shape(np.zeros((2, 2)), (0, 0, 0))}),
-        "drawings keep",
-        "nothing that is drawn moves",
-    ),
     (broken(variants={"same": {"g": 10.0}}), "the variant same", "everything is as in the task itself"),
     (broken(wrap=lambda env: env), "actions are scaled", "bounds"),
 ]

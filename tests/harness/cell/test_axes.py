@@ -201,6 +201,16 @@ def test_a_result_has_every_setting_that_its_cell_has(method: str) -> None:
     assert "\n" not in row.settings
 
 
+def test_list_prints_the_settings_of_one_method_in_one_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "gail", "--env", "hopper", "--budget", "smoke"]) == 0
+    assert "  iterations    1\n" in capsys.readouterr().out
+    for words, why in (("gail", "list METHOD --env ENV"), ("gial --env hopper", "did you mean 'gail'")):
+        assert main(["list", *words.split()]) == 2
+        err = capsys.readouterr().err
+        assert why in err
+        assert err.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
