@@ -141,7 +141,9 @@ def seen_by(agent: Agent) -> np.ndarray:
 
 @both_libraries
 @pytest.mark.parametrize(
-    ("settings", "init"), [(DDPG, INIT), (TD3, INIT), (SAC, INIT), (SAC, SQUASHED)], ids=str
+    ("settings", "init"),
+    [(DDPG, INIT), (TD3, INIT), (SAC, INIT), (SAC, SQUASHED)],
+    ids=["DDPG", "TD3", "SAC", "stochastic"],
 )
 def test_an_agent_begins_with_the_policy_that_it_is_given(settings: Any, init: Any, library: Library) -> None:
     agent = Agent(noise(settings(net=(16, 8))), "absorbing", rng(), library, init=init)
