@@ -120,7 +120,7 @@ def test_demonstrated_states_pay_more_and_a_reward_of_states_does_not_see_action
     assert reward(there, act, there) == reward(there, act + 0.7, there)
 
 
-STATES, ACTIONS, GAMMA, HORIZON = 16, 4, 0.9, 50
+STATES, ACTIONS, GAMMA = 16, 4, 0.9
 
 
 def acting_in_one_state(seed: int) -> Tabular:

@@ -214,7 +214,6 @@ class Line:
 
 LINE: Any = Line()
 DEMOS = LINE.rollout(constant(0.7, 0.0), 5, np.random.default_rng(0))
-OBS = np.random.default_rng(1).normal(size=(20, 3))
 
 
 def at(x: float) -> tuple[Array, Array, Array]:

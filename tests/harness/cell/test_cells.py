@@ -40,10 +40,6 @@ def timeless(result: CellResult) -> str:
     return repr(result)  # where NaN equals NaN
 
 
-def recordings(directory: Path) -> list[str]:
-    return sorted(path.name for path in directory.rglob("*.rrd"))
-
-
 def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> None:
     result = run(BC, tmp_path)
     star, skipped = result.rows
@@ -58,7 +54,8 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
     assert [x for x, _ in result.curves["loss"]] == list(range(1, 101))
-    assert recordings(tmp_path) == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
+    recorded = sorted(path.name for path in tmp_path.rglob("*.rrd"))
+    assert recorded == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
