@@ -72,8 +72,7 @@ class Miss:
         return -np.square(act - obs)[:, 0]
 
 
-@both_libraries
-@pytest.mark.parametrize("worth", [0.01, None])
+@pytest.mark.parametrize(("library", "worth"), [("sb3", 0.01), ("sbx", 0.01), ("sbx", None)])
 def test_soft_actor_critic_finds_the_soft_optimum_for_entropy_that_is_told_or_learned(
     steady: EnvSpec, library: Library, worth: float | None
 ) -> None:
