@@ -13,7 +13,7 @@ from gymnasium.wrappers import TransformReward
 
 from envs import EnvSpec, from_gymnasium, point_maze
 from envs.copies import try_out
-from envs.mujoco_batch import MujocoBatch, twin
+from envs.mujoco_batch import MujocoBatch
 from envs.mujoco_tasks import DOUBLE_PENDULUM, HALFCHEETAH, HOPPER, REACHER, WALKER2D, WEAK
 from harness.registry.contract.lockstep import assert_together_as_alone
 
@@ -35,20 +35,6 @@ def test_mujocos_tasks_in_lockstep_are_bit_for_bit_gymnasiums(env_id: str, ends:
     assert bool(assert_together_as_alone(spec, 300)) == ends
 
 
-def register(monkeypatch: pytest.MonkeyPatch, env_id: str, entry: Any) -> None:
-    registered = Registered(env_id, entry, max_episode_steps=100, disable_env_checker=True)
-    monkeypatch.setitem(gym.registry, env_id, registered)
-
-
-def test_of_what_is_wrapped_otherwise_no_batch_is_known() -> None:
-    def doubled(env: gym.Env) -> gym.Env:
-        return TransformReward(env, lambda reward: 2 * reward)
-
-    assert from_gymnasium("Reacher-v5", "x", wrap=doubled).batch is None
-    gym.register("Doubled-v0", lambda: doubled(gym.make("Reacher-v5").unwrapped), max_episode_steps=50)
-    assert from_gymnasium("Doubled-v0", "x").batch is None
-
-
 class Other(InvertedPendulumEnv):
     """It changes its model in each episode, and holds what cannot be copied."""
 
@@ -58,26 +44,17 @@ class Other(InvertedPendulumEnv):
         return super().reset_model()
 
 
-def test_tasks_that_others_derive_are_stepped_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_others_wrap_or_derive_is_stepped_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies of them would share what each has of its own, or could not be made."""
-    register(monkeypatch, "Other-v0", Other)
+    registered = Registered("Other-v0", Other, max_episode_steps=100, disable_env_checker=True)
+    monkeypatch.setitem(gym.registry, "Other-v0", registered)
     spec = from_gymnasium("Other-v0", "x")
     assert spec.batch is None
     try_out(spec)
-
-
-def test_a_twin_shares_the_model_and_nothing_that_changes() -> None:
-    env = gym.make("Reacher-v5").unwrapped
-    assert isinstance(env, MujocoEnv)
-    env.reset(seed=0)
-    env.memory = np.zeros(3)
-    its = twin(env)
-    assert its.model is env.model
-    its.reset(seed=1)
-    its.memory += 1
-    assert not np.array_equal(its.data.qpos, env.data.qpos)
-    assert not np.array_equal(its.goal, env.goal)
-    assert (env.memory == 0).all()
+    wrapped = from_gymnasium(
+        "Reacher-v5", "x", wrap=lambda env: TransformReward(env, lambda reward: 2 * reward)
+    )
+    assert wrapped.batch is None
 
 
 TASKS = [DOUBLE_PENDULUM, REACHER, HALFCHEETAH, HOPPER, WALKER2D]

@@ -1,32 +1,27 @@
-"""Maximum-entropy IRL raises the reward where demonstrations go and lowers it where the learner goes."""
+"""Maximum-entropy IRL, by a network and linear, in worlds that are sampled and where the model is known."""
 
-import functools
-from collections.abc import Callable
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
-from envs.gridworld import objectworld
-from methods.base import Array, Episodes, Reward
+from envs.gridworld import SPEC, WORLD, grid, objectworld
+from envs.models import Tabular
+from methods.base import Array, Episodes, Policy, Reward
 from methods.maxent import MaxEnt
 from methods.maxent_linear import MaxEntLinear, moments
 from methods.tabular.maxent import log_likelihood
-from methods.tabular.model import demonstrated, finite_soft_value_iteration
+from methods.tabular.model import (
+    demonstrated,
+    finite_soft_value_iteration,
+    policy_value,
+    value_iteration,
+)
 from tests.methods.worlds import FiniteWorld, constant, demonstrate
-
-METHOD = MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1)
-
-
-def test_what_absorption_pays_is_learned_by_the_network(world: Any, mortal_world: Any) -> None:
-    still = constant(0.0, 0.0)
-    lives, dies = demonstrate(still), demonstrate(still, lifetime=2)
-    at = np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 3))
-    reward = METHOD.fit(lives, mortal_world, np.random.default_rng(0)).reward
-    assert reward.absorbing < -0.5 < 0.5 < reward(*at)[0]
-    reward = METHOD.fit(dies, world, np.random.default_rng(0)).reward
-    assert reward.absorbing > 0.5
 
 
 def test_the_prior_bounds_the_slope(world: Any) -> None:
@@ -42,21 +37,6 @@ def test_the_prior_bounds_the_slope(world: Any) -> None:
     np.testing.assert_allclose(rises[0], rises[0].mean(), rtol=0.25)
     assert 0.4 * 0.8 < rises[0].mean() < 0.4 * 2
     np.testing.assert_allclose(rises[0], 4 * rises[1], rtol=0.4)
-
-
-def test_what_the_policy_visits_is_counted_as_it_acts_by_chance(world: Any) -> None:
-    acted, rollout = [], world.rollout
-    obs = np.zeros((50, 3))
-
-    def watched(policy: Callable[[Array], Array], *asked: Any) -> Episodes:
-        acted.append(policy(obs))
-        return rollout(policy, *asked)
-
-    world.rollout, world.agent = watched, functools.partial(world.agent, kind="stochastic")
-    METHOD.fit(demonstrate(constant(0.0, 0.0)), world, np.random.default_rng(0))
-    drawn = acted[-1]
-    assert len(acted) == METHOD.iterations
-    assert (drawn.std(axis=0) > 0.3).all()
 
 
 def test_one_agent_goes_on_and_the_mean_of_the_latest_rewards_is_learned_last(world: Any) -> None:
@@ -135,15 +115,81 @@ def test_elsewhere_one_agent_goes_on_until_features_match(world: Any) -> None:
     assert learned.reward is world.solves[-1][0]
 
 
-def test_what_absorption_pays_is_learned(world: Any, mortal_world: Any) -> None:
-    for lifetime, where, sign in ((2, world, 1), (10, mortal_world, -1)):
-        demos = demonstrate(constant(0.5, 0.0), lifetime=lifetime)
-        reward: Any = MaxEntLinear().fit(demos, where, np.random.default_rng(0)).reward
-        assert np.sign(reward.absorbing) == sign
-
-
 def test_moments_count_absorbing_steps_up_to_the_horizon(mortal_world: Any) -> None:
     mean, second = moments(demonstrate(constant(0.5, -1.0), lifetime=2), mortal_world)
     np.testing.assert_allclose(mean, [0.2 * 0.5, -0.2, 0.2, 0.8])
     step = np.array([0.5, -1.0, 1.0, 0.0])
     np.testing.assert_allclose(second, 0.2 * np.outer(step, step) + 0.8 * np.diag([0, 0, 0, 1]), atol=1e-12)
+
+
+STEPS = 6
+
+
+def wander(world: Any, count: int, seed: int = 0) -> Episodes:
+    """Demonstrations of random actions."""
+    rng = np.random.default_rng(seed)
+    return world.rollout(lambda obs: world.random_actions(len(obs), rng), count, rng)
+
+
+def naive_likelihood(tabular: Tabular, r: Array, demos: Episodes, gamma: float) -> float:
+    """The sum of log pi_t(a|s) over all steps, pi_t in proportion to exp Q_t, with t steps gone."""
+    v = np.zeros(len(r))
+    log_policies = []
+    for _ in range(STEPS):
+        q = np.array([[r[s] + gamma * row @ v for row in rows] for s, rows in enumerate(tabular.P)])
+        v = logsumexp(q, axis=1)
+        log_policies.insert(0, q - v[:, None])
+    total = 0.0
+    for obs, act in zip(demos.obs, demos.act, strict=True):
+        for t, (where, choice) in enumerate(zip(obs[:-1], act, strict=True)):
+            (state,) = np.flatnonzero((tabular.obs == where).all(axis=1))
+            total += log_policies[t][state, choice.argmax()]
+    return total
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.3])
+@pytest.mark.parametrize("gamma", [1.0, 0.8])
+def test_the_gradient_is_that_of_the_demonstrations_likelihood(slip: float, gamma: float) -> None:
+    tabular = grid(3, slip)
+    demos = wander(FiniteWorld(tabular, STEPS), 5)
+    r = 2 * np.random.default_rng(1).normal(size=9)
+    steps, size = 5 * STEPS, 1e-5
+    likelihood, gradient = log_likelihood(tabular, r, demonstrated(demos, tabular), gamma)
+    assert likelihood == pytest.approx(naive_likelihood(tabular, r, demos, gamma) / steps, abs=1e-12)
+    differences = [
+        naive_likelihood(tabular, r + change, demos, gamma)
+        - naive_likelihood(tabular, r - change, demos, gamma)
+        for change in size * np.eye(9)
+    ]
+    assert np.abs(gradient).max() > 0.01
+    np.testing.assert_allclose(gradient, np.array(differences) / (2 * size * steps), atol=1e-8)
+
+
+def value_difference(tabular: Tabular, policy: Policy, gamma: float) -> float:
+    """The share of the true value of starting anywhere that a policy lacks."""
+    best = tabular.start @ value_iteration(tabular.P, tabular.reward, gamma)[0]
+    its = tabular.start @ policy_value(tabular.P, tabular.reward, policy(tabular.obs), gamma)
+    return float((best - its) / best)
+
+
+def test_an_objectworld_is_recovered_the_better_the_more_is_demonstrated() -> None:
+    tabular = objectworld(10, 10, 2, 0.3, np.random.default_rng(0))
+    differences: dict[int, list[float]] = {4: [], 128: []}
+    for count, found in differences.items():
+        for seed in range(2):
+            world, rng = FiniteWorld(tabular, horizon=20), np.random.default_rng(seed)
+            demos = world.rollout(world.optimal(), count, rng)
+            learned = MaxEnt(iterations=100, learning_rate=1e-2).fit(demos, world, rng)
+            found.append(value_difference(tabular, learned.policy, world.gamma))
+    uniform = value_difference(tabular, lambda obs: np.full((len(obs), 5), 0.2), world.gamma)
+    assert uniform > 0.5
+    assert max(differences[128]) <= 0.05
+    assert np.mean(differences[128]) < 0.5 * np.mean(differences[4])
+
+
+def test_what_the_reward_says_holds_at_the_discount_of_the_solve() -> None:
+    """A likelihood without the discount explains long journeys to the best cells by too little."""
+    world, rng = FiniteWorld(WORLD, SPEC.horizon, SPEC.gamma), np.random.default_rng(0)
+    demos = world.rollout(world.optimal(), 100, rng)
+    learned = MaxEnt(iterations=100, learning_rate=1e-2).fit(demos, world, rng)
+    assert value_difference(WORLD, learned.policy, SPEC.gamma) <= 0.05

@@ -68,9 +68,6 @@ class FakeWorld(_World):
         obs = tuple(rng.uniform(-1, 1, (self.lifetime + 1, 3)) for _ in range(episodes))
         return Episodes(obs, tuple(policy(o[:-1]) for o in obs), (self.lifetime < self.horizon,) * episodes)
 
-    def ask(self, obs: Array) -> Array:
-        return np.clip(obs[:, :2], -1, 1)
-
     def solved(self, reward: Reward | Payment, rng: Rng) -> Policy:
         """Return the best constant action of many, or the first under a payment."""
         obs, choices = rng.uniform(-1, 1, (64, 3)), rng.uniform(-1, 1, (500, 2))

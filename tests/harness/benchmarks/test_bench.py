@@ -1,18 +1,27 @@
-"""Measures, and how they are taken and printed; their samples are asserted nowhere."""
+"""Measures, how they are taken and printed, and how what many cells take grows with their number."""
 
 from __future__ import annotations
 
+import csv
+import dataclasses
+import io
 import json
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-from harness.benchmarks import growth, measure, scale, speed, spread
+from harness.benchmarks import growth, measure, scale, speed
 from harness.benchmarks.measure import SCORE, Measure
 from harness.cli import main as cli
 from harness.engines.processes import Processes
+from harness.process.environment import CACHE_VARIABLE
 from harness.records import Cell
+from harness.report import charts, curves, html, model
+from harness.report.files import report_files
+from harness.report.model import build
 
 
 def test_a_ratio_is_of_rates_taken_in_turn() -> None:
@@ -29,55 +38,22 @@ def test_a_ratio_is_of_rates_taken_in_turn() -> None:
     described = ratio.to_json()
     assert 2 < described["low"] <= described["median"] <= described["high"] < 32
     assert described["bar"] == 3
+    # A bar is for the median, at least or at most by the unit.
+    assert Measure("a", "times", [2.9, 2.9, 3.2], 3.0).missed
+    assert not Measure("a", "s", [0.4, 0.4, 0.9], 0.5).missed
+    assert Measure("a", SCORE, [0.9, 0.94, 1.0], 0.95).missed
 
 
-@pytest.mark.parametrize(
-    ("unit", "samples", "bar", "missed"),
-    [
-        ("times", [2.9, 3.1, 3.2], 3.0, False),
-        ("times", [2.9, 2.9, 3.2], 3.0, True),
-        ("s", [0.4, 0.4, 0.9], 0.5, False),
-        ("MB", [701.0], 700.0, True),
-        (SCORE, [0.9, 0.94, 1.0], 0.95, True),
-    ],
-)
-def test_a_bar_is_for_the_median(unit: str, samples: list[float], bar: float, missed: bool) -> None:
-    assert Measure("a", unit, samples, bar).missed == missed
-
-
-def test_a_solve_of_the_true_reward_is_scored(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "SEEDS", range(100, 101))
-    seconds, score = speed._solves("cartpole", bar=100)
-    assert seconds.samples[0] > 0.1
-    assert 0.95 < score.samples[0] < 1.05
-    assert not score.missed
-
-
-def test_the_memory_of_processes_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "FULL", measure.SMOKE)
-    assert 100 < growth.largest_process("cartpole") < 5000
-    assert min(growth.cells_in_a_row(2)) > 100
-
-
-@pytest.mark.parametrize(("seconds", "missed"), [({1: 60.0, 2: 40.0}, True), ({1: 60.0, 2: 30.0}, False)])
-def test_two_nodes_are_compared_with_one(
-    seconds: dict[int, float], missed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(spread, "_seconds", seconds.get)
-    (ratio,) = spread.measures()
-    assert (ratio.samples, ratio.missed) == ([seconds[1] / seconds[2]] * spread.REPEATS, missed)
-
-
-def test_a_cell_that_fails_is_not_measured() -> None:
-    with pytest.raises(RuntimeError, match="no method named 'nothing'"):
-        measure.compute([Cell("gridworld", "nothing", 0)], measure.SMOKE, Processes(1))
-
-
-def test_measures_are_printed_one_by_one_and_as_json_at_the_end(
+def test_measures_are_printed_one_by_one_and_as_json_also_where_one_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ratio = Measure("RL", "times", [3, 1, 2.5], 3)
     memory = Measure("a worker", "MB", [1043.2], 2000)
+
+    def fail() -> Iterator[Measure]:
+        yield memory
+        measure.command(["nonsense"])
+
     monkeypatch.setattr(speed, "measures", lambda: iter([ratio]))
     monkeypatch.setattr(growth, "measures", lambda: iter([memory]))
     monkeypatch.setattr(scale, "measures", lambda: iter([]))
@@ -89,21 +65,100 @@ def test_measures_are_printed_one_by_one_and_as_json_at_the_end(
     assert output.err == lines
     everything = json.loads(output.out)
     assert everything["measures"] == [ratio.to_json(), memory.to_json()]
-    assert everything["cores"] >= 1
-    assert everything["numpy"]
     assert cli.main(["bench", "growth"]) == 0
     assert capsys.readouterr().out == lines.splitlines()[1] + "\n"
-
-
-def test_what_fails_is_a_line_and_what_was_measured_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail() -> Iterator[Measure]:
-        yield Measure("RL", "times", [3], 1)
-        measure.command(["nonsense"])
-
-    monkeypatch.setattr(speed, "measures", fail)
-    assert cli.main(["bench", "--json"]) == 1
+    monkeypatch.setattr(growth, "measures", fail)
+    assert cli.main(["bench", "growth", "--json"]) == 1
     output = capsys.readouterr()
     assert "FAILED: Command" in output.err
     assert len(json.loads(output.out)["measures"]) == 1
+
+
+@pytest.fixture(autouse=True)
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results of short curves, for what they are is no matter here; and a cache of its own."""
+    monkeypatch.setattr(scale, "CURVE", 3)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+
+
+def times_as_long(work: Callable[[int], object], few: int, *, enough: float = 2.8) -> float:
+    """How much longer the processor takes for twice as many, the best time of each count. The counts take
+    turns, for a machine's speed changes, until the ratio is below `enough`, eight times at most."""
+
+    def seconds(count: int) -> float:
+        began = time.process_time()
+        work(count)
+        return time.process_time() - began
+
+    work(few // 10)
+    best = [math.inf, math.inf]
+    for turn in range(8):
+        best = [min(least, seconds(count)) for least, count in zip(best, (few, 2 * few), strict=True)]
+        if turn > 0 and best[1] / best[0] < enough:
+            break
+    return best[1] / best[0]
+
+
+def test_of_3000_cells_on_1000_workers_with_faults_none_is_lost_or_comes_twice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cells, cpu, megabytes = scale.drive(3000)  # which raises otherwise
+    assert cells == 3000
+    assert 0 < cpu < 5
+    assert megabytes < 500
+    save = scale.Account.save
+    for times in (0, 2):
+        monkeypatch.setattr(scale.Account, "save", lambda *its, n=times: [save(*its) for _ in range(n)])
+        with pytest.raises(RuntimeError, match=f"of 100 cells {100 * times} came"):
+            scale.drive(100)
+
+
+def test_a_cell_that_fails_is_not_measured() -> None:
+    with pytest.raises(RuntimeError, match="no method named 'nothing'"):
+        measure.compute([Cell("gridworld", "nothing", 0)], measure.SMOKE, Processes(1))
+
+
+def test_work_grows_no_faster_than_cells_and_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert scale.drive_and_store(200)[0] == 200
+    assert times_as_long(scale.drive_and_store, 200) < 2.8
+    assert times_as_long(scale.drive, 1000) < 2.8
+    monkeypatch.setattr(model, "MOST_DRAWN", 0)
+    shapes = (lambda n: (5, 3, 1, n // 70)), (lambda n: (3, 3, n // 40, 1))  # many seeds, many boards
+    for shape in shapes:
+        made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
+        assert times_as_long(lambda count, made=made: report_files(build(*made[count])), 1500) < 2.8
+
+
+def test_a_run_of_many_rows_is_drawn_in_few_figures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn, asked = [], []
+    monkeypatch.setattr(charts, "scores", lambda board: drawn.append(board.name))
+    for name in ("costs", "distances", "demonstrations"):
+        monkeypatch.setattr(charts, name, lambda *its: None)
+    monkeypatch.setattr(curves, "learning", lambda board, most: asked.append(most))
+    monkeypatch.setattr(model, "MANY_ROWS", 2000)
+    monkeypatch.setattr(model, "MOST_LINES", 1000)
+    request, results = scale.made_up((2, 3, 40, 4))
+    files = report_files(build(request, results))
+    rows = list(csv.DictReader(io.StringIO(str(files["scores.csv"]))))
+    assert len(rows) == sum(len(result.rows) for result in results) > 2000
+    lines = list(csv.DictReader(io.StringIO(str(files["leaderboard.csv"]))))
+    boards = list(dict.fromkeys((line["env"], line["demos"]) for line in lines))
+    assert len(boards) == 80
+    assert len(drawn) == model.MOST_DRAWN_OF_MANY
+    assert asked == [model.MOST_PANELS_OF_MANY] * model.MOST_DRAWN_OF_MANY
+    page = str(files["report.html"])
+    shown = 1000 // (len(lines) // 80)
+    assert str(files["leaderboard.md"]).count("## task") == shown
+    for text in (page, str(files["leaderboard.md"])):
+        assert f"the first {shown} of 80 boards are shown; leaderboard.csv has the lines of all" in text
+        assert f"figures are of the first {model.MOST_DRAWN_OF_MANY} boards" in text
+        assert "task1, 40 demonstrations" not in text
+
+
+def test_a_page_lists_the_first_of_many_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(html, "MOST_LISTED", 5)
+    request, results = scale.made_up((2, 3, 1, 2))
+    results = [dataclasses.replace(result, warnings=["odd"]) for result in results]
+    text = str(report_files(build(request, results))["report.html"])
+    assert text.count(": odd</li>") == 5
+    assert f"and {len(results) - 5} more; scores.csv has every row" in text

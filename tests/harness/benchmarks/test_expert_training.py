@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,6 @@ from harness.cli.main import main
 from harness.registry import SPECS, BadInput
 from harness.rl.seeds import held_out_seeds, tuning_seeds
 from methods.network import Network
-
-
-def candidate(env: str, seed: int, mean: float) -> Candidate:
-    return Candidate(env, seed, "", mean, 0.0, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
 
 
 def agent(seed: int) -> ShippedExpert:
@@ -41,8 +38,10 @@ def trained(monkeypatch: pytest.MonkeyPatch, steady: EnvSpec) -> list[int]:
 
     def launch(env: str, seed: int) -> object:
         seeds.append(seed)
+        mean = 8.0 if seed in (0, 3, *range(10, 20)) else 9.5
         future: Future[object] = Future()
-        future.set_result((candidate(env, seed, 8.0 if seed in (0, 3, *range(10, 20)) else 9.5), agent(seed)))
+        judged = Candidate(env, seed, "", mean, 0.0, 0.0, mean, 5.0, 1.0, 100, 10, 1.5)
+        future.set_result((judged, agent(seed)))
         return future
 
     monkeypatch.setattr(expert_files, "in_a_process", lambda **_: lambda function: launch)
@@ -53,11 +52,10 @@ def test_an_agent_is_judged_on_tuning_episodes_and_its_file_holds_its_policies(
     trained: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: set[int] = set()
-    plain = expert_training.measure
 
-    def spy(spec: EnvSpec, policy: object, seeds: range) -> Measured:
+    def spy(spec: EnvSpec, policy: Any, seeds: range) -> Measured:
         asked.update(seeds)
-        return plain(spec, policy, seeds)  # type: ignore[arg-type]
+        return measure(spec, policy, seeds)
 
     monkeypatch.setattr(expert_training, "measure", spy)
     one, agent = expert_training.train("steady", 3)
@@ -70,12 +68,10 @@ def test_an_agent_is_judged_on_tuning_episodes_and_its_file_holds_its_policies(
     for policy, level in ((stored.expert, one.mean_return), (stored.medium, one.medium_return)):
         measured = measure(SPECS["steady"], policy, tuning_seeds(200))
         assert measured.mean_return == pytest.approx(level, abs=0.2)
-    again, _ = expert_training.train("steady", 3)
-    assert again._replace(seconds=0.0) == one._replace(seconds=0.0)
 
 
 def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
-    trained: list[int], tmp_path: Path
+    trained: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train_all(("steady",), tmp_path, workers=2)
     file, before, good = tmp_path / "steady.safetensors", list(trained), [1, 2, 4, 5, 6]
@@ -87,8 +83,7 @@ def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
         [str(seed), str(good.index(seed)) if seed in good else ""] for seed in sorted(trained)
     ]
     assert sorted(path.name for path in tmp_path.glob(".*")) == [".lock"]
-    (tmp_path / "notes").write_text("a user's own")
-    (tmp_path / "mine.safetensors").write_text("another of a user's own")
+    (tmp_path / "mine.safetensors").write_text("a user's own")
     train_all(("steady",), tmp_path, workers=2)
     assert trained == before
     listed = [line.split("  ")[1] for line in (tmp_path / "SHA256SUMS").read_text().splitlines()]
@@ -100,61 +95,43 @@ def test_the_first_that_meet_the_bar_are_kept_and_every_agent_is_told(
         assert file.read_bytes() == whole
         assert (tmp_path / CANDIDATES).read_text().splitlines()[1:] == lines
     assert trained == 3 * before
-
-
-def test_too_few_good_agents_are_told(
-    trained: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     few = dataclasses.replace(SPECS["steady"], shipped=Training(steps=1500, bar=9.0, experts=9))
     monkeypatch.setitem(SPECS, "steady", few)
     with pytest.raises(BadInput, match="steady: 8 of 20 agents meet the bar, 9 are needed"):
-        train_all(("steady",), tmp_path, workers=2)
-    assert len((tmp_path / CANDIDATES).read_text().splitlines()) == 1 + 20
+        train_all(("steady",), tmp_path / "few", workers=2)
 
 
-@pytest.mark.parametrize(("early", "good"), [(1 - 0.99, True), (0.01, True), (0.011, False)])
-def test_a_bar_may_be_reached_exactly(early: float, good: bool) -> None:
-    assert meets_bar(SPECS["highway"], Measured(67.0, early)) == good
+def test_an_expert_has_a_margin_to_its_bar_which_may_be_reached_exactly_and_a_medium_one_half_of_it() -> None:
+    assert meets_bar(SPECS["highway"], Measured(67.0, 1 - 0.99))
+    assert not meets_bar(SPECS["highway"], Measured(67.0, 0.011))
     assert not meets_bar(SPECS["highway"], Measured(66.99, 0.0))
+    good = Candidate("highway", 0, "", 68.0, 0.005, 0.005, 68.0, 38.0, 8.0, 100, 10, 1.5)
+    assert is_good(good)
+    for worse in (
+        {"terminated": 0.006},
+        {"confirmed": 0.0055},
+        {"medium_return": 26.0},
+        {"medium_return": 50.0},
+    ):
+        assert not is_good(good._replace(**worse))
 
 
-@pytest.mark.parametrize(
-    ("early", "medium", "good"),
-    [(0.005, 38.0, True), (0.006, 38.0, False), (0.0, 30.0, True), (0.0, 26.0, False), (0.0, 50.0, False)],
-)
-def test_an_expert_has_a_margin_to_its_bar_and_a_medium_one_of_about_half(
-    early: float, medium: float, good: bool
+def test_experts_are_trained_into_nobody_elses_folder_and_checked_where_there_are_some(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one = Candidate("highway", 0, "", 68.0, early, 0.005, 68.0, medium, 8.0, 100, 10, 1.5)
-    assert is_good(one) == good
-    assert not is_good(one._replace(confirmed=0.0055))
-
-
-@pytest.mark.parametrize("name", ["cartpole.safetensors", "photos/one"])
-def test_experts_are_trained_into_nobody_elses_folder(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / name).parent.mkdir(exist_ok=True)
-    (tmp_path / name).write_text("a user's own")
-    assert main(["experts", "train", "cartpole", "--dir", str(tmp_path)]) == 2
-    assert "is not empty and holds no experts (no candidates.csv)" in capsys.readouterr().err
-    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()] == [name]
-    assert (tmp_path / name).read_text() == "a user's own"
-
-
-@pytest.mark.parametrize("what", ["train", "check"])
-def test_a_task_without_experts_is_refused(
-    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["experts", what, "gridworld", "--dir", str(tmp_path / "new")]) == 2
-    assert "no experts of gridworld" in capsys.readouterr().err
-    for every in (["swingup, all"], ["swingup", "all"]):
-        assert main(["experts", "check", *every, "--dir", str(tmp_path / "new")]) == 2
-        assert "holds no experts of" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
-    (tmp_path / "cartpole.safetensors").write_text("damaged")
-    assert main(["experts", "check", "cartpole", "--dir", str(tmp_path)]) == 2
-    assert "is damaged" in capsys.readouterr().err
+    file = tmp_path / "photos/cartpole.safetensors"
+    file.parent.mkdir()
+    file.write_text("a user's own")
+    for asked, where, why in (
+        ("train cartpole", file.parent, "is not empty and holds no experts (no candidates.csv)"),
+        ("train gridworld", tmp_path / "new", "no experts of gridworld"),
+        ("check swingup", tmp_path / "new", "holds no experts of"),
+        ("check cartpole", file.parent, "is damaged"),
+    ):
+        assert main(["experts", *asked.split(), "--dir", str(where)]) == 2
+        assert why in capsys.readouterr().err
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [file]
+    assert file.read_text() == "a user's own"
 
 
 def test_check_measures_on_held_out_episodes_and_names_what_misses(

@@ -63,50 +63,31 @@ def test_every_arm_and_control_is_in_the_table_under_both_protocols(
     scores, table = pd.read_csv(tmp_path / "scores.csv"), pd.read_csv(tmp_path / "study.csv")
     assert set(scores["protocol"]) == set(PROTOCOLS)
     for protocol in PROTOCOLS:
-        request = stored_request(tmp_path / protocol)
-        assert request is not None
-        conditions = request.conditions
-        assert (conditions.learner, conditions.solves, conditions.experts) == ("ddpg", 3, "trained")
+        request: Any = stored_request(tmp_path / protocol)
+        asked = request.conditions
+        assert (asked.learner, asked.solves, asked.experts) == ("ddpg", 3, "trained")
     assert set(scores["method"]) == methods
     learned = table[table["method"].isin(STUDIED)]
     assert len(learned) == len(STUDIED) * len(TRAJECTORIES) * 2 * 2 * 2  # policies, envs, protocols
     learned = learned[learned["score"].notna()]
     assert len(learned) == len(TRAJECTORIES) * (2 * len(STUDIED) - 1) * 2 * 2  # bc has no pi_R
-    assert set(learned["trajectories"]) == set(TRAJECTORIES)
-    assert len(table[table["method"] == "control_true"]) == 2 * 2
     for _, line in learned.iterrows():
         times = 2 if line["policy"] == "pi_star" else 1
         assert line["score"] == pytest.approx((times * line["trajectories"] + 1) / 500)
         assert line["low"] < line["score"] < line["high"]
-    one = table[(table["env"] == "pendulum") & (table["protocol"] == "native")]
-    assert list(dict.fromkeys(one["method"])) == [*STUDIED, *CONTROLS]
     text = (tmp_path / "study.md").read_text()
     assert text.count("\n") == 2 + len(table)
-    assert "| cartpole | native | shaped | 100 | pi_R" in text
-    *lines, where = capsys.readouterr().out.splitlines()[-5:]
-    assert [line.partition(":")[0] for line in lines] == [
-        *("cartpole, absorbing", "pendulum, absorbing", "cartpole, native", "pendulum, native"),
-    ]
     # 100 a trajectory, and as many more as the seed, of 500.
-    scored = "pi* 0.40 [0.40, 0.41], pi_R 0.20 [0.20, 0.21]; control_survival "
-    assert lines[0].startswith(f"cartpole, absorbing: {scored}")
-    assert "; control_plus1 " in lines[3]
-    assert where == f"look at {tmp_path / 'study.md'}, and the figures there"
+    scored = "cartpole, absorbing: pi* 0.40 [0.40, 0.41], pi_R 0.20 [0.20, 0.21]; control_survival "
+    assert scored in capsys.readouterr().out
     pictures = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert {*pictures} == {f"{env}_figure_5_3.png" for env in ("cartpole", "pendulum")}
+    # What a later run adds to its directories is no part of it.
+    more = "run --methods bc --envs cartpole,highway --seeds 3 --protocol native --experts trained"
+    more += " --learner ddpg --solves 3 --out"
+    assert main([*more.split(), str(tmp_path / "native")]) == 0
     computed = len(InstantGrid.computed)
     assert reproduce() == 0
     assert len(InstantGrid.computed) == computed
+    assert (tmp_path / "study.md").read_text() == text
     assert pictures == {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
-
-
-def test_cells_that_a_later_run_added_to_its_directories_are_no_part_of_a_study(
-    reproduce: Callable[[], int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert reproduce() == 0
-    study = (tmp_path / "study.md").read_text()
-    more = ["run", "--methods", "bc", "--envs", "cartpole,highway", "--seeds", "3", "--protocol", "native"]
-    more += ["--experts", "trained", "--learner", "ddpg", "--solves", "3"]
-    assert main([*more, "--out", str(tmp_path / "native")]) == 0
-    assert reproduce() == 0
-    assert (tmp_path / "study.md").read_text() == study

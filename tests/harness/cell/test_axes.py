@@ -5,23 +5,20 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from harness.api import request as asked
 from harness.cell.experts import source_for
 from harness.cell.run import prepare, run_cell
-from harness.cell.sharing import name_of, needs
+from harness.cell.settings import settings_of
 from harness.cli.arguments import parser
 from harness.cli.main import main
 from harness.judge.leaderboard import leaderboard, scored_rows
-from harness.process.environment import CACHE_VARIABLE
 from harness.records import (
     CONTROLS,
     LEARNED,
@@ -34,13 +31,14 @@ from harness.records import (
     Shown,
     row_of,
 )
-from harness.registry import BadInput
+from harness.registry import METHODS, SPECS, load_method
 from harness.rl.seeds import rng_for
+from harness.store.codec import decode, encode
 from harness.store.names import files_of
 from harness.store.opening import open_to_verify
 from harness.store.request import Request, command_of
 from methods.base import Episodes
-from methods.maxmargin import feature_expectations
+from methods.settings import settings_for
 
 SMOKE = Conditions("smoke", "absorbing", "sbx")
 MANY = Request(
@@ -53,23 +51,18 @@ MANY = Request(
 )
 
 
-def test_cells_are_a_product_but_for_what_nothing_is_shown_to() -> None:
-    cells = MANY.cells
-    assert len({cell.name for cell in cells}) == len({*cells}) == len(cells)
+def test_cells_are_a_product_but_for_what_nothing_is_shown_to_and_a_run_asks_for_no_others() -> None:
+    cells = {*MANY.cells}
+    assert len({cell.name for cell in cells}) == len(cells) == len(MANY.cells)
     methods = len(UNSHOWN) + 4 * (1 + len(CONTROLS) + 2 - len(UNSHOWN))
     assert len(cells) == (3 + 2) * methods * 2  # tasks, seeds
     assert {cell.task for cell in cells} == {"swingup", "cartpole", *MANY.variants}
     names = [name for cell in cells for name in files_of(cell) - {LEARNED}]
     assert len({*names}) == len(names)
-
-
-def test_a_run_asks_for_its_cells_and_no_others() -> None:
-    cells = {*MANY.cells}
-    envs, methods = ("swingup", "cartpole", "pendulum"), (REFERENCE, *CONTROLS, "shaped", "bc", "maxent")
+    envs, asked = ("swingup", "cartpole", "pendulum"), (REFERENCE, *CONTROLS, "shaped", "bc", "maxent")
     shown = (*MANY.shown, Shown(5, 20), Shown(2))
-    dynamics = (NOMINAL, "flipped", "heavy")
-    for combination in itertools.product(envs, methods, (0, 1, 3), shown, dynamics):
-        assert MANY.asks_for(Cell(*combination)) == (Cell(*combination) in cells)
+    for one in itertools.product(envs, asked, (0, 1, 3), shown, (NOMINAL, "flipped", "heavy")):
+        assert MANY.asks_for(Cell(*one)) == (Cell(*one) in cells)
 
 
 def test_the_command_says_it_all() -> None:
@@ -79,15 +72,11 @@ def test_the_command_says_it_all() -> None:
         assert {*args.transfer.split(",")} == {variant.split(".")[1] for variant in MANY.variants}
         asked += [Shown(demos, args.subsample, args.demonstrator) for demos in args.demos]
     assert sorted(asked) == sorted(MANY.shown)
-    own = command_of(Request(("bc",), ("swingup", "gym_Pendulum-v1"), (0,), SMOKE))
-    assert "--transfer" not in own
-    assert "--plugin" not in own
     assert "--plugin FILE" in command_of(Request(("mine",), ("swingup",), (0,), SMOKE))
     unusual = dataclasses.replace(SMOKE, learner="ddpg", solves=3)
-    for conditions in (SMOKE, unusual):
-        command = command_of(Request(("bc",), ("swingup",), (0,), conditions))
-        args = parser().parse_args(shlex.split(command)[1:])
-        assert (args.learner, args.solves) == (conditions.learner, conditions.solves)
+    command = command_of(Request(("bc",), ("swingup",), (0,), unusual))
+    args = parser().parse_args(shlex.split(command)[1:])
+    assert (args.learner, args.solves) == ("ddpg", 3)
 
 
 def whole(count: int = 3, steps: int = 45) -> Episodes:
@@ -108,25 +97,12 @@ def test_of_steps_that_are_not_shown_nothing_is_left() -> None:
         assert np.array_equal(act, whole().act[0][times])
         for shown, all_of_it in ((obs, whole().obs[i]), (act, whole().act[i])):
             assert shown.base is None or shown.base.size < all_of_it.size, "a view would show the rest"
-    assert {int(times[0]) for times in whole(200).every(20, np.random.default_rng(1)).times or ()} == {
-        *range(20)
-    }
-    assert [len(act) for act in whole(2, 3).every(20, np.random.default_rng(2)).act] == [1, 1]
+    begun = {int(times[0]) for times in whole(200).every(20, np.random.default_rng(1)).times or ()}
+    assert begun == {*range(20)}
 
 
-def test_times_that_do_not_ascend_or_do_not_fit_are_refused() -> None:
-    shown = (np.zeros((2, 1)),), (np.zeros((2, 1)),), (False,)
-    assert len(Episodes(*shown, times=(np.array([3, 8]),), steps=(9,)).pairs()[0]) == 2
-    for times in ([0, 0], [3, 9], [3]):
-        with pytest.raises(ValueError, match="ascend"):
-            Episodes(*shown, times=(np.array(times),), steps=(9,))
-
-
-def test_features_of_few_steps_stand_for_all() -> None:
-    world: Any = SimpleNamespace(horizon=60, gamma=0.95, phi=lambda obs, act: np.column_stack([act, act**2]))
-    every = feature_expectations(whole(50), world, world.phi)
-    some = feature_expectations(whole(50).every(4, np.random.default_rng(0)), world, world.phi)
-    np.testing.assert_allclose(some, every, atol=0.03)
+def made(cell: Cell, **returns: float) -> CellResult:
+    return CellResult(cell, [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()])  # type: ignore[arg-type]
 
 
 def test_each_board_has_its_own_scale() -> None:
@@ -142,16 +118,10 @@ def test_each_board_has_its_own_scale() -> None:
     expected = {"swingup": 0.30, "swingup, 5 demonstrations": 0.35, "swingup.flipped": 30 / 60}
     assert scores == pytest.approx(expected | {"swingup.flipped, 5 demonstrations": 35 / 60})
     assert found["swingup.flipped", "shaped", "pi_R"].share_of_true == pytest.approx(0.75)
-    for board in scores:  # also what nothing is shown to
-        assert found[board, "control_true", "pi_R"].seeds == 1
+    assert all(found[board, "control_true", "pi_R"].seeds == 1 for board in scores)
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-
-
-@pytest.mark.usefixtures("cache")
+@pytest.mark.usefixtures("own_cache")
 def test_demonstrators_show_what_they_are_called() -> None:
     def shown(*asked: object) -> Episodes:
         return source_for("cartpole", 1, SMOKE).demonstrations(Shown(*asked))  # type: ignore[arg-type]
@@ -161,41 +131,21 @@ def test_demonstrators_show_what_they_are_called() -> None:
     for one in (medium, noisy):
         for obs, other in zip(one.obs, expert.obs, strict=True):
             assert np.array_equal(obs[0], other[0]), "the same episodes"
-    off = noisy.act[0][0] - expert.act[0][0]
-    assert off != 0
     first = np.array([n[0] - e[0] for n, e in zip(shown(40, 1, "noisy").act, shown(40).act, strict=True)])
     assert first.std() == pytest.approx(0.3, rel=0.3)
-    for one_act, other_act in zip(shown(2).act, expert.act, strict=False):  # the first ones, but for rounding
-        np.testing.assert_allclose(one_act, other_act, atol=1e-6)
     few = shown(6, 20)
     for obs, times, all_of_it in zip(few.obs, few.times or (), expert.obs, strict=True):
         assert np.array_equal(obs, all_of_it[times])
-    trained = dataclasses.replace(SMOKE, experts="trained")
-    with pytest.raises(BadInput, match="shipped"):
-        source_for("cartpole", 1, trained).demonstrations(Shown(2, 1, "medium"))
 
 
-def made(cell: Cell, **returns: float) -> CellResult:
-    return CellResult(cell, [row_of(cell, p, "absorbing", return_mean=v) for p, v in returns.items()])  # type: ignore[arg-type]
-
-
-def test_a_cell_is_handed_what_it_is_shown_and_no_other_demonstrations() -> None:
-    names = [*map(name_of, MANY.shown), "expert", "replays"]
-    for shown in MANY.shown:
-        cell = Cell("swingup", "shaped", 0, shown)
-        assert [n for n in names if needs(cell, n)] == [name_of(shown), "expert", "replays"]
-    assert [n for n in names if needs(Cell("swingup", "control_true", 0), n)] == ["expert", "replays"]
-
-
-@pytest.mark.usefixtures("cache")
+@pytest.mark.usefixtures("own_cache")
 def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
-    words = ["run", "--methods", "shaped,bc", "--envs", "swingup", "--budget", "smoke", "--rl", "sb3"]
-    words += ["--demos", "2", "--subsample", "7", "--transfer", "flipped", "--engine", "inline"]
-    words += ["--out", str(out)]
-    assert main(words) == 0, capsys.readouterr().err
+    words = "run --methods shaped,bc --envs swingup --budget smoke --rl sb3 --demos 2 --subsample 7"
+    words += " --transfer flipped --engine inline --out"
+    assert main([*words.split(), str(out)]) == 0, capsys.readouterr().err
     rows = pd.read_csv(out / "scores.csv")
     assert (rows["status"] == "skipped").sum() == 2  # bc learns no reward
     shaped = rows[(rows["method"] == "shaped") & (rows["demos"] == 2)].set_index(["dynamics", "policy"])
@@ -208,11 +158,8 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
         assert np.isnan(flipped.loc[(method, "pi_star"), "fit_seconds"])
     with open_to_verify(out) as run:
         results, _ = run.load()
-        both = [
-            run.read_learned(results[cell])
-            for cell in results
-            if (cell.method, cell.shown.demos) == ("shaped", 2)
-        ]
+        shown = [cell for cell in results if (cell.method, cell.shown.demos) == ("shaped", 2)]
+        both = [run.read_learned(results[cell]) for cell in shown]
     obs = rng_for(0, "any").normal(size=(20, 3))
     one, other = (its["pi_star"](obs) for its in both)
     assert np.array_equal(one, other)
@@ -220,45 +167,66 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     assert main(["verify", str(out)]) == 0
 
 
-def test_a_variant_that_a_task_lacks_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert asked._variants(("cartpole", "swingup"), ["long"]) == ("swingup.long",)
-    assert capsys.readouterr().err == "cartpole has no variant long\n"
-    assert "cartpole.heavy" in asked._variants(("cartpole", "swingup"), ["long", "all"])
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.usefixtures("cache")
-def test_bad_axes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    base = ["run", "--methods", "bc", "--budget", "smoke", "--out", str(tmp_path / "run")]
-    for more, message in (
-        (["--demos", "5,x"], "not a whole number"),
-        (["--subsample", "0"], "between 1"),
-        (["--demonstrator", "medium", "--experts", "trained"], "shipped"),
-        (["--envs", "gridworld", "--transfer"], "no other dynamics"),
-        (["--envs", "swingup", "--transfer", "fliped"], "did you mean 'flipped'"),
-        (
-            ["--envs", "cartpole,gridworld", "--demonstrator", "medium"],
-            "no medium demonstrators",
-        ),
-        (["--envs", "swingup", "--transfer", "--no-retrain"], "leave out --no-retrain"),
-        (["--demos", ",".join(map(str, range(1, 102)))], "cannot hold so much"),
-    ):
-        assert main([*base, *more]) == 2
-        err = capsys.readouterr().err
-        assert message in err
-        assert err.count("\n") == 1
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.usefixtures("cache")
-def test_a_variant_whose_method_is_fitted_again_says_no_more_than_one_that_is_carried() -> None:
-    nominal, cell = (Cell("swingup", "shaped", 0, dynamics=dynamics) for dynamics in (NOMINAL, "flipped"))
+@pytest.mark.usefixtures("own_cache")
+@pytest.mark.parametrize(
+    ("learned_in", "cell"),
+    [
+        (Cell("cartpole", "bc", 0), Cell("cartpole", "control_clone", 0)),
+        (Cell("swingup", "shaped", 0), Cell("swingup", "shaped", 0, dynamics="flipped")),
+    ],
+)
+def test_what_another_cell_learned_and_what_is_fitted_again_score_the_same(
+    learned_in: Cell, cell: Cell
+) -> None:
     conditions = Conditions("smoke", "absorbing", "sb3")
-    _, files = run_cell(nominal, conditions, prepare([nominal], conditions))
-    inputs = prepare([cell], conditions)
-    learned = files[LEARNED]
-    rows = []
-    for given in (inputs, {**inputs, LEARNED: learned}):
+    _, files = run_cell(learned_in, conditions, prepare([learned_in], conditions))
+    inputs, rows = prepare([cell], conditions), []
+    for given in (inputs, {**inputs, LEARNED: files[LEARNED]}):
         result, _ = run_cell(cell, conditions, given)
         rows.append([repr(dataclasses.replace(row, fit_seconds=0.0)) for row in result.rows])
     assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_result_has_every_setting_that_its_cell_has(method: str) -> None:
+    conditions = Conditions("quick", "absorbing", "sbx", learner="ddpg", solves=3)
+    settings = settings_of(method, "hopper", conditions)
+    its = load_method(method)(**settings_for(method, "hopper", "quick"))
+    assert settings["method"].keys() == {field.name for field in dataclasses.fields(its)}  # type: ignore[arg-type]
+    assert (settings["learner"]["name"], settings["budget"]["solves"]) == ("DDPG", 3)
+    assert settings["budget"]["rl_steps"] == SPECS["hopper"].ddpg_steps["quick"]
+    there = dataclasses.replace(made(Cell("hopper", method, 0), pi_star=1.0), settings=settings)
+    (row,) = scored_rows([decode(encode(there))])
+    assert json.loads(row.settings) == json.loads(json.dumps(settings))
+    assert "\n" not in row.settings
+
+
+def test_list_prints_the_settings_of_one_method_in_one_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "gail", "--env", "hopper", "--budget", "smoke"]) == 0
+    assert "  iterations    1\n" in capsys.readouterr().out
+    for words, why in (("gail", "list METHOD --env ENV"), ("gial --env hopper", "did you mean 'gail'")):
+        assert main(["list", *words.split()]) == 2
+        err = capsys.readouterr().err
+        assert why in err
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("--subsample 0", "between 1"),
+        ("--demonstrator medium --experts trained", "shipped"),
+        ("--envs gridworld --transfer", "no other dynamics"),
+        ("--envs swingup --transfer fliped", "did you mean 'flipped'"),
+        ("--envs swingup --transfer --no-retrain", "leave out --no-retrain"),
+    ],
+)
+def test_what_cannot_be_shown_or_transferred_is_one_line(
+    more: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = f"run --methods bc --budget smoke {more} --out"
+    assert main([*words.split(), str(tmp_path / "run")]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "run").exists()

@@ -1,24 +1,34 @@
-"""A whole cell, on the smallest budget, and the cache of its expert."""
+"""A whole cell, on the smallest budget: its rows, and of several solves of a reward the one that counts."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from harness.cell import run as running
-from harness.cell.experts import source_for
+from envs import EnvSpec
+from envs.learners import DDPG, SAC
+from harness.cell import fitting, retraining
+from harness.cell.experts import source_for, task_for
+from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
+from harness.cell.retraining import JUDGING_EPISODES
 from harness.cell.run import prepare, run_cell
+from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate, totals
-from harness.records import LEARNED, Cell, CellResult
-from harness.registry import SPECS
-from harness.rl.seeds import evaluation_seeds, rng_for
+from harness.records import LEARNED, NOMINAL, REFERENCE, Cell, CellResult, Conditions
+from harness.registry import BUDGETS, SPECS
+from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
+from harness.rl.solving import Solution
 from harness.rl.world import solver_for
 from harness.store.artifacts import learned_in
+from harness.store.codec import decode, encode
+from methods.base import Array, Learned, Policy, Reward
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
 
@@ -28,10 +38,6 @@ def timeless(result: CellResult) -> str:
     named = dict.fromkeys(result.recordings, "")
     result = dataclasses.replace(result, rows=rows, recordings=named, seconds={})
     return repr(result)  # where NaN equals NaN
-
-
-def recordings(directory: Path) -> list[str]:
-    return sorted(path.name for path in directory.rglob("*.rrd"))
 
 
 def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> None:
@@ -48,7 +54,8 @@ def test_a_method_without_reward_has_pi_star_and_a_reason(tmp_path: Path) -> Non
     assert math.isnan(skipped.return_mean)
     assert sum(result.endings["pi_star"].values()) == 5
     assert [x for x, _ in result.curves["loss"]] == list(range(1, 101))
-    assert recordings(tmp_path) == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
+    recorded = sorted(path.name for path in tmp_path.rglob("*.rrd"))
+    assert recorded == [f"cartpole__bc__seed0__pi_star.{it}.rrd" for it in ("median", "worst")]
 
     again = run(BC, tmp_path / "again")
     assert timeless(again) == timeless(result)
@@ -77,18 +84,16 @@ def test_what_was_learned_is_kept_and_scores_as_it_did(tmp_path: Path) -> None:
     assert np.array_equal(again.policy(obs), learned["pi_R"](obs))
 
 
-def test_where_nothing_is_recorded_what_was_learned_is_kept(tmp_path: Path) -> None:
+def test_where_nothing_is_recorded_scores_and_what_was_learned_are_the_same(tmp_path: Path) -> None:
     conditions, told = dataclasses.replace(SMOKE, record="none"), list[Phase]()
     result, files = run_cell(BC, conditions, prepare([BC], conditions), told.append)
-    assert result.rows[0].status == "ok"
     assert [phase.stage for phase in told] == ["demonstrate", "fit", "score", "score", "record"]
     assert told[-1].returns == {"pi_star": result.rows[0].return_mean}
-    assert result.recordings == {}
     assert files.keys() == result.files.keys() == {LEARNED}
     recorded = run(BC, tmp_path)
-    assert [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows] == [
-        dataclasses.replace(row, fit_seconds=0.0) for row in recorded.rows
-    ]
+    rows = [[dataclasses.replace(row, fit_seconds=0.0) for row in its.rows] for its in (result, recorded)]
+    assert rows[0] == rows[1]
+    assert result.recordings == {}
     kept = learned_in((tmp_path / LEARNED).read_bytes())
     obs = np.random.default_rng(0).standard_normal((20, 4))
     assert np.array_equal(learned_in(files[LEARNED])["pi_star"](obs), kept["pi_star"](obs))
@@ -101,78 +106,152 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     monkeypatch.setitem(SPECS, "cartpole", out_of_reach)
     result = run(Cell("cartpole", "reference", 0), tmp_path)
     expert, random = result.rows
-    assert [row.policy for row in result.rows] == ["expert", "random"]
-    assert {row.status for row in result.rows} == {"ok"}
-    shipped = SPECS["cartpole"].shipped
+    assert [(row.policy, row.status) for row in result.rows] == [("expert", "ok"), ("random", "ok")]
+    shipped = out_of_reach.shipped
     assert shipped is not None
     assert (expert.env_steps, expert.rl_solves) == (shipped.steps, 1)
-    assert expert.check_steps > 0
     assert (random.env_steps, random.check_steps, random.rl_solves) == (0, 0, 0)
-    assert result.below_bar
     assert random.length_mean < 100
     assert result.curves["expert"] == list(source_for("cartpole", 0, SMOKE).expert.curve)
     assert set(result.endings) == {"expert", "random"}
     (warning,) = result.warnings
+    assert result.below_bar
     assert "misses its bar" in warning
-    assert "at least 501.00" in warning
     assert f"{expert.return_mean:.2f}" in warning
-    both = [f"{policy}.{which}" for policy in ("expert", "random") for which in ("median", "worst")]
-    assert recordings(tmp_path) == [f"cartpole__reference__seed0__{one}.rrd" for one in both]
 
 
-@pytest.mark.parametrize(("early", "warnings"), [(2, 0), (3, 1)])
-def test_an_expert_may_end_as_many_episodes_early_as_its_bar_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, early: int, warnings: int
+CARTPOLE, STEPS = SPECS["cartpole"], SPECS["cartpole"].rl_steps["smoke"]
+CELL = Cell("cartpole", "shaped", 1)
+FORCES = (0.1, 0.9, 0.9, -0.5)
+"""Pushes of the policies that solves find, in order."""
+FEW = 7
+"""Check steps of each."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A policy."""
+
+    force: float
+
+    def __call__(self, obs: Array, /) -> Array:
+        return np.full((len(obs), 1), self.force)
+
+
+@dataclass(frozen=True)
+class PaysForce:
+    """A reward for pushes to the right, under which constant policies differ."""
+
+    absorbing: float = 0.0
+
+    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
+        return np.asarray(act[:, 0])
+
+
+class Fits:
+    """A method that learns that reward, or none, and a policy that pushes by half."""
+
+    reward: Reward | None = PaysForce()
+
+    def fit(self, *given: object) -> Learned:
+        return Learned(Push(0.5), self.reward)
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[EnvSpec, Any]]:
+    """The task and the first random number of each solve, none of which learns."""
+    found: list[tuple[EnvSpec, Any]] = []
+
+    class Solver:
+        def __init__(self, spec: EnvSpec, protocol: str, rng: np.random.Generator, *more: object, told: Any):
+            self.force, self.told = FORCES[len(found) % len(FORCES)], told
+            found.append((spec, rng.bit_generator.state))
+
+        def solve(self, reward: Reward | None, steps: int) -> Solution:
+            self.told(steps)
+            curve = [(0.0, 0.0), (float(steps), self.force)]
+            return Solution(Push(self.force), curve, curve, steps, FEW, best=1)
+
+    monkeypatch.setattr(retraining, "solver_for", Solver)
+    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Fits())
+    return found
+
+
+def many(solves: int) -> Conditions:
+    return dataclasses.replace(SMOKE, solves=solves)
+
+
+def earned(policy: Policy, seeds: range) -> tuple[float, float]:
+    """Return what a policy earns under the reward, and under the true one."""
+    its = evaluate(CARTPOLE, policy, seeds, PaysForce())
+    return its.own_return, float(its.returns.mean())
+
+
+def test_the_solve_that_earns_most_on_judging_episodes_counts(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    allowed = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: 0.0, max_terminated={"smoke": 0.02})
-    monkeypatch.setitem(SPECS, "cartpole", allowed)
-    scored = evaluate(allowed, lambda obs: np.zeros((len(obs), 1)), range(1))
-    scored = dataclasses.replace(
-        scored, returns=np.ones(100), endings={"pole fell": early, "time limit": 100 - early}
-    )
-    monkeypatch.setattr(running, "evaluate", lambda *of: scored)
-    assert len(run(Cell("cartpole", "reference", 1), tmp_path).warnings) == warnings
+    result = run(CELL, tmp_path, many(4))
+    star, trained = result.rows
+    judging, evaluation = judging_seeds(1, JUDGING_EPISODES), evaluation_seeds(1, 5)
+    for force, solve in zip(FORCES, result.solves, strict=True):
+        assert solve.judged == earned(Push(force), judging)[0]
+        assert (solve.own_return, solve.return_mean) == earned(Push(force), evaluation)
+    most = result.solves[1]
+    assert most == result.solves[2]
+    assert most.judged == max(solve.judged for solve in result.solves)
+    assert (trained.own_return, trained.return_mean) == (most.own_return, most.return_mean)
+    assert result.curves["pi_R_chosen"] == [(float(STEPS), 0.9)]
+    assert (trained.solves, trained.rl_solves, trained.env_steps) == (4, 4, 4 * STEPS)
+    judged_by = sum(evaluate(CARTPOLE, Push(force), judging).lengths.sum() for force in FORCES)
+    assert trained.check_steps == 4 * FEW + judged_by
+    assert star.own_return == earned(Push(0.5), evaluation)[0]
+    rng = rng_for(1, "cartpole", REFERENCE, "random policy")
+    by_chance, _ = earned(lambda obs: CARTPOLE.random_actions(len(obs), rng), evaluation)
+    assert star.own_return_random == trained.own_return_random == by_chance
+    assert [solve.solved for solve in result.solves] == [0, 1, 1, 0]
+    assert (trained.solved, star.solves) == (1, 0)
+    assert math.isnan(star.solved)
+    assert decode(encode(result)).solves == result.solves
+    # What earns no number is never chosen.
+    monkeypatch.setattr(retraining, "judge", lambda *asked: ([math.nan, -3.0, -3.0, -2.0], 0))
+    result = run(CELL, tmp_path, many(4))
+    assert result.curves["pi_R_chosen"] == [(float(STEPS), -0.5)]
 
 
-@pytest.mark.parametrize(("control", "steps"), [("control_untrained", 4096), ("control_plus1", 0)])
-def test_a_control_has_pi_r_alone(tmp_path: Path, control: str, steps: int) -> None:
-    result = run(Cell("cartpole", control, 1), tmp_path)
-    (row,) = result.rows
-    assert (row.policy, row.status, row.env_steps, row.rl_solves) == ("pi_R", "ok", steps, 1)
-    assert row.check_steps > 0
-    # Of a constant that the offset makes 0 nothing is learned.
-    assert ({y for _, y in result.curves["pi_R"]} == {0.0}) == (control == "control_plus1")
+def test_a_solve_is_the_same_whatever_others_there_are(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]]
+) -> None:
+    states = []
+    for count in (1, 2, 3):
+        solved.clear()
+        run(CELL, tmp_path, many(count))
+        assert len(solved) == count
+        states.append([str(state) for _, state in solved])
+    assert states[0] == states[1][:1] == states[2][:1]
+    assert states[1] == states[2][:2]
+    assert len(set(states[2])) == 3
 
 
-def test_the_clones_control_is_the_same_with_what_bc_learned_and_without(tmp_path: Path) -> None:
-    run(BC, tmp_path)
-    cell = Cell("cartpole", "control_clone", 0)
-    inputs = prepare([cell], SMOKE)
-    artifact = (tmp_path / LEARNED).read_bytes()
-    scores = []
-    for given in (inputs, {**inputs, LEARNED: artifact}):
-        result, _ = run_cell(cell, SMOKE, given)
-        scores.append([dataclasses.replace(row, fit_seconds=0.0) for row in result.rows])
-    assert scores[0] == scores[1]
+@pytest.mark.parametrize(
+    ("method", "dynamics"), [("control_plus1", NOMINAL), ("control_true", NOMINAL), ("shaped", "flipped")]
+)
+def test_controls_and_variants_take_one_solve(
+    tmp_path: Path, solved: list[tuple[EnvSpec, Any]], method: str, dynamics: str
+) -> None:
+    result = run(Cell("cartpole", method, 1, dynamics=dynamics), tmp_path, many(3))
+    assert len(solved) == len(result.solves) == 1
+    assert math.isnan(result.rows[-1].solved) == (dynamics == NOMINAL)  # controls have no pi_star
+    assert math.isnan(result.rows[-1].own_return_random) == (dynamics == NOMINAL)
 
 
-def test_a_known_model_is_solved_without_rl(tmp_path: Path, cache: Path) -> None:  # noqa: F811
-    reference, method, control, constant = (
-        run(Cell("gridworld", name, 0), tmp_path)
-        for name in ("reference", "maxmargin", "control_true", "control_plus1")
-    )
-    assert reference.warnings == []
-    expert, random = reference.rows
-    assert expert.return_mean > max(0, random.return_mean, constant.rows[0].return_mean)
-    assert (expert.env_steps, expert.check_steps, expert.rl_solves) == (0, 0, 1)
-    star, retrained = method.rows
-    assert (star.policy, retrained.policy) == ("pi_star", "pi_R")
-    for row in (star, retrained, *control.rows):
-        assert (row.status, row.length_mean) == ("ok", 50)
-        assert (row.env_steps, row.check_steps) == (0, 0)
-        assert row.rl_solves == 1 or row is star
-    assert reference.endings["expert"] == {"time limit": 5}
-    assert {p.name.split("__")[0] for p in cache.iterdir() if "gridworld" in p.name} == {
-        *("demonstrations0", "ranking0")
-    }
-    assert "gridworld__maxmargin__seed0__pi_star.median.rrd" in recordings(tmp_path)
+@pytest.mark.parametrize("dynamics", [NOMINAL, "flipped"])
+def test_all_rl_of_a_run_is_by_its_learner(monkeypatch: pytest.MonkeyPatch, dynamics: str) -> None:
+    spec = dataclasses.replace(CARTPOLE, rl=SAC(), ddpg=DDPG(batch=64), ddpg_steps=dict.fromkeys(BUDGETS, 70))
+    monkeypatch.setitem(SPECS, "cartpole", spec)
+    cell = dataclasses.replace(CELL, dynamics=dynamics)
+    for learner, rl, steps in (("own", SAC(), STEPS), ("ddpg", DDPG(batch=64), 70)):
+        conditions = dataclasses.replace(SMOKE, learner=learner, experts="trained")
+        task = Inputs(cell, conditions, Shared({}))
+        assert (task.spec.rl, task.place.rl, task.rl_steps) == (rl, rl, steps)
+        assert (task.place is task.spec) == (dynamics == NOMINAL)
+        assert task_for("cartpole", conditions).rl == rl

@@ -13,12 +13,11 @@ from envs.driving.environment import drive, look
 from envs.learners import PPO
 from harness.registry import SPECS
 from harness.rl import ppo
-from harness.rl.on_policy import REWARD_SIZE, OnPolicy, dynamics_of
+from harness.rl.on_policy import OnPolicy, dynamics_of
 from harness.rl.ppo import Kind
 from harness.rl.solving import Agent
 from harness.rl.training_env import TrainingEnv
 from methods.base import ABSORBING_STEPS, Array, Transitions
-from methods.rewards import Constant
 from methods.stochastic import Gaussian, Softmax
 
 SMALL = PPO(copies=4, steps=600, batch=600, epochs=1, net=(8,))
@@ -95,14 +94,6 @@ def test_an_episode_is_cut_at_the_horizon_and_first_ones_at_even_intervals() -> 
     assert not steps.next_absorbing.any()
 
 
-def test_other_tasks_are_stepped_alike(fragile: EnvSpec) -> None:
-    assert dynamics_of(fragile) is None
-    steps, true = steps_of(fragile, PPO(copies=4, steps=50, batch=50, epochs=1, net=(8,)))
-    missed = np.abs(steps.obs - steps.act)[:, 0]
-    np.testing.assert_allclose(true, 1 - missed, atol=1e-6)
-    assert np.array_equal(missed > 0.5, steps.next_absorbing)
-
-
 @pytest.mark.parametrize(("protocol", "forever"), [("absorbing", 1.0), ("state", 1.0), ("native", 0.0)])
 def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
     fragile: EnvSpec, protocol: str, forever: float
@@ -115,40 +106,6 @@ def test_what_the_absorbing_state_pays_for_ever_is_part_of_the_last_step(
     np.testing.assert_allclose(env.paid(steps, np.zeros(2)), [1.0, 1.0 + beyond])
 
 
-def paid_with(entropy: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Array, Array, OnPolicy]:
-    """What steps of the swing-up paid for the entropy of actions (N,), the logarithm of their density, and
-    the agent after a bout."""
-    learned_on: list[tuple[Array, Array]] = []
-    ours = ppo.functions
-
-    def watched(kind: ppo.Kind) -> ppo.Functions:
-        def learn(state: Any, steps: ppo.Steps, rewards: Array, *rest: Any) -> Any:
-            learned_on.append((rewards, np.asarray(steps.log_prob)))
-            return ours(kind).learn(state, steps, rewards, *rest)
-
-        return ours(kind)._replace(learn=learn)
-
-    monkeypatch.setattr(ppo, "functions", watched)
-    env = TrainingEnv(SPECS["swingup"], "absorbing", np.random.default_rng(0), SMALL.copies)
-    env.reward = Constant(0.0, 0.0)
-    agent = OnPolicy(env, SMALL, 0)
-    agent.learn(SMALL.unit, lambda progress: 1e-3, lambda taken: None, entropy)
-    ((rewards, log_prob),) = learned_on
-    return rewards.ravel(), log_prob.ravel(), agent
-
-
-def test_entropy_pays_what_it_is_above_that_of_uniform_actions(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing, _, _ = paid_with(0.0, monkeypatch)
-    assert (nothing == 0).all()
-    rewards, log_prob, agent = paid_with(0.5, monkeypatch)
-    own = -0.5 * (log_prob + np.log(2))
-    np.testing.assert_allclose(rewards, own * REWARD_SIZE / np.abs(own).mean(), rtol=1e-4)
-    # It would explore more and more for that.
-    behaviour = agent.behaviour
-    assert isinstance(behaviour, Gaussian)
-    assert behaviour.log_std <= 0
-
-
 def test_it_tells_its_latest_steps_and_what_it_draws_from() -> None:
     agent = Agent(SPECS["cartpole"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
     agent.learn(2 * SMALL.unit, None)
@@ -157,9 +114,6 @@ def test_it_tells_its_latest_steps_and_what_it_draws_from() -> None:
     assert len(seen) == SMALL.unit + ABSORBING_STEPS * ends
     assert seen.absorbing.sum() == ABSORBING_STEPS * ends > 0
     assert isinstance(agent.behaviour, Gaussian)
-    native = Agent(SPECS["cartpole"], "native", np.random.default_rng(0), "sbx", SMALL)
-    native.learn(SMALL.unit, None)
-    assert len(native.replay()) == SMALL.unit
     choosing = Agent(SPECS["cartpole_discrete"], "absorbing", np.random.default_rng(0), "sbx", SMALL)
     choosing.learn(SMALL.unit, None)
     assert isinstance(choosing.behaviour, Softmax)

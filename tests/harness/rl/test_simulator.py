@@ -1,19 +1,52 @@
-"""Episodes in lockstep are the episodes that one would get one by one."""
+"""Episodes for one purpose are never those of another, and in lockstep they are what they are one by one."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from envs import EnvSpec, Shape
+from envs import EnvSpec
 from harness.registry import all_specs
-from harness.rl.simulator import Simulator, Trajectory, drawings
+from harness.rl import seeds as scopes
+from harness.rl.simulator import Simulator, Trajectory
 from methods.base import Array
 
 SEEDS = [11, 3, 8, 5, 2, 21, 13, 3]
+RUNS = st.integers(0, 999)
+EPISODES = st.integers(1, 1000)
+
+
+@given(RUNS, EPISODES, RUNS, EPISODES, st.integers(0, 2**31))
+def test_evaluation_demonstration_judging_and_training_never_meet(
+    run: int, episodes: int, other_run: int, other_episodes: int, seed: int
+) -> None:
+    training = scopes.training_seeds(np.random.default_rng(seed), 100)
+    of_runs = (scopes.evaluation_seeds, scopes.demonstration_seeds, scopes.judging_seeds)
+    for purpose in of_runs:
+        assert len(purpose(run, episodes)) == episodes
+        both = {*purpose(run, episodes)} & {*purpose(other_run, other_episodes)}
+        assert bool(both) is (run == other_run)
+    apart = [scopes.evaluation_seeds(run, episodes), training]
+    apart += [purpose(other_run, other_episodes) for purpose in of_runs[1:]]
+    apart += [scopes.tuning_seeds(episodes), scopes.held_out_seeds(episodes)]
+    for one, other in combinations(map(set, apart), 2):
+        assert not one & other
+    assert 0 <= min(apart[0]) <= max(training) < 2**31
+
+
+def test_a_generator_is_the_same_for_ever_and_of_its_seed_and_names_in_order() -> None:
+    def draw(*scope: object) -> tuple[int, ...]:
+        return tuple(scopes.rng_for(*scope).bit_generator.random_raw(3).tolist())  # type: ignore[arg-type]
+
+    drawn = (1402831085389609345, 17900941403114240991, 6272127928090603391)
+    assert draw(3, "cartpole", "demos") == drawn
+    names = [(0,), (1,), (0, "a"), (0, "b"), (0, "a", "b"), (0, "b", "a"), (0, "ab"), (1, "a", "b")]
+    assert len({draw(*scope) for scope in names}) == len(names)
 
 
 def contrary(obs: Array) -> Array:
@@ -40,22 +73,25 @@ def one_by_one(spec: EnvSpec, seeds: list[int]) -> list[Trajectory]:
 
 
 def assert_equal(results: list[Trajectory], expected: list[Trajectory]) -> None:
-    assert len(results) == len(expected)
     for one, other in zip(results, expected, strict=True):
-        np.testing.assert_array_equal(one.obs, other.obs)
-        np.testing.assert_array_equal(one.act, other.act)
-        np.testing.assert_array_equal(one.rewards, other.rewards)
+        for name in ("obs", "act", "rewards"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         assert (one.terminated, one.ending) == (other.terminated, other.ending)
 
 
 @pytest.mark.parametrize("lanes", [1, 3, 25])
-def test_lockstep_equals_one_by_one_in_the_order_of_the_seeds(fragile: EnvSpec, lanes: int) -> None:
+def test_lockstep_equals_one_by_one_for_one_policy_and_for_several_side_by_side(
+    fragile: EnvSpec, lanes: int
+) -> None:
     expected = one_by_one(fragile, SEEDS)
     assert len({len(e.act) for e in expected}) > 2
     simulator = Simulator(fragile, lanes)
     assert_equal(simulator.run(contrary, SEEDS), expected)
     # And again, with environments that have been used, and other seeds beside.
     assert_equal(simulator.run(contrary, SEEDS[::-1]), expected[::-1])
+    policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
+    for policy, results in zip(policies, simulator.run_each(policies, SEEDS), strict=True):
+        assert_equal(results, simulator.run(policy, SEEDS))
 
 
 @pytest.mark.parametrize("spec", all_specs(), ids=lambda spec: spec.name)
@@ -91,34 +127,3 @@ def test_copies_that_step_together_are_bit_for_bit_those_that_step_alone(spec: E
     episodes = Simulator(spec, lanes=5).run(policy, seeds)
     assert_equal(episodes, Simulator(alone, lanes=5).run(policy, seeds))
     assert len({len(e.act) for e in episodes}) > 1 or not any(e.terminated for e in episodes)
-
-
-def test_an_episodes_drawings_are_the_scenes_it_went_through(fragile: EnvSpec) -> None:
-    def draw(env: Any) -> dict[str, Shape]:
-        return {"target": Shape(np.array([[env.unwrapped.where, 0.0]]), (0, 0, 0))}
-
-    (episode,) = Simulator(fragile).run(contrary, [3])
-    frames = drawings(dataclasses.replace(fragile, draw=draw), 3, episode.act)
-    assert [frame["target"].points[0, 0] for frame in frames] == episode.obs[:, 0].tolist()
-
-
-@pytest.mark.parametrize("lanes", [1, 7, 16, 100])
-def test_policies_side_by_side_see_what_they_would_see_alone(fragile: EnvSpec, lanes: int) -> None:
-    policies = [contrary, lambda obs: 0.1 * obs, lambda obs: -0.4 * obs, contrary]
-    simulator = Simulator(fragile, lanes)
-    expected = [simulator.run(policy, SEEDS) for policy in policies]
-    results = list(simulator.run_each(policies, SEEDS))
-    for one, other in zip(results, expected, strict=True):
-        assert_equal(one, other)
-    assert len({len(episode.act) for episodes in results for episode in episodes}) > 3
-
-
-def test_the_policy_is_asked_once_a_step_for_all_lanes(steady: EnvSpec) -> None:
-    batches: list[int] = []
-
-    def policy(obs: Array) -> Array:
-        batches.append(len(obs))
-        return 0 * obs
-
-    Simulator(steady, lanes=5).run(policy, range(8))
-    assert batches == [5] * 10 + [3] * 10

@@ -1,4 +1,4 @@
-"""What an agent sees: copies side by side, absorption or an end, and rewards that can be told anew."""
+"""What an agent sees: absorption or an end, rewards that can be told anew, and demonstrations."""
 
 from __future__ import annotations
 
@@ -9,32 +9,28 @@ import numpy as np
 import pytest
 
 from envs import EnvSpec
-from envs.learners import DDPG
-from harness.registry import PROTOCOLS
+from envs.learners import DDPG, DQN
+from harness.registry import LIBRARIES, PROTOCOLS, SPECS, Library
 from harness.rl.solving import Agent
-from harness.rl.training_env import REWARD_SIZE, TrainingEnv
-from methods.base import ABSORBING_STEPS, Array, Transitions
+from harness.rl.training_env import REWARD_SIZE, Demonstrated, Replay, TrainingEnv
+from methods.base import ABSORBING_STEPS, Array, Episodes, Transitions
+from methods.network import Network
 from tests.harness.rewards import Seek
 
+pytestmark = pytest.mark.usefixtures("fused_adam")
 COPIES = 4
 FEW_GRADIENTS = DDPG(net=(16,), gradient_steps=1)
 STATE, OFFSET = ("absorbing", "state"), ("absorbing", "offset")
 """Protocols with an absorbing state, and those with the offset."""
+every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
 
 
-def training_env(spec: EnvSpec, protocol: str) -> Any:
-    return TrainingEnv(spec, protocol, np.random.default_rng(0), COPIES)
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
 
 
-def test_staggered_copies_are_at_all_times_of_an_episode(steady: EnvSpec) -> None:
-    ended = []
-    for staggered in (False, True):
-        env: Any = TrainingEnv(steady, "absorbing", np.random.default_rng(0), COPIES, staggered)
-        env.reward = Seek()
-        env.reset()
-        dones = np.stack([env.step(np.zeros((COPIES, 1)))[2] for _ in range(2 * steady.horizon)])
-        ended.append([(1 + np.flatnonzero(done)).tolist() for done in dones.T])
-    assert ended == [[[10, 20]] * COPIES, [[10, 20], [8, 18], [5, 15], [3, 13]]]
+def agent_of(spec: EnvSpec, protocol: str, **given: Any) -> Agent:
+    return Agent(replace(spec, rl=FEW_GRADIENTS), protocol, rng(), "sb3", **given)
 
 
 def some_miss(seen: np.ndarray) -> np.ndarray:
@@ -45,10 +41,9 @@ def some_miss(seen: np.ndarray) -> np.ndarray:
 
 
 def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -> None:
-    env = training_env(fragile, "absorbing")
+    env: Any = TrainingEnv(fragile, "absorbing", rng(), COPIES)
     env.reward = Seek(absorbing=0.25)
     seen = env.reset()
-    assert seen.shape == (COPIES, 2)
     assert len(np.unique(seen[:, 0])) == COPIES
     assert (seen[:, 1] == 0).all()
     first = some_miss(seen)
@@ -59,8 +54,7 @@ def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -
         assert (seen[1::2] == [0.0, 1.0]).all()
         assert (seen[::2, 1] == 0).all()
         assert not done.any()
-        action = seen[:, :1] * 0.5
-        seen, paid, done, infos = env.step(action)
+        seen, paid, done, infos = env.step(seen[:, :1] * 0.5)
         assert (paid[1::2] == 0.0).all()
         assert paid[::2] == pytest.approx(0.75)
     assert done.tolist() == [False, True] * (COPIES // 2)
@@ -68,16 +62,6 @@ def test_what_would_terminate_is_absorbed_and_then_truncated(fragile: EnvSpec) -
         assert info["TimeLimit.truncated"]
         assert info["terminal_observation"].tolist() == [0.0, 1.0]
     assert (seen[:, 1] == 0).all()
-
-
-@pytest.mark.parametrize("protocol", ["absorbing", "native"])
-def test_an_episode_at_the_horizon_is_truncated(steady: EnvSpec, protocol: str) -> None:
-    env = training_env(steady, protocol)
-    env.reset()
-    for _ in range(2):
-        steps = [env.step(np.zeros((COPIES, 1), np.float32)) for _ in range(10)]
-        assert [done.tolist() for _, _, done, _ in steps] == [[False] * COPIES] * 9 + [[True] * COPIES]
-        assert all(info["TimeLimit.truncated"] for info in steps[-1][3])
 
 
 def experience(learner: Agent) -> dict[str, Array]:
@@ -88,10 +72,9 @@ def experience(learner: Agent) -> dict[str, Array]:
     return {name: array.reshape(-1, *array.shape[2:]) for name, array in arrays.items()}
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@every_protocol
 def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str) -> None:
-    spec = replace(fragile, rl=FEW_GRADIENTS)
-    learner = Agent(spec, protocol, np.random.default_rng(0), "sb3")
+    learner = agent_of(fragile, protocol)
     learner.solve(Seek(), 300)
     seen = experience(learner)
     assert len(seen["dones"]) == 300
@@ -107,10 +90,9 @@ def test_which_transitions_are_terminal(fragile: EnvSpec, protocol: str) -> None
         np.testing.assert_array_equal(terminal, missed)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@every_protocol
 def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, protocol: str) -> None:
-    spec = replace(fragile, rl=FEW_GRADIENTS)
-    learner = Agent(spec, protocol, np.random.default_rng(0), "sb3")
+    learner = agent_of(fragile, protocol)
     second = Seek(side=-1.0, scale=3.0, absorbing=0.5)
     for reward, seen_before, steps in ((Seek(absorbing=-1.0), 150, 300), (second, 300, 200)):
         learner.solve(reward, steps)
@@ -127,13 +109,12 @@ def test_a_second_solve_goes_on_with_experience_relabelled(fragile: EnvSpec, pro
     assert len(seen["rewards"]) == 500
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@every_protocol
 def test_a_payment_sees_the_steps_into_absorption_and_in_it(fragile: EnvSpec, protocol: str) -> None:
     def payment(steps: Transitions) -> Array:
         return np.where(steps.absorbing, -1.0, np.where(steps.next_absorbing, 5.0, 1.0))
 
-    spec = replace(fragile, rl=FEW_GRADIENTS)
-    agent = Agent(spec, protocol, np.random.default_rng(0), "sb3")
+    agent = agent_of(fragile, protocol)
     agent.learn(300, payment)
     seen = agent.replay()
     missed = ~seen.absorbing & (np.abs(seen.obs[:, 0] - seen.act[:, 0]) > 0.5)
@@ -145,22 +126,110 @@ def test_a_payment_sees_the_steps_into_absorption_and_in_it(fragile: EnvSpec, pr
     assert np.corrcoef(raw, paid)[0, 1] > 0.999
 
 
-def test_a_payment_that_reuses_its_buffer_and_writes_into_steps_changes_nothing(steady: EnvSpec) -> None:
-    env = training_env(steady, "absorbing")
-    env.reset()
-    buffer = np.empty(COPIES)
+def on_target(count: int = 20, far: float = 0.0) -> Episodes:
+    """Of ten steps that go where the observation says; far: added to observations alone."""
+    obs = [rng(i).uniform(-0.8, 0.8, (11, 1)) for i in range(count)]
+    return Episodes(tuple(o + far for o in obs), tuple(o[:-1] for o in obs), (False,) * count)
 
-    def pay(steps: Transitions) -> Array:
-        buffer[:] = steps.act[:, 0]
-        steps.act[:], steps.obs[:], steps.next_obs[:] = 0, 0, 0
-        return buffer
 
-    env.reward = pay
-    env.step(np.full((COPIES, 1), 0.5))
-    first, true = env.latest
-    assert (first.act == 0.5).all()
-    assert first.next_obs.any()
-    second = replace(first, act=-first.act)
-    one, other = env.normalise((first, true), (second, true))
-    assert np.array_equal(one, -other)
-    assert (one > 0).all()
+def imitate(steps: Transitions) -> Array:
+    """Pays 1 for demonstrated steps and 0 for others (Reddy et al. 2020, soft Q imitation learning)."""
+    return steps.demonstrated.astype(float)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize(("batch", "shown"), [(8, {4}), (7, {3, 4})])
+def test_half_of_each_batch_is_demonstrated(
+    steady: EnvSpec, monkeypatch: pytest.MonkeyPatch, library: Library, batch: int, shown: set[int]
+) -> None:
+    sampled: list[Any] = []
+    sample = Replay.sample
+
+    def spy(self: Replay, batch_size: int, env: Any = None) -> Any:
+        sampled.append(sample(self, batch_size, env))
+        return sampled[-1]
+
+    monkeypatch.setattr(Replay, "sample", spy)
+    spec = replace(steady, rl=DDPG(net=(8,), batch=batch))
+    agent = Agent(spec, "absorbing", rng(), library, demonstrations=on_target(far=5.0))
+    agent.learn(100, Seek())
+    assert agent.env_steps == 100
+    far, led = (
+        np.concatenate([getattr(given, name)[:, 0] for given in sampled]) > 4 / 0.5
+        for name in ("observations", "next_observations")
+    )
+    assert len(far) == 50 * batch  # a gradient step for each step after the warm-up
+    assert set(far.reshape(-1, batch).sum(axis=1).tolist()) <= shown
+    np.testing.assert_array_equal(led, far)
+    # What was taken is what it says it has seen.
+    assert np.abs(agent.replay().obs).max() <= 0.8
+    assert not agent.replay().demonstrated.any()
+
+
+def own_episodes(agent: Agent) -> tuple[Episodes, int]:
+    """All that an agent of one copy did and finished, as demonstrations; how many steps it saw by then."""
+    seen, buffer = agent.replay(), agent._replay
+    ends = np.flatnonzero(buffer.dones[: len(seen), 0]) + 1
+    obs, act, terminated = [], [], []
+    for start, end in zip([0, *ends[:-1]], ends, strict=True):
+        alive = np.arange(start, end)[~seen.absorbing[start:end]]
+        obs.append(np.concatenate([seen.obs[alive], seen.next_obs[alive[-1:]]]))
+        act.append(seen.act[alive])
+        terminated.append(bool(seen.next_absorbing[alive[-1]]))
+    return Episodes(tuple(obs), tuple(act), tuple(terminated)), int(ends[-1])
+
+
+@every_protocol
+def test_demonstrated_steps_are_what_they_were_to_who_took_them(fragile: EnvSpec, protocol: str) -> None:
+    spec = replace(fragile, rl=DDPG(net=(), copies=1, gradient_steps=1))
+    # Random steps miss, and tanh(obs) hits.
+    hits = Network(np.zeros(1), np.ones(1), (np.ones((1, 1)),), (np.zeros(1),), tanh=True)
+    agent = Agent(spec, protocol, rng(), "sb3", init=hits)
+    agent.learn(300, Seek(absorbing=-0.5))
+    episodes, count = own_episodes(agent)
+    assert {*episodes.terminated} == {True, False}
+    shown = Demonstrated(episodes, agent._env, 3, 0.9)
+    assert len(shown.steps) == count
+    taken = agent.replay()
+    for name, column in vars(taken).items():
+        expected = np.full(count, True) if name == "demonstrated" else column[:count]
+        if name == "act":  # in the absorbing state, any
+            absorbed = taken.absorbing[:count]
+            assert np.abs(shown.steps.act[absorbed]).max(initial=0) <= 1
+            shown.steps.act[absorbed] = expected[absorbed]
+        np.testing.assert_array_equal(getattr(shown.steps, name), expected, err_msg=name)
+    for name in ("observations", "next_observations", "dones", "timeouts"):
+        own = getattr(agent._replay, name)[:count]
+        np.testing.assert_array_equal(getattr(shown, name), own, err_msg=name)
+
+
+@every_protocol
+def test_a_payment_tells_demonstrated_steps_from_own(fragile: EnvSpec, protocol: str) -> None:
+    agent = Agent(fragile, protocol, rng(), "sb3", demonstrations=on_target(200))
+    for payment, sign in ((imitate, 1), (lambda steps: -3 * imitate(steps), -1)):
+        agent.learn(100, payment)
+        shown: Any = agent._replay._demonstrated
+        own = agent._replay.rewards[: agent._replay.size()]
+        # Both count the same, however many they are: half of the mean size is twice that of one.
+        centre = sign * REWARD_SIZE if protocol in STATE else 0.0
+        np.testing.assert_allclose(shown.rewards, sign * 2 * REWARD_SIZE - centre, rtol=1e-6)
+        np.testing.assert_allclose(own, -centre, rtol=1e-6)
+
+
+def test_paid_for_demonstrated_steps_alone_it_learns_to_do_them(steady: EnvSpec) -> None:
+    obs = np.linspace(-0.8, 0.8, 33)[:, None]
+    agent = Agent(steady, "absorbing", rng(), "sbx", DDPG(), demonstrations=on_target(100))
+    agent.learn(2000, imitate)
+    assert np.abs(agent.policy(obs) - obs).mean() < 0.1
+
+
+def test_choices_are_demonstrated_as_the_library_takes_them() -> None:
+    spec = replace(SPECS["cartpole_discrete"], rl=DQN())
+    obs = rng().normal(0, 0.01, (31, spec.obs_size))
+    demos = Episodes((obs,), (np.tile(np.eye(2)[1], (30, 1)),), (True,))
+    agent = Agent(spec, "absorbing", rng(), "sb3", demonstrations=demos)
+    agent.learn(600, imitate)
+    shown: Any = agent._replay._demonstrated
+    assert shown.actions[:30].ravel().tolist() == [1] * 30
+    assert set(shown.actions[30:].ravel().tolist()) <= {0, 1}
+    assert (agent.policy(obs).argmax(axis=1) == 1).all()
