@@ -12,7 +12,7 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
 from envs.driving import observing, traffic
-from envs.driving.environment import NOMINAL, Highway, first_states, look
+from envs.driving.environment import NOMINAL, first_states
 from envs.driving.highway import CONFIG, HORIZON, SPEC, TARGET_SPEED, idm_return
 from envs.driving.scene import CRUISE, FAST, LANE_WIDTH, LANES, LENGTH, LONG, REACH, WIDE, Scene
 from envs.spec import Array
@@ -119,25 +119,6 @@ def test_the_reference_driver_is_highway_envs() -> None:
         upstream.road.vehicles[0] = upstream.vehicle = driver
         returns.append(sum(upstream.step(None)[1] for _ in range(HORIZON)))
     np.testing.assert_allclose(idm_return(seeds)[0], returns, rtol=0, atol=ROUNDING)
-
-
-@pytest.mark.parametrize(
-    ("dx", "dv", "beside"),
-    [(0, 0, True), (-6.5, 0, True), (7.5, 0, False), (9, -3, True), (9, 3, False), (-9, 3, True)],
-)
-@pytest.mark.parametrize("side", [-1, 1])
-def test_who_is_beside_or_will_be_in_a_second(dx: float, dv: float, beside: bool, side: int) -> None:
-    env = Highway(NOMINAL)
-    env.reset(seed=next(seed for seed in range(100) if first_states([seed])[0, 9, 0] == 1))
-    scene = env.scene
-    scene.x[1:] = scene.x[0] + 1000
-    scene.x[1], scene.y[1] = scene.x[0] + dx, scene.y[0] + 0.9 * side * LANE_WIDTH
-    scene.speed[1] = scene.speed[0] + dv
-    free = look(env.state[None])[0, 4:6] * WIDE
-    to_the_edge = 1.5 * LANE_WIDTH
-    there, elsewhere = free if side == -1 else free[::-1]
-    assert there == pytest.approx(0.9 * LANE_WIDTH if beside else to_the_edge, rel=1e-5)
-    assert elsewhere == pytest.approx(to_the_edge)
 
 
 def test_observations_are_in_their_units_and_an_episode_lasts_its_horizon() -> None:

@@ -19,7 +19,7 @@ from methods.airl import AIRL
 from methods.base import Array, Episodes, Learned, Method, Transitions, World
 from methods.fourier import FourierFeatures
 from methods.network import mlp
-from methods.rewards import MeanReward, NetworkReward, default_absorbing, deterred, paid
+from methods.rewards import NetworkReward, default_absorbing, deterred, paid
 from methods.settings import settings_for
 from methods.sqil import SQIL
 from methods.visits import visitations, visited
@@ -213,22 +213,3 @@ def test_where_random_actions_end_more_often_an_end_pays_no_more_than_is_said(mo
     for seen in (shown, random):
         np.testing.assert_array_equal(paid(after, seen), paid(before, seen))
     assert deterred(before, shown, shown, -100.0) is before
-
-
-@pytest.mark.parametrize("bound", [None, 2.0])
-@pytest.mark.parametrize("rows", [1, 300, 1100])
-def test_a_mean_pays_in_float32_what_it_pays_in_float64(bound: float | None, rows: int) -> None:
-    rng = np.random.default_rng(0)
-    mean, std = np.array([100.0, 0.0, -3.0]), np.array([0.1, 1.0, 30.0])
-    each = tuple(
-        NetworkReward.of(mlp(5, 16, 8, 1, generator=torch.Generator().manual_seed(i)), mean, std, bound=bound)
-        for i in range(4)
-    )
-    obs, act = mean + std * rng.normal(size=(rows, 3)), rng.uniform(-1, 1, (rows, 1))
-    for reward in (each[0], MeanReward(each)):
-        compiled = reward.compiled
-        assert compiled is not reward
-        assert compiled is reward.compiled
-        assert compiled.absorbing == pytest.approx(reward.absorbing)
-        expected = reward(obs, act, obs)
-        np.testing.assert_allclose(compiled(obs, act, obs), expected, atol=1e-6 * np.abs(expected).max())

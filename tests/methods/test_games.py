@@ -51,26 +51,6 @@ def test_the_logit_is_the_logarithm_of_the_densities_ratio(
         assert paid.mean() == pytest.approx(side * np.log(0.8 / 0.2), abs=0.15)
 
 
-def test_it_goes_on_under_the_mean_and_returns_that_or_the_last(world: Any) -> None:
-    demos = demonstrate(constant(0.7, -0.4))
-    last, mean = (
-        GAIL(iterations=4, rl_share=0.07, final_share=0.5, mean=mean).fit(
-            demos, world, np.random.default_rng(0)
-        )
-        for mean in (False, True)
-    )
-    solves = world.solves[: len(world.solves) // 2]
-    assert [solve[1:] for solve in solves] == [(70, False), *[(70, True)] * 3, (500, True)]
-    # Both play one game, and end it alike.
-    obs, act = demos.pairs()
-    paid = world.solves[-1][0](obs, act, obs)
-    np.testing.assert_array_equal(paid, mean.reward(obs, act, obs))
-    each = [reward(obs, act, obs) for reward in mean.reward.rewards]
-    np.testing.assert_allclose(paid, np.mean(each, axis=0))
-    np.testing.assert_array_equal(last.reward(obs, act, obs), each[-1])
-    np.testing.assert_array_equal(last.policy(obs), mean.policy(obs))
-
-
 def test_an_end_pays_less_than_a_fall() -> None:
     """Demonstrations stay about the mean of observations, where the absorbing state's zeros are as well;
     what falls leaves it, and ends."""

@@ -17,7 +17,6 @@ from gymnasium.wrappers import TimeLimit
 
 from envs import Shape, from_gymnasium
 from envs.copies import try_out
-from envs.scaled import scaled
 from harness.api.exported import Exported, ExportedPolicy, LearnedReward
 from harness.demonstrations.reading import read
 from harness.registry import BadInput
@@ -128,37 +127,6 @@ def test_actions_lie_within_their_own_bounds(task: Callable[..., str], which: st
         tolerance = 4 * max(np.finfo(kind).eps, 1e-7) * max(1, np.abs([low, high]).max())
         np.testing.assert_allclose(inner(env).told[-1], wanted, atol=tolerance)
     assert inner(env).told[0].tolist() == [box.low[0], box.high[1]]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "kind"),
-    [
-        (0, 1e-45, np.float32),
-        (0, 1e-38, np.float32),
-        (1e8, 1e8 + 8, np.float32),
-        (1e8, 1e8 + 32, np.float32),
-        (-(2.0**24), 2.0**24 + 2, np.float32),
-        (-3e38, 3e38, np.float32),
-        (0, 5e-324, np.float64),
-        (1e15, 1e15 + 1, np.float64),
-        (-1.7e308, 1.7e308, np.float64),
-        (60_000, 60_032, np.float16),
-    ],
-)
-def test_odd_bounds_are_reached_and_what_lies_between_is_even(low: float, high: float, kind: Any) -> None:
-    """A healthy component beside an odd one is scaled as ever."""
-    with np.errstate(all="ignore"):
-        box = spaces.Box(np.array([low, -2], kind), np.array([high, 2], kind), dtype=kind)
-        its = scaled(Odd(box))
-        done = np.array([its.action(np.full(2, act, np.float32)) for act in np.linspace(-1, 1, 21)])
-    assert done.dtype == kind
-    wanted = np.linspace(0, 1, 21) * float(box.high[0]) + np.linspace(1, 0, 21) * float(box.low[0])
-    size = kind(max(abs(box.low[0]), abs(box.high[0])))
-    step = float(np.nextafter(size, kind(0))) - float(size)
-    half = float(box.high[0]) / 2 - float(box.low[0]) / 2
-    assert (np.abs(done[[0, -1], 0].astype(float) - [box.low[0], box.high[0]]) <= 1e-9 * half).all()
-    assert (np.abs(done[:, 0].astype(float) - wanted) <= abs(step) + 0.01 * half).all()
-    assert np.allclose(done[:, 1].astype(float), np.linspace(-2, 2, 21), atol=4 * np.finfo(kind).eps + 1e-6)
 
 
 def test_what_is_observed_is_copied(task: Callable[..., str]) -> None:

@@ -80,23 +80,3 @@ def test_a_task_is_refused_by_every_command_in_the_same_words(
     assert why in said[0]
     assert said[0].count("\n") == 1
     assert not out.exists()
-
-
-@pytest.mark.parametrize("why", REASONS)
-def test_so_is_a_task_that_is_known_by_its_id(
-    why: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    space, pay = REASONS[why]
-    text = ODD.format(space=space, pay=pay, name="ById", spec="None", quiet=True).replace("ENVS =", "_ =")
-    exec(text, {"__name__": "odd"})
-    task, said = "gym:irl_bench_tests/ById-v0", []
-    for command in (
-        ["check", task],
-        ["run", "--envs", task, "--methods", "bc", "--out", str(tmp_path / "run")],
-    ):
-        assert main(command) == 2
-        said.append(capfd.readouterr().err)
-    assert said[0] == said[1]
-    assert why in said[0]
-    assert said[0].count("\n") == 1
-    assert not (tmp_path / "run").exists()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 import math
 import time
@@ -14,34 +12,14 @@ from pathlib import Path
 import pytest
 
 from harness.benchmarks import growth, measure, scale, speed
-from harness.benchmarks.measure import SCORE, Measure
+from harness.benchmarks.measure import Measure
 from harness.cli import main as cli
 from harness.engines.processes import Processes
 from harness.process.environment import CACHE_VARIABLE
 from harness.records import Cell
-from harness.report import charts, curves, html, model
+from harness.report import html, model
 from harness.report.files import report_files
 from harness.report.model import build
-
-
-def test_a_ratio_is_of_rates_taken_in_turn() -> None:
-    calls: list[str] = []
-
-    def work(name: str, done: int) -> int:
-        calls.append(name)
-        time.sleep(0.02)
-        return done
-
-    ratio = measure.compare("a", lambda: work("ours", 8), lambda: work("theirs", 1), 3, repeats=3)
-    assert calls == ["theirs", "ours", "ours", "theirs"] * 2
-    assert (ratio.unit, len(ratio.samples)) == ("times", 3)
-    described = ratio.to_json()
-    assert 2 < described["low"] <= described["median"] <= described["high"] < 32
-    assert described["bar"] == 3
-    # A bar is for the median, at least or at most by the unit.
-    assert Measure("a", "times", [2.9, 2.9, 3.2], 3.0).missed
-    assert not Measure("a", "s", [0.4, 0.4, 0.9], 0.5).missed
-    assert Measure("a", SCORE, [0.9, 0.94, 1.0], 0.95).missed
 
 
 def test_measures_are_printed_one_by_one_and_as_json_also_where_one_fails(
@@ -127,32 +105,6 @@ def test_work_grows_no_faster_than_cells_and_rows(monkeypatch: pytest.MonkeyPatc
     for shape in shapes:
         made = {count: scale.made_up(shape(count)) for count in (150, 1500, 3000)}
         assert times_as_long(lambda count, made=made: report_files(build(*made[count])), 1500) < 2.8
-
-
-def test_a_run_of_many_rows_is_drawn_in_few_figures_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn, asked = [], []
-    monkeypatch.setattr(charts, "scores", lambda board: drawn.append(board.name))
-    for name in ("costs", "distances", "demonstrations"):
-        monkeypatch.setattr(charts, name, lambda *its: None)
-    monkeypatch.setattr(curves, "learning", lambda board, most: asked.append(most))
-    monkeypatch.setattr(model, "MANY_ROWS", 2000)
-    monkeypatch.setattr(model, "MOST_LINES", 1000)
-    request, results = scale.made_up((2, 3, 40, 4))
-    files = report_files(build(request, results))
-    rows = list(csv.DictReader(io.StringIO(str(files["scores.csv"]))))
-    assert len(rows) == sum(len(result.rows) for result in results) > 2000
-    lines = list(csv.DictReader(io.StringIO(str(files["leaderboard.csv"]))))
-    boards = list(dict.fromkeys((line["env"], line["demos"]) for line in lines))
-    assert len(boards) == 80
-    assert len(drawn) == model.MOST_DRAWN_OF_MANY
-    assert asked == [model.MOST_PANELS_OF_MANY] * model.MOST_DRAWN_OF_MANY
-    page = str(files["report.html"])
-    shown = 1000 // (len(lines) // 80)
-    assert str(files["leaderboard.md"]).count("## task") == shown
-    for text in (page, str(files["leaderboard.md"])):
-        assert f"the first {shown} of 80 boards are shown; leaderboard.csv has the lines of all" in text
-        assert f"figures are of the first {model.MOST_DRAWN_OF_MANY} boards" in text
-        assert "task1, 40 demonstrations" not in text
 
 
 def test_a_page_lists_the_first_of_many_warnings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,24 +209,3 @@ def test_list_prints_the_settings_of_one_method_in_one_task(capsys: pytest.Captu
         err = capsys.readouterr().err
         assert why in err
         assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        ("--subsample 0", "between 1"),
-        ("--demonstrator medium --experts trained", "shipped"),
-        ("--envs gridworld --transfer", "no other dynamics"),
-        ("--envs swingup --transfer fliped", "did you mean 'flipped'"),
-        ("--envs swingup --transfer --no-retrain", "leave out --no-retrain"),
-    ],
-)
-def test_what_cannot_be_shown_or_transferred_is_one_line(
-    more: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = f"run --methods bc --budget smoke {more} --out"
-    assert main([*words.split(), str(tmp_path / "run")]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "run").exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +15,7 @@ from rerun.chunk import RrdReader
 from envs import EnvSpec
 from harness.cell import fitting, retraining
 from harness.cell.experts import source_for
-from harness.cell.recording import LEAST_WEIGHT, advantages, chosen
+from harness.cell.recording import chosen
 from harness.records import Cell, Conditions, Library, Shown
 from harness.registry import SPECS, load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS
@@ -27,7 +26,6 @@ from harness.rl.world import solver_for
 from harness.store.codec import decode, encode
 from harness.store.names import files_of, recording_of
 from methods.base import Array, Episodes, Learned, Unsuitable, World
-from methods.rewards import Constant
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
 SPEC = SPECS["cartpole"]
@@ -201,27 +199,3 @@ def test_recordings_are_of_the_episodes_that_were_scored_and_may_be_of_all(tmp_p
         assert worst["returns of all"].startswith(f"{float(worst['return']):.6g} to ")
         endings = ", ".join(f"{count} {why}" for why, count in result.endings[row.policy].items())
         assert median["endings of all"] == endings
-
-
-def test_an_experts_actions_are_worth_nothing_over_its_own_and_a_push_the_other_way_less() -> None:
-    def expert(obs: Array) -> Array:
-        return np.clip(obs @ [[0.3], [0.4], [6.0], [1.2]], -1, 1)
-
-    seed, reward = evaluation_seeds(0, 1)[0], Constant(2.0, 1.0)
-    (own,) = Simulator(SPEC, 1).run(expert, [seed])
-    (fallen,) = Simulator(SPEC, 1).run(lambda obs: -expert(obs), [seed])
-    assert fallen.terminated
-    better, worse = advantages(SPEC, expert, [own, fallen], [seed, seed], reward)
-    assert better is not None
-    assert np.abs(better.true).max() < 0.05 * 100  # what the discount leaves of 1 / (1 - gamma)
-    assert worse is not None
-    assert worse.learned is not None
-    assert worse.steps[-1] == len(fallen.act)
-    # They sum up to the return less the expert's return from the start.
-    weights = SPEC.gamma ** np.array([0, *worse.steps[:-1]])
-    most = math.ceil(math.log(LEAST_WEIGHT) / math.log(SPEC.gamma))
-    (best,) = Simulator(SPEC, 1).run(expert, [seed], most=most)
-    gained = [one.rewards @ SPEC.gamma ** np.arange(len(one.rewards)) for one in (fallen, best)]
-    assert weights @ worse.true == pytest.approx(gained[0] - gained[1])
-    assert weights @ worse.true < -50
-    assert weights @ worse.learned < -50

@@ -80,31 +80,6 @@ def test_under_a_limit_of_memory_a_command_is_done_or_one_line(
     assert sorted(os.listdir(tmp_path)) == [".lock", "run.sqlite"]
 
 
-@pytest.mark.parametrize(
-    ("command", "code"),
-    [
-        (["run", "--methods", "bc", "--out", "new"], 2),
-        (["report", "there"], 2),
-        (["check", "bc"], 2),
-        (["list"], 0),
-    ],
-)
-def test_in_a_folder_that_is_gone_commands_are_done_or_one_line(
-    command: list[str],
-    code: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    assert cli.main(command) == code
-    _, err = capsys.readouterr()
-    assert err.count("\n") == (code == 2)
-    assert ("irl-bench: error: the current folder is gone" in err) == (code == 2)
-
-
 def test_variants_run_when_named_and_not_in_all() -> None:
     choose = functools.partial(registry.choose, "method", known=registry.METHODS, variants=registry.VARIANTS)
     assert choose("all") == tuple(registry.METHODS)

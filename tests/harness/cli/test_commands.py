@@ -4,19 +4,17 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from harness.records import CellResult
 from harness.report.model import Report
 from harness.schedule import plan
 from harness.schedule.events import AnyEvent, Begun, Ended, Reported
-from harness.store.store import Store
 from tests.harness.fake_runs import PER_SEED, SMOKE, computed, faults, scores
-from tests.harness.small_runs import damage, delete, snapshot
+from tests.harness.small_runs import damage, snapshot
 
 Main = Callable[..., tuple[int, str, str]]
 
@@ -137,30 +135,6 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     assert f"1 cells to run, {PER_SEED} kept" in out
     assert computed(tmp_path / "run")[PER_SEED + 1 :] == ["cartpole__reference__seed0", "cartpole__bc__seed0"]
     assert main("report", "run")[0] == 0
-
-
-@pytest.mark.parametrize("how", ["deleted", "damaged"])
-def test_a_cell_that_is_lost_while_the_run_goes_on_is_computed_again(
-    main: Main, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: str
-) -> None:
-    lost = "cartpole__control_true__seed0"
-    save, again = Store.save, False
-
-    def lose(self: Store, result: CellResult, files: Mapping[str, bytes]) -> None:
-        nonlocal again
-        save(self, result, files)
-        if result.cell.method == "control_true" and not again:
-            again = True
-            (damage if how == "damaged" else delete)(tmp_path / "run", lost)
-
-    monkeypatch.setattr(Store, "save", lose)
-    code, out, err = main(*SMOKE, "--methods", "bc", "--out", "run")
-    assert (code, f"{PER_SEED + 1} ok; " in out) == (0, True)
-    assert (
-        "lost or damaged while the run went on, computed again: cartpole__control_true__seed0, 1 in all"
-        in err
-    )
-    assert computed(tmp_path / "run").count("cartpole__control_true__seed0") == 2
 
 
 def test_inline_cells_are_computed_in_this_process(

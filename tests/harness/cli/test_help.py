@@ -10,8 +10,6 @@ import pytest
 
 from harness.cli.arguments import parser
 from harness.cli.examples import EXAMPLES
-from harness.cli.main import main
-from harness.registry import BadInput
 
 ROOT = Path(__file__).parents[3]
 
@@ -50,10 +48,3 @@ def test_pages_that_errors_name_are_there() -> None:
     assert {"commands", "cluster", "demonstrations"} <= named
     for page in named - {"READ"} | {"plugins"}:
         assert (ROOT / f"docs/{page}.md").exists(), page
-
-
-def test_an_error_ends_with_its_page(capsys: pytest.CaptureFixture[str]) -> None:
-    assert str(BadInput("no", page="commands")) == "no (docs/commands.md)"
-    assert str(BadInput("no")) == "no"
-    assert main(["run", "--seeds", "x"]) == 2
-    assert capsys.readouterr().err.endswith("'x' is not a whole number (docs/commands.md)\n")

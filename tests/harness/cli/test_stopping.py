@@ -1,7 +1,6 @@
 """Runs in processes of their own: stopped, refused, moved, out of space, on a terminal; nothing is lost."""
 
 import os
-import pty
 import re
 import shutil
 import signal
@@ -180,29 +179,6 @@ def test_a_run_pins_its_instructions_unless_asked_to_be_fast_and_mixes_with_no_o
     subprocess.run([*fast, "--out", str(tmp_path / "other")], env=FAKE_ENV, check=True, capture_output=True)
     assert "--xla_cpu_max_isa" not in (tmp_path / "other/run.log").read_text()
     assert stored(tmp_path / "other", "request", "run")["conditions"]["deterministic"] is False
-
-
-def test_on_a_terminal_the_progress_is_live(tmp_path: Path) -> None:
-    ours, theirs = pty.openpty()
-    faults(tmp_path, cartpole__shaped__seed0="raise", cartpole__reference__seed0="slow")
-    env = {**FAKE_ENV, "TERM": "xterm", "COLUMNS": "200"}
-    process = subprocess.Popen(command(tmp_path), env=env, stdout=theirs, stderr=subprocess.DEVNULL)
-    os.close(theirs)
-    shown = b""
-    try:
-        while chunk := os.read(ours, 65536):
-            shown += chunk
-    except OSError:  # how Linux says that the other end is closed
-        pass
-    os.close(ours)
-    assert process.wait() == 1
-    assert b"cartpole__reference__seed0" in shown
-    assert b"  computing" in shown
-    assert b"failed  cartpole__shaped__seed0: ValueError" in shown
-    total = PER_SEED + 1
-    assert f"{total} of {total} cells done, 1 failed".encode() in shown
-    assert b"\x1b[?25l" in shown, "the cursor is hidden"
-    assert b"\x1b[?25h" in shown.rpartition(b"\x1b[?25l")[2], "and shown again"
 
 
 @pytest.mark.parametrize("how", ["moved", "deleted"])

@@ -17,7 +17,7 @@ from harness.cli.arguments import parser
 from harness.cli.main import main
 from harness.demonstrations.reading import read, write
 from methods.base import Episodes
-from tests.harness.demonstrations.made_demonstrations import CHOICES, SWINGUP, imitation, made, refused
+from tests.harness.demonstrations.made_demonstrations import SWINGUP, imitation, refused
 
 pytestmark = pytest.mark.usefixtures("read_here")
 PAIR = spaces.Box(np.float32([-2, 0]), np.float32([1, 5]))
@@ -120,26 +120,6 @@ def test_own_files_are_scaled_and_say_so(tmp_path: Path, pair: EnvSpec) -> None:
     ):
         np.savez(tmp_path / f"{name}.npz", **there | {"act_bounds": np.array(odd)})
         is_refused(tmp_path / f"{name}.npz", said, pair)
-
-
-def test_inspect_says_what_bounds_it_takes_and_why(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def inspected(file: Path, env: str, *more: str) -> str:
-        assert main(["demos", "inspect", str(file), "--env", env, *more]) == 0
-        return capsys.readouterr().out
-
-    file = old_imitation(tmp_path / "d.npz", np.array([[1.5], [-0.5]]), 3)
-    out = inspected(file, "swingup")
-    assert "bounds      [-2, 2] there, the task's own\n" in out
-    assert "actions     motor [2 N m]" in out
-    assert "-0.5 to 1.5 there, -0.25 to 0.75, mean 0.25 in [-1, 1]\n" in out
-    out = inspected(file, "swingup", "--action-bounds=-4,4")
-    assert "bounds      [-4, 4] there, as --action-bounds says\n" in out
-    write(tmp_path / "c.npz", *made((3,), (True,), CHOICES))
-    assert "choices     0 to 1 there, the task's own\n" in inspected(tmp_path / "c.npz", CHOICES.name)
 
 
 def test_of_two_files_none_is_ignored(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,7 @@
 """Whatever becomes of standard output and error, the work is done and the exit code says what came of it."""
 
-import os
-import pty
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -73,26 +69,3 @@ def test_a_flag_that_cells_cannot_have_is_refused_and_nothing_is_written(tmp_pat
     assert code == 2
     assert "without -OO" in err
     assert not (ROOT / f"runx{tmp_path.name}").exists()
-
-
-def test_a_closed_terminal_stops_a_run_like_ctrl_c(tmp_path: Path) -> None:
-    faults(tmp_path, **{BC: "sleep"})
-    ours, theirs = pty.openpty()
-    # It hears of a lost terminal, though the tests be run by nohup.
-    process = subprocess.Popen(
-        ["env", "--default-signal=HUP", *FAKE, *RUN.split()],
-        cwd=tmp_path,
-        env={**FAKE_ENV, "TERM": "xterm"},
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        start_new_session=True,
-    )
-    file = tmp_path / "run/computed.txt"
-    while not file.exists() or BC not in file.read_text():
-        assert process.poll() is None
-        time.sleep(0.02)
-    os.close(theirs)
-    os.close(ours)
-    os.killpg(process.pid, signal.SIGHUP)
-    assert process.wait(20) == 130

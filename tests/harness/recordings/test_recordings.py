@@ -12,7 +12,6 @@ from rerun.chunk import RrdReader
 
 from envs.spec import Array
 from harness.recordings.episode import Advantage, Episode, record
-from harness.recordings.maps import SIDE, maps
 from harness.recordings.scenes import Flat, Solid, scene
 from harness.records import Cell
 from harness.registry import SPECS
@@ -172,35 +171,3 @@ def test_equal_episodes_give_equal_content_and_where_rerun_writes_nothing_there_
     monkeypatch.setenv("RERUN", "off")
     with pytest.raises(OSError, match="rerun wrote nothing"):
         record(SPEC, CELL, "pi_R", "median", episode)
-
-
-class Near:
-    """Pays more the nearer an observation is to 0."""
-
-    absorbing = -3.0
-
-    def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return -np.square(obs).sum(axis=1)
-
-
-@pytest.mark.parametrize("name", ["cartpole", "swingup", "cartpole_swingup", "acrobot", "point_maze"])
-def test_a_map_shows_what_the_environment_pays_along_an_episode(name: str) -> None:
-    spec = SPECS[name]
-
-    def policy(obs: Array) -> Array:
-        return np.zeros((len(obs), spec.act_size))
-
-    (played,) = Simulator(spec, 1).run(policy, [0])
-    result = maps(spec, policy, Near(), played.obs)
-    assert result is not None
-    true, path = result.rewards["true"], result.path
-    assert true.shape == (SIDE, SIDE)
-    assert path.shape == (len(played.obs), 2)
-    assert ((path > 0) & (path < SIDE)).mean() > 0.8
-    assert result.rewards["learned"].max() <= 3
-    if name == "swingup":  # both axes are its whole state
-        x, y = path[:-1].astype(int).clip(0, SIDE - 1).T
-        assert np.corrcoef(true[y, x], played.rewards)[0, 1] > 0.99
-    if name == "point_maze":
-        best, cell = np.unravel_index(true.argmax(), true.shape), 0.7 / SIDE
-        assert [-0.1 + cell * (i + 0.5) for i in best[::-1]] == pytest.approx([0.3, 0.5], abs=cell)

@@ -44,27 +44,6 @@ def run(tmp_path: Path) -> Path:
     return folder.parent
 
 
-@pytest.mark.parametrize(
-    ("asked", "expected"),
-    [
-        ((None, None, False), {0, 1, 2, 3}),
-        (("cartpole", None, False), {0, 1}),
-        (("swingup.heavy", None, False), {2}),
-        ((None, "bc", False), {0, 2}),
-        ((None, None, True), {1}),
-    ],
-)
-def test_matching_recordings_are_played_and_comparisons_first(
-    run: Path, asked: tuple[str | None, str | None, bool], expected: set[int]
-) -> None:
-    (run / "recordings/stray.rrd").touch()
-    files = [file.name for file in viewer.recordings(run, ["cartpole", "swingup"], *asked)]
-    assert {*files} == {NAMES[i] for i in expected}
-    assert NAMES[1] not in files[1:]
-    with pytest.raises(BadInput, match="no such recordings; it has cartpole bc, cartpole compare, "):
-        viewer.recordings(run, ["cartpole", "swingup"], "pendulum", None, False)
-
-
 def test_the_viewer_keeps_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
     homes: list[Path] = []

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import gymnasium
 import pytest
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from gymnasium.envs.registration import EnvSpec
 
 from harness.registry import BadInput, gymnasium_tasks, keys, packages, plugins, sources
 from tests.harness.plugged import MINE
@@ -109,26 +109,3 @@ def test_a_key_is_of_what_a_task_is_registered_with(monkeypatch: pytest.MonkeyPa
     assert len({key_with(g=10.0), key_with(g=2.0), key_with(horizon=100, g=2.0)}) == 3
     with pytest.raises(BadInput, match="registered with arguments that are neither numbers nor texts"):
         key_with(g=object())
-
-
-def test_a_key_is_of_modules_that_a_task_is_registered_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Gymnasium's registry names them as text: nothing imports them."""
-    texts = {
-        "far_env": "from gymnasium.envs.classic_control import PendulumEnv as Far\nimport far_away",
-        "far_wrap": "from gymnasium import Wrapper as Pay",
-        "far_away": "",
-    }
-    for name, text in texts.items():
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    wrappers = (WrapperSpec("Pay", "far_wrap:Pay", {}),)
-    spec = EnvSpec("Far-v0", "far_env:Far", max_episode_steps=200, additional_wrappers=wrappers)
-    monkeypatch.setitem(gymnasium.registry, "Far-v0", spec)
-
-    found = [key_of("bc", gymnasium_tasks.task_or_name("gym:Far-v0"))]
-    for name in texts:
-        (tmp_path / f"{name}.py").write_text(f"{texts[name]}\nMORE = 1\n")
-        found.append(key_of("bc", gymnasium_tasks.task_or_name("gym:Far-v0")))
-    assert len(set(found)) == 4

@@ -196,20 +196,3 @@ def test_packages_of_the_programs_names_are_found_after_it(tmp_path: Path) -> No
 def test_modules_of_the_current_folder_are_not_imported(tmp_path: Path) -> None:
     files = {f"{name}.py": "raise SystemExit('theirs')" for name in ("json", "random", "numpy", "signal")}
     assert ran(tmp_path, ["-m", "harness", "list"], files, str(ROOT)) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("file", "text", "why"),
-    [
-        ("broken/msgspec/__init__.py", "raise ImportError('half installed')", "half installed"),
-        ("broken/torch-0.dist-info/RECORD", "", "torch is not installed, or only in part"),
-    ],
-)
-def test_a_package_that_is_half_installed_is_one_line_and_nothing_is_written(
-    tmp_path: Path, file: str, text: str, why: str
-) -> None:
-    path = f"{tmp_path / 'broken'}{os.pathsep}{ROOT}"
-    code, err = ran(tmp_path, ["-m", "harness", *RUN], {file: text}, path)
-    assert code == 2
-    assert why in err
-    assert not (tmp_path / "run").exists()

@@ -9,7 +9,7 @@ import pytest
 
 from harness.cli.main import main
 from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.report import charts, curves
+from harness.report import charts
 from harness.report.figures import Chart, styled
 from harness.report.files import figure, table
 from harness.report.model import Board, build
@@ -65,23 +65,6 @@ def test_transfer_shows_policies_carried_over_and_the_expert_in_the_pages_colour
     assert plot.count("var(--c2)") == 1, "the expert's level"
     assert "style=" not in plot
     assert "#" not in plot.replace('href="#', "").replace("url(#", "")
-
-
-def test_curves_mark_the_checkpoint_that_counts_at_its_true_return() -> None:
-    results = make_results(("cartpole",))
-    for result in results:
-        if "pi_R" in result.curves:
-            result.curves["pi_R_chosen"] = [result.curves["pi_R"][9]]
-    (board,) = build(REQUEST, results).boards
-    with styled():
-        chart, few = curves.learning(board, 60), curves.learning(board, 2)
-    assert chart is not None
-    assert few is not None
-    (plot,) = chart.plots
-    assert plot.count('font-weight="700"') == 7, "control_true and the other controls, shaped, maxmargin"
-    for value in (dict(r.curves["pi_R_true"])[9000.0] for r in results if r.cell.method == "shaped"):
-        assert f'data-tip="shaped, steps 9,000: true return {value:.1f}"' in plot
-    assert few.note == "The first 2 of 7 panels."
 
 
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])

@@ -128,28 +128,6 @@ def test_its_numbers_are_those_of_the_scores(page: Any, reported: Path) -> None:
         assert text.partition(" ")[0] == (f"{mean:z.2f}" if known else "n/a")
 
 
-def test_any_column_sorts_both_ways_and_what_is_unknown_stays_last(page: Any) -> None:
-    def sort_by(column: str) -> str:
-        """Sort by keyboard; return the order that the heading then has."""
-        button = page.locator(f"#lines th[data-column={column}] button")
-        button.focus()
-        page.keyboard.press("Enter")
-        order: str = button.evaluate("button => button.closest('th').ariaSort")
-        return order
-
-    for heading in FIRST:
-        if heading != "score":
-            assert {sort_by(heading), sort_by(heading)} == {"ascending", "descending"}
-    for order, sign in (("descending", -1), ("ascending", 1)):
-        assert sort_by("score") == order
-        told = [text.partition(" ")[0] for text in texts(page, "score")]
-        numbers = [sign * float(text) for text in told if text != "n/a"]
-        assert numbers == sorted(numbers)
-        assert set(told[len(numbers) :]) == {"n/a"}
-    assert sort_by("method") == "ascending"
-    assert texts(page, "method") == sorted(texts(page, "method"))
-
-
 def test_filters_leave_what_they_say(page: Any) -> None:
     every = len(texts(page, "method"))
     chosen = {"env": "cartpole", "method": "shaped", "dynamics": "heavy"}

@@ -123,27 +123,3 @@ def test_methods_of_plug_ins_are_named_with_score_and_rank() -> None:
         "mine: on cartpole its pi* scores 0.85 [0.85, 0.85] and ranks 3 of 4, "
         "its pi_R scores 0.85 [0.85, 0.85] and ranks 2 of 3; other: no cell of it is finished"
     )
-
-
-@pytest.mark.parametrize("columns", [60, 200])
-def test_tables_and_lines_are_within_the_terminals_width(
-    columns: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    report = build(REQUEST, make_results())
-    lines = terminal.closing(report, RUN)
-    assert [terminal.wrapped(line) for line in lines] == lines, "of a file a line is one line"
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    monkeypatch.setenv("COLUMNS", str(columns))
-    for line in lines:
-        wrapped = terminal.wrapped(line)
-        assert " ".join(wrapped.split()) == " ".join(line.split())
-        assert max(map(len, wrapped.splitlines())) <= columns
-        assert all(more.startswith(" " * terminal.LABEL) for more in wrapped.splitlines()[1:])
-    tables = terminal.tables(report)
-    assert max(map(len, tables)) <= columns
-    shaped = next(line for line in tables if line.startswith(" shaped") and "pi_R" in line)
-    assert shaped.split()[:3] == ["shaped", "pi_R", "0.86"]
-    assert ("[0.84, 0.89]" in shaped) == (columns >= terminal.WITH_INTERVALS)
-    assert "the best" in shaped
-    words = " ".join(" ".join(tables).split())
-    assert "…" not in words

@@ -16,7 +16,7 @@ from envs import EnvSpec
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from harness.registry import LIBRARIES, SPECS, Library
 from harness.rl.solving import Agent
-from methods.base import Array, Episodes
+from methods.base import Array
 from methods.network import Network
 from methods.rewards import Constant
 from methods.stochastic import SquashedGaussian
@@ -166,23 +166,6 @@ def test_an_agent_begins_with_the_policy_that_it_is_given(settings: Any, init: A
     np.testing.assert_array_equal(best(SHOWN), agent.policy(SHOWN))
 
 
-@both_libraries
-def test_its_behaviour_is_what_the_library_explores_with(library: Library) -> None:
-    agent = Agent(noise(SAC(net=(16, 8), learning_rate=0.01)), "absorbing", rng(), library)
-    agent.learn(60, lambda taken: taken.act[:, 0])
-    act = rng(1).uniform(-0.9, 0.9, (len(SHOWN), 2))
-    model: Any = agent._model
-    if library == "sbx":
-        state = model.policy.actor_state
-        expected = state.apply_fn(state.params, seen_by(agent)).log_prob(act)
-    else:
-        mean, log_std, _ = model.actor.get_action_dist_params(torch.as_tensor(seen_by(agent)))
-        own = model.actor.action_dist.proba_distribution(mean, log_std)
-        expected = own.log_prob(torch.as_tensor(act)).detach()
-    np.testing.assert_allclose(agent.behaviour.log_prob(SHOWN, act), expected, atol=1e-4)
-    np.testing.assert_array_equal(agent.behaviour.mean(SHOWN), agent.policy(SHOWN))
-
-
 def test_q_learning_explores_with_a_share_of_random_choices() -> None:
     agent = Agent(SPECS["cartpole_discrete"], "absorbing", rng(), "sb3", DQN())
     agent.learn(200, NOTHING)
@@ -191,20 +174,3 @@ def test_q_learning_explores_with_a_share_of_random_choices() -> None:
     chances = [np.exp(agent.behaviour.log_prob(obs, act)) for act in (greedy, 1 - greedy)]
     share = agent.settings.noise
     np.testing.assert_allclose(chances, [[1 - share / 2] * 2, [share / 2] * 2])
-
-
-def test_what_a_learner_cannot_begin_with_or_have_is_refused(steady: EnvSpec) -> None:
-    for settings, init, why in (
-        (DDPG(), network(3, 16, 2), r"layers of \(3, 16, 2\), the actor of \(3, 64, 64, 2\)"),
-        (SAC(net=(16,)), SquashedGaussian(network(3, 16, 4)), "must not"),
-        (TD3(), SquashedGaussian(network(3, 64, 64, 4, tanh=False)), "TD3 cannot begin with a Squashed"),
-    ):
-        with pytest.raises(ValueError, match=why):
-            Agent(noise(settings), "absorbing", rng(), "sb3", init=init)
-    shown = Episodes((np.zeros((3, 1)),), (np.zeros((2, 1)),), (False,))
-    with pytest.raises(ValueError, match="not from demonstrations"):
-        Agent(steady, "absorbing", rng(), "sb3", ON_POLICY, demonstrations=shown).learn(200, NOTHING)
-    own = Agent(steady, "absorbing", rng(), "sb3", ON_POLICY)
-    own.learn(200, NOTHING)
-    with pytest.raises(ValueError, match="keeps no steps"):
-        own.replay()

@@ -15,7 +15,7 @@ from harness.rl.exact import ExactSolver
 from harness.rl.stored import from_arrays
 from harness.rl.world import Features
 from harness.store import artifacts
-from harness.store.artifacts import NOT_KEPT, artifact, learned_in
+from harness.store.artifacts import artifact, learned_in
 from harness.store.cache import Kept, as_bytes
 from methods.fourier import FourierFeatures
 from methods.network import Network
@@ -111,14 +111,3 @@ def test_what_was_not_written_by_it_is_refused_and_runs_nothing(described: Any) 
         from_arrays({}, described)
     with pytest.raises(ValueError, match=r"."):
         learned_in(as_bytes(Kept({}, {"format": artifacts.FORMAT, "learned": {"reward": described}})))
-
-
-def test_what_is_too_large_to_be_kept_is_named_and_fails_no_cell(monkeypatch: pytest.MonkeyPatch) -> None:
-    learned = {"pi_star": network(4, 1), "reward": None}
-    data, _ = artifact(CELL, CONDITIONS, learned)
-    monkeypatch.setattr(artifacts, "LARGEST", len(data))
-    assert artifact(CELL, CONDITIONS, learned) == (data, [])
-    monkeypatch.setattr(artifacts, "LARGEST", len(data) - 1)
-    nothing, (trouble,) = artifact(CELL, CONDITIONS, learned)
-    assert nothing == b""
-    assert trouble.startswith(f"{CELL.name}: pi_star {NOT_KEPT}: the file would be larger than")

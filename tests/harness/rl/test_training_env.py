@@ -12,9 +12,8 @@ from envs import EnvSpec
 from envs.learners import DDPG, DQN
 from harness.registry import LIBRARIES, PROTOCOLS, SPECS, Library
 from harness.rl.solving import Agent
-from harness.rl.training_env import REWARD_SIZE, Demonstrated, Replay, TrainingEnv
+from harness.rl.training_env import REWARD_SIZE, Replay, TrainingEnv
 from methods.base import ABSORBING_STEPS, Array, Episodes, Transitions
-from methods.network import Network
 from tests.harness.rewards import Seek
 
 pytestmark = pytest.mark.usefixtures("fused_adam")
@@ -164,43 +163,6 @@ def test_half_of_each_batch_is_demonstrated(
     # What was taken is what it says it has seen.
     assert np.abs(agent.replay().obs).max() <= 0.8
     assert not agent.replay().demonstrated.any()
-
-
-def own_episodes(agent: Agent) -> tuple[Episodes, int]:
-    """All that an agent of one copy did and finished, as demonstrations; how many steps it saw by then."""
-    seen, buffer = agent.replay(), agent._replay
-    ends = np.flatnonzero(buffer.dones[: len(seen), 0]) + 1
-    obs, act, terminated = [], [], []
-    for start, end in zip([0, *ends[:-1]], ends, strict=True):
-        alive = np.arange(start, end)[~seen.absorbing[start:end]]
-        obs.append(np.concatenate([seen.obs[alive], seen.next_obs[alive[-1:]]]))
-        act.append(seen.act[alive])
-        terminated.append(bool(seen.next_absorbing[alive[-1]]))
-    return Episodes(tuple(obs), tuple(act), tuple(terminated)), int(ends[-1])
-
-
-@every_protocol
-def test_demonstrated_steps_are_what_they_were_to_who_took_them(fragile: EnvSpec, protocol: str) -> None:
-    spec = replace(fragile, rl=DDPG(net=(), copies=1, gradient_steps=1))
-    # Random steps miss, and tanh(obs) hits.
-    hits = Network(np.zeros(1), np.ones(1), (np.ones((1, 1)),), (np.zeros(1),), tanh=True)
-    agent = Agent(spec, protocol, rng(), "sb3", init=hits)
-    agent.learn(300, Seek(absorbing=-0.5))
-    episodes, count = own_episodes(agent)
-    assert {*episodes.terminated} == {True, False}
-    shown = Demonstrated(episodes, agent._env, 3, 0.9)
-    assert len(shown.steps) == count
-    taken = agent.replay()
-    for name, column in vars(taken).items():
-        expected = np.full(count, True) if name == "demonstrated" else column[:count]
-        if name == "act":  # in the absorbing state, any
-            absorbed = taken.absorbing[:count]
-            assert np.abs(shown.steps.act[absorbed]).max(initial=0) <= 1
-            shown.steps.act[absorbed] = expected[absorbed]
-        np.testing.assert_array_equal(getattr(shown.steps, name), expected, err_msg=name)
-    for name in ("observations", "next_observations", "dones", "timeouts"):
-        own = getattr(agent._replay, name)[:count]
-        np.testing.assert_array_equal(getattr(shown, name), own, err_msg=name)
 
 
 @every_protocol

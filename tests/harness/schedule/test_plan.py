@@ -34,10 +34,6 @@ def cells(method: str, seeds: int) -> list[Cell]:
     return [Cell("cartpole", method, seed) for seed in range(seeds)]
 
 
-def job_of(method: str, env: str = "cartpole") -> Job:
-    return Job((Cell(env, method, 0),), False, CONDITIONS, "")
-
-
 def test_the_wall_time_is_that_of_equal_cells_done_side_by_side(tmp_path: Path) -> None:
     measured(tmp_path, expert=2.0, bc=10.0)
     found = plan.plan(cells("bc", 8), CONDITIONS, VARIABLES, cores=(1, 2, 8, 1000))

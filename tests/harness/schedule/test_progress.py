@@ -52,23 +52,6 @@ def test_the_time_left_follows_the_pace_and_is_never_none_of_a_job_that_runs(
     assert overdue.eta() == pytest.approx(10.0)
 
 
-def test_cells_alone_are_counted_as_the_run_counts_them(capsys: pytest.CaptureFixture[str]) -> None:
-    jobs = [job("reference", shared=True), job("bc"), job("shaped")]
-    lines = progress.Lines(Tally(dict.fromkeys([one.name for one in jobs], 1.0), {jobs[0].name}))
-    with lines:
-        for one, status, reason in zip(jobs, ("ok", "ok", "failed"), ("", "", "no luck"), strict=True):
-            lines.started(one)
-            lines.finished(one, status, reason, {} if reason or one.shared else {"pi_star": 480.123})
-    out = capsys.readouterr().out.splitlines()
-    assert out[0] == "start   cartpole__expert__seed0"
-    for line, left in zip(out[1::2], ("2 cells left", "1 cell left", "0 cells left"), strict=True):
-        assert left in line
-    assert out[3].endswith("): pi_star 480.1")
-    assert out[5].endswith("): no luck")
-    assert lines.tally.line().startswith("2 of 2 cells done, 1 failed, ")
-    assert "ETA" not in lines.tally.line()
-
-
 class Terminal:
     """A display on a terminal of 24 lines, and what is seen there."""
 

@@ -12,7 +12,7 @@ from harness.records import LEARNED, Cell, CellResult
 from harness.registry import BadInput, packages
 from harness.store.database import FILE
 from harness.store.files import SUMS, sha256_of
-from harness.store.opening import open_for_report, open_for_run, open_to_plan, open_to_verify
+from harness.store.opening import open_for_report, open_for_run, open_to_verify
 from harness.store.request import Request
 from tests.harness.small_runs import (
     CONDITIONS,
@@ -132,25 +132,6 @@ def test_a_run_directory_grows_and_remembers_everything_asked_of_it(tmp_path: Pa
     with open_to_verify(tmp_path / "a/b") as run:
         assert run.request == expected
     assert sorted(os.listdir(tmp_path / "a/b")) == [".lock", FILE]
-
-
-@pytest.mark.parametrize(
-    ("there", "why"),
-    [
-        ({"conditions": dataclasses.replace(CONDITIONS, budget="full")}, "budget full, not smoke"),
-        ({"methods": tuple(f"m{i}" for i in range(200))}, "cannot hold so much"),
-    ],
-)
-def test_a_run_that_cannot_grow_by_what_is_asked_is_refused_and_left_as_it_was(
-    tmp_path: Path, there: dict, why: str
-) -> None:
-    with open_for_run(tmp_path, dataclasses.replace(REQUEST, **there)):
-        pass
-    before = snapshot(tmp_path)
-    for another in (open_for_run(tmp_path, REQUEST), open_to_plan(tmp_path, REQUEST, {})):
-        with pytest.raises(BadInput, match=why), another:
-            pass
-    assert snapshot(tmp_path) == before
 
 
 def test_one_may_write_and_many_may_read(run: Path) -> None:
