@@ -21,6 +21,7 @@ from msgspec import Meta
 from harness.registry.bounds import (
     LONGEST_TEXT,
     MOST_CURVES,
+    MOST_DETAILS,
     MOST_EPISODES,
     MOST_SOLVES,
     Count,
@@ -254,7 +255,7 @@ class CellResult:
     """Date and time, UTC."""
     below_bar: bool = False
     """True where a reference's expert misses its bar."""
-    details: Annotated[dict[Text, float], Meta(max_length=30)] = field(default_factory=dict)
+    details: Annotated[dict[Text, float], Meta(max_length=MOST_DETAILS)] = field(default_factory=dict)
     """A method's numbers about its fit, by name."""
     seconds: Annotated[dict[Text, Seconds], Meta(max_length=20)] = field(default_factory=dict)
     """Wall time by stage; 'start' is the rest."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, SupportsIndex
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import GYMNASIUM_NAME
 from harness.schedule.progress import tell
 from harness.store.request import Request
+from methods.base import Array
 
 if TYPE_CHECKING:
     from harness.demonstrations.reading import Demonstrations
@@ -53,7 +55,7 @@ CHOICES = {
 ITEMS: dict[str, tuple[type, ...]] = {
     **dict.fromkeys(("methods", "envs", "transfer"), (str,)),
     **dict.fromkeys(("plugins", "baseline"), (str, Path)),
-    "demos": (SupportsIndex,),
+    "demos": (object,),
 }
 """Fields that are lists, and what they hold."""
 PLUGIN_HINT = (
@@ -110,12 +112,11 @@ class RunRequest:
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise BadInput(f"{name} must be one of {', '.join(choices)}, not {value!r:.40}")
-        for name, least in (("solves", 0), ("subsample", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or not least <= value <= MOST_SEEDS:
-                raise BadInput(f"{name} must lie between {least} and {MOST_SEEDS}, not {value!r:.40}")
-        if not len(self.demos) or not all(0 <= number.__index__() <= MOST_SEEDS for number in self.demos):
-            raise BadInput(f"demos must lie between 0 and {MOST_SEEDS}, and one number is needed")
+        _whole("solves", self.solves, 0)
+        _whole("subsample", self.subsample, 1)
+        if not [_whole("demos", number, 0) for number in self.demos]:
+            raise BadInput("demos must have a number")
+        _ = self.bounds
         _ = self.all_seeds
 
     @property
@@ -123,15 +124,35 @@ class RunRequest:
         """Every seed, in ascending order."""
         if self.seeds is None:
             return tuple(range(5 if self.budget == "full" else 1))
-        if isinstance(self.seeds, SupportsIndex):
-            seeds = [*range(self.seeds.__index__())]
-        elif isinstance(self.seeds, str) or not all(isinstance(seed, SupportsIndex) for seed in self.seeds):
-            raise BadInput(f"seeds must be a number or a list of numbers, not {self.seeds!r:.40}")
-        else:
-            seeds = sorted({seed.__index__() for seed in self.seeds})
-        if not seeds or not 0 <= seeds[0] <= seeds[-1] < MOST_SEEDS:
-            raise BadInput(f"seeds must lie between 0 and {MOST_SEEDS - 1}, and one is needed")
-        return tuple(seeds)
+        if isinstance(self.seeds, str) or not isinstance(self.seeds, Sequence | np.ndarray):
+            return tuple(range(_whole("seeds", self.seeds, 1)))
+        if not len(self.seeds):
+            raise BadInput("seeds must have a number")
+        return tuple(sorted({_whole("seeds", seed, 0, MOST_SEEDS - 1) for seed in self.seeds}))
+
+    @property
+    def bounds(self) -> Array | None:
+        """The lowest and the highest actions, (2, A), or (2, 1) for all components."""
+        if self.action_bounds is None:
+            return None
+        try:
+            bounds = np.array(self.action_bounds, np.float64)
+        except (TypeError, ValueError) as error:
+            raise BadInput(f"action_bounds must be pairs of numbers: {error}") from error
+        if bounds.ndim != 2 or bounds.shape[1] != 2 or not (bounds[:, 0] < bounds[:, 1]).all():
+            raise BadInput("action_bounds must be a list of pairs, the lowest action and the highest")
+        return bounds.T
+
+
+def _whole(name: str, value: object, least: int, most: int = MOST_SEEDS) -> int:
+    """Return a whole number in a range. Raises BadInput for anything else."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise BadInput(f"{name} must be whole numbers, not {value!r:.40}") from error
+    if isinstance(value, bool) or not least <= number <= most:
+        raise BadInput(f"{name} must lie between {least} and {most}, not {value!r:.40}")
+    return number
 
 
 def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demonstrations | None]:
@@ -156,7 +177,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
         learner=asked.learner,
         solves=asked.solves,
     )
-    demos = sorted({number.__index__() for number in asked.demos})
+    demos = sorted({operator.index(number) for number in asked.demos})
     shown = tuple(Shown(number, asked.subsample, asked.demonstrator) for number in demos)
     variants = _variants(envs, asked.transfer) if asked.transfer else ()
     return Request(methods, envs, asked.all_seeds, conditions, shown, variants), demonstrations
@@ -165,7 +186,8 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
 def _names(asked: RunRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the methods and tasks, and import those of plug-ins. Raises BadInput for unknown ones."""
     methods, envs = ",".join(asked.methods), ",".join(asked.envs)
-    plugins.add([str(plugin) for plugin in asked.plugins], [methods, envs])
+    for trouble in plugins.add([str(plugin) for plugin in asked.plugins], [methods, envs]):
+        tell(f"not usable: {trouble}")
     chosen = KNOWN.chosen_envs(",".join(task_or_name(name.strip()) for name in envs.split(",")))
     named = KNOWN.chosen_methods(methods)
     plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
@@ -201,9 +223,8 @@ def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
     """Return the demonstrations of a file. Raises BadInput for those that cannot be shown."""
     from harness.demonstrations.reading import read
 
-    bounds = None if asked.action_bounds is None else np.array(asked.action_bounds, np.float64).T
     path = Path(str(asked.demos_from))
-    demonstrations = read(path, SPECS[envs[0]], bounds)
+    demonstrations = read(path, SPECS[envs[0]], asked.bounds)
     episodes = len(demonstrations.episodes)
     if asked.experts == "none" and demonstrations.returns is None:
         raise BadInput(f"{path} tells no rewards, so nothing would score 1; leave out --experts none")

@@ -45,12 +45,12 @@ class Reported:
     """Names of cells that are not computed yet, or gone."""
     damaged: Mapping[Path, str]
     """Reasons by file."""
-    ended: str = ""
+    ended: Unfinished | None = None
     """The reason why the run ended before it was done."""
 
     @property
-    def is_whole(self) -> bool:
-        """True where the run has all that it was asked for, and nothing of it is damaged."""
+    def is_sound(self) -> bool:
+        """True where the run came to its end, and nothing of it is damaged."""
         return not (self.damaged or self.ended)
 
 
@@ -68,7 +68,7 @@ def run(
     with KNOWN.for_now():
         reported = compute(prepare(asked, engine, Path(store), retry_failed))
     if reported.ended:
-        raise Unfinished(reported.ended)
+        raise reported.ended
     return load(store)
 
 
@@ -86,14 +86,14 @@ def compute(prepared: Prepared, watch: Watch = progress_for) -> Reported:
     if prepared.demonstrations:
         summary = prepared.request.conditions.demonstrations
         store_demonstrations(summary, prepared.demonstrations.episodes, prepared.demonstrations.rewards)
-    ended = ""
+    ended = None
     with open_for_run(prepared.directory, prepared.request, prepared.engine.variables) as run:
         if prepared.beside:
             run.keep_beside(prepared.beside)
         try:
             results = _computed(prepared, run, watch)
         except Unfinished as error:
-            results, ended = run.load()[0], str(error)
+            results, ended = run.load()[0], error
             if not results:
                 raise
         return report(run, results, ended=ended)
@@ -145,7 +145,9 @@ def plan(prepared: Prepared) -> list[str]:
     return [counts, *planning.as_lines(planning.plan(cells, request.conditions, engine.variables))]
 
 
-def report(run: Store, results: Mapping[Cell, CellResult], anew: bool = False, ended: str = "") -> Reported:
+def report(
+    run: Store, results: Mapping[Cell, CellResult], anew: bool = False, ended: Unfinished | None = None
+) -> Reported:
     """Write tables, report and compared recordings where they are not as these results make them.
 
     `anew`: write them in any case. `ended`: the reason why the run ended early.

@@ -13,7 +13,7 @@ from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import PolicyName
 from harness.registry import load_method
-from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS, Curve, thinned
+from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
 from harness.rl.learned import check_learned
 from harness.rl.seeds import rng_for
@@ -95,12 +95,14 @@ def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
     """Return pi* with what its fit took, and with the method's own curves and numbers."""
     most, count = MOST_CURVES - OWN_CURVES, len(learned.curves)
     warning = f"{inputs.cell.name}: of {count} curves the first {most} are kept"
+    answers = [("answers of the expert", world.answers)] if world.answers else []
+    details = [*[*learned.details.items()][: MOST_DETAILS - 1], *answers]
     took = {name: getattr(world, name) for name in ("env_steps", "check_steps", "rl_solves")}
     return Candidate(
         *("pi_star", learned.policy, learned.reward),
         columns={"fit_seconds": inputs.seconds["fit"], **took},
         curves={name: _curve(values) for name, values in [*learned.curves.items()][:most]},
-        details={**learned.details, **({"answers of the expert": world.answers} if world.answers else {})},
+        details={name: float(value) for name, value in details},
         warnings=(warning,) if count > most else (),
     )
 

@@ -80,7 +80,7 @@ def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Dem
 
 
 def _one_env(args: argparse.Namespace) -> str:
-    """The environment that is named, loaded if it is a plug-in's. Raises BadInput for several."""
+    """Return the environment that is named, and load a plug-in's. Raises BadInput for several."""
     plugins.add(args.plugin, [args.env])
     env = task_or_name(args.env)
     if choose("env", env, KNOWN.entries["env"]) != (env,):
@@ -90,7 +90,7 @@ def _one_env(args: argparse.Namespace) -> str:
 
 
 def export(args: argparse.Namespace) -> int:
-    """Writes a policy and its reward into a folder."""
+    """Write a policy and its reward into a folder."""
     from harness.api import exported
 
     plugins.add(args.plugin, [args.env, args.method])
@@ -100,7 +100,7 @@ def export(args: argparse.Namespace) -> int:
 
 
 def view(args: argparse.Namespace) -> int:
-    """Shows a run's recordings, or writes a folder that plays them."""
+    """Show a run's recordings, or write a folder that plays them."""
     from harness.recordings import viewer as viewing
 
     stop_cleanly()  # or SIGTERM would leave temporary folders

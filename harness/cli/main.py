@@ -29,7 +29,7 @@ LEAST_DATA = 500_000
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Does what `argv` (default: the command line) asks for; returns the exit code."""
+    """Do what `argv` (default: the command line) asks for; return the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
         ours.first()
@@ -145,7 +145,7 @@ def _do(args: argparse.Namespace) -> int:
 
 
 def _check_python() -> None:
-    """Raises BadInput where Python was started in a way in which cells cannot be computed."""
+    """Raise BadInput where Python was started in a way in which cells cannot be computed."""
     if sys.flags.optimize > 1:
         raise BadInput("run Python without -OO and PYTHONOPTIMIZE: libraries need their docstrings")
     if sys.flags.ignore_environment:

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     results = [reported.results[cell] for cell in prepared.request.cells if cell in reported.results]
     failed = messages.tell_troubles(results, args.budget, reported.beside)
-    return int(failed or not reported.is_whole)
+    return int(failed or not reported.is_sound)
 
 
 def request_of(args: argparse.Namespace) -> RunRequest:
@@ -80,7 +80,7 @@ def _computed(prepared: Prepared, for_programs: bool) -> Reported:
         watch = progress_for if programs is None else partial(Events, stream=programs)
         reported = compute(prepared, watch)
         if reported.ended:
-            tell(reported.ended)
+            tell(str(reported.ended))
         asked = [reported.results[cell] for cell in prepared.request.cells if cell in reported.results]
         if any(result.has_failed for result in asked) and (prepared.directory / LOG).exists():
             tell(f"tracebacks are in {prepared.directory / LOG}; --retry-failed tries again")
@@ -115,7 +115,10 @@ def reproduce(args: argparse.Namespace) -> int:
             merged(directory, one.request)  # refused now, and not hours later
             prepared.append(one)
         for one in prepared:
-            results = _computed(one, args.json_progress).results
+            reported = _computed(one, args.json_progress)
+            if reported.ended:
+                return 1
+            results = reported.results
             runs[one.request.conditions.protocol] = [results[cell] for cell in one.request.cells]
         study.write_study(args.out, runs)
         for line in ["", *study.closing_lines(runs, args.out)]:
@@ -136,7 +139,7 @@ def report(directory: Path, tables: bool) -> int:
         messages.show(reported, tables)
         budget = run.request.conditions.budget
     failed = messages.tell_troubles([*results.values()], budget, reported.beside)
-    return int(failed or not reported.is_whole or bool(unusable))
+    return int(failed or not reported.is_sound or bool(unusable))
 
 
 def handle_signals() -> None:

@@ -57,7 +57,7 @@ def seconds(text: str) -> int:
 
 
 def folder(text: str) -> Path:
-    """With no '..' in it, which would mean another folder once those before it are made."""
+    """Return the folder with no '..' in it, which would mean another folder once those before it are made."""
     if not text or "\0" in text:
         raise argparse.ArgumentTypeError(f"a folder is needed, not {text!r:.40}")
     path = Path(text)

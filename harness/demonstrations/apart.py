@@ -48,8 +48,12 @@ def recording_in(path: Path) -> Recording:
             out.seek(0)
             arrays = dict(np.load(out))
             facts = json.loads(str(arrays.pop(FACTS)))
+        except OSError as error:
+            raise ValueError(f"no process can be started to read it: {error.strerror}") from error
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"reading it takes more than the {SECONDS} s that are allowed") from error
         except Exception as error:  # whatever subprocess, NumPy and zipfile raise
-            why = "it takes more memory or time than is allowed, or is damaged: its reader ended"
+            why = "it takes more memory than is allowed, or is damaged: its reader ended"
             raise ValueError(why) from error
     if "refused" in facts:
         raise (BadInput if facts["bad_input"] else ValueError)(facts["refused"])

@@ -28,6 +28,8 @@ from harness.store.codec import decode, encode, printable
 from harness.store.files import LARGEST_OF_CELL, sha256_of
 from harness.store.names import files_of
 
+LARGEST_SHARED = 500 << 20
+"""Bytes of what the cells of a task and seed share, at most."""
 AFTERWARDS = " Or did the cell change sys.path and then import from there? Do that as the module is imported."
 """Why else a cell's key may have changed while the cell was computed."""
 
@@ -68,7 +70,10 @@ def compute(work: str, job: Job, tell: Callable[[Phase], None] = lambda phase: N
     _check_key(job, variables)
     module = importlib.import_module(work)
     if job.shared:
-        return Outcome(files=module.prepare(job.cells, job.conditions))
+        files = module.prepare(job.cells, job.conditions)
+        if sum(map(len, files.values())) > LARGEST_SHARED:
+            raise ValueError(f"its demonstrations are more than {LARGEST_SHARED >> 20} MiB: show fewer")
+        return Outcome(files=files)
     (cell,) = job.cells
     with warnings.catch_warnings(action="error", category=np.exceptions.ComplexWarning):
         result, files = module.run_cell(cell, job.conditions, job.inputs, tell)

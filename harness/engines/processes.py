@@ -119,21 +119,27 @@ class Processes:
     def _do(self, job: Job, folder: Path) -> None:
         """Do a job, in a thread: a suspended process may take for ever to read or to answer."""
         try:
+            outcome = self._outcome(job, folder)
+        except Exception as error:  # or the schedule would wait for ever
+            outcome = Outcome(error=describe(error))
+        outcome = replace(outcome, log=_printed(folder / LOG))
+        shutil.rmtree(folder, ignore_errors=True)
+        self._ended.put((job, outcome))
+
+    def _outcome(self, job: Job, folder: Path) -> Outcome:
+        try:
             worker = self._worker(job)
         except (OSError, EOFError, psutil.Error) as error:
             died = "the process that it is forked from was killed (out of memory?)"
             reason = died if isinstance(error, EOFError) else describe(error)
-            outcome = Outcome(error=f"its process could not be started: {reason}", lost=True)
+            return Outcome(error=f"its process could not be started: {reason}", lost=True)
+        tell = partial(self._phases.__setitem__, job.name)
+        outcome = worker.do(self._work, job, folder, self.timeout, tell)
+        if outcome.error or job.plugins or worker.jobs >= MOST_JOBS or not worker.can_go_on():
+            worker.end()
         else:
-            tell = partial(self._phases.__setitem__, job.name)
-            outcome = worker.do(self._work, job, folder, self.timeout, tell)
-            if outcome.error or job.plugins or worker.jobs >= MOST_JOBS or not worker.can_go_on():
-                worker.end()
-            else:
-                self._idle.append(worker)
-        outcome = replace(outcome, log=_printed(folder / LOG))
-        shutil.rmtree(folder, ignore_errors=True)
-        self._ended.put((job, outcome))
+            self._idle.append(worker)
+        return outcome
 
     def _worker(self, job: Job) -> Worker:
         """Return a worker for the job: a fresh one where it needs plug-ins."""

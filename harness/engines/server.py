@@ -47,14 +47,14 @@ class Server:
         try:
             self._start()
         except OSError as error:
-            self._socket.close()
             raise BadInput(f"no process can be started: {error.strerror}") from error
 
     def _start(self) -> None:
-        self._socket, theirs = socket.socketpair()
+        ours, theirs = socket.socketpair()
         path = [folder or os.getcwd() for folder in sys.path]
         request = json.dumps([theirs.fileno(), path, list(self._modules)])
-        with theirs:
+        with theirs, contextlib.ExitStack() as stack:
+            stack.callback(ours.close)
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "harness.engines.server", request],
                 env=self._variables,
@@ -62,6 +62,8 @@ class Server:
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
             )
+            stack.pop_all()
+        self._socket = ours
 
     def __enter__(self) -> Self:
         return self

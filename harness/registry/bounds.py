@@ -17,6 +17,8 @@ MOST_SEEDS = 1000
 """All seeds of a run are smaller."""
 MOST_EPISODES = 100
 """Largest number of recorded episodes of a policy."""
+MOST_DETAILS = 30
+"""Largest number of a method's numbers about its fit."""
 LARGEST = 1e100
 """Largest usable number: sums and squares up to it are finite. Larger ones count as unknown, as NaN does."""
 Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=60)]

@@ -80,7 +80,8 @@ def why_no_result(env: str, request: Request, results: Sequence[CellResult]) -> 
 
 def warnings(results: Sequence[CellResult], rows: Sequence[Row], budget: str) -> list[str]:
     """Return the warnings for readers, a line each."""
-    lines = [f"{r.cell.name}: {text}" for r in results for text in r.warnings]
+    named = [(r.cell.name, text) for r in results for text in r.warnings]
+    lines = [text if text.startswith(name) else f"{name}: {text}" for name, text in named]
     lines += effort.warnings(results, budget)
     machines = {tuple((k, v) for k, v in r.origin.items() if k != PROGRAM_NAME) for r in results}
     if len(machines) > 1:

@@ -33,6 +33,9 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = R
     for name, curve in learned.curves.items():
         if not all(isinstance(value, numbers.Real) for value in curve):
             raise ValueError(f"the curve {name!r} must hold numbers")
+    for name, value in learned.details.items():
+        if not isinstance(value, numbers.Real):
+            raise ValueError(f"the detail {name!r} must be a number, not {value!r:.40}")
     if learned.reward is not None:
         _check_reward(learned.reward, obs, act)
 

@@ -219,10 +219,13 @@ class Schedule:
         (cell,) = job.cells
         error = outcome.error
         if not error:
-            result = decode(outcome.result)
-            own = result.files.keys() <= files_of(cell)
-            if result.cell != cell or not own or result.files.keys() != outcome.files.keys():
-                error = "what came back is not the cell's"
+            try:
+                result = decode(outcome.result)
+                own = result.files.keys() <= files_of(cell)
+                if result.cell != cell or not own or result.files.keys() != outcome.files.keys():
+                    error = "what came back is not the cell's"
+            except ValueError as wrong:
+                error = f"what came back is no result: {wrong}"
         if error:
             self.grid.sink.save(failed_rows(cell, job.conditions.protocol, error), {})
             self.progress.finished(job, "failed", error)

@@ -58,5 +58,5 @@ def learned_in(data: bytes, cell: Cell | None = None) -> dict[str, Any]:
     if not things:
         raise ValueError("policies and rewards of a plug-in's own kinds are not kept")
     if not all(map(callable, things)):
-        raise ValueError("what is neither a policy nor a reward")
+        raise ValueError("it holds something that is neither a policy nor a reward")
     return learned

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -36,18 +35,15 @@ class Kept:
 def kept(name: str, env: str, asked: object, compute: Callable[[], Kept]) -> Kept:
     """Return the result of an earlier call with the same arguments, or else of `compute`, called now.
 
-    asked: any JSON. Where the cache cannot be written to, the run's temporary files keep it.
+    asked: any JSON. Nothing is kept where the cache cannot be written to.
     """
     path = cache_file(name, env, asked)
-    spare = Path(tempfile.gettempdir()) / "cache" / path.name
-    if stored := load(path) or load(spare):
+    if stored := load(path):
         return stored
     computed = compute()
-    for file in (path, spare):
-        with suppress(OSError):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_atomic(file, as_bytes(computed))
-            break
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, as_bytes(computed))
     return computed
 
 

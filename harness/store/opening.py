@@ -19,7 +19,7 @@ from harness.store.store import REQUEST, Store
 NO_NUMBERS = "It opens what others read and write."
 
 STUDY = "study.json"
-"""The file that marks the directory of a study, which holds runs (`harness.reproduce`)."""
+"""The file that marks the directory of a study, which holds runs (`harness.benchmarks.reproduce`)."""
 EARLIER = "run.json"
 """The file that marks a run of an earlier version."""
 MOST_NAMED = 5

@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -156,18 +156,19 @@ class Store:
     def opened(self, file: Path) -> Iterator[BinaryIO]:
         """Open a file of the run to read what was written there. Raises BadInput where it is not that."""
         name = file.relative_to(self.path).as_posix()
-        try:
-            if file.parent.resolve() not in (self.path.resolve(), self.path.resolve() / "recordings"):
-                raise ValueError("it lies behind a link")
-            with opened(file, LARGEST_HASHED) as stream:
+        with ExitStack() as stack:
+            try:
+                if file.parent.resolve() not in (self.path.resolve(), self.path.resolve() / "recordings"):
+                    raise ValueError("it lies behind a link")
+                stream = stack.enter_context(opened(file, LARGEST_HASHED))
                 if name not in self._covered:
                     raise ValueError("it has no checksum")
                 if digest_of(stream) != self._covered[name]:
                     raise ValueError("its checksum does not match")
                 stream.seek(0)
-                yield stream
-        except (ValueError, OSError) as error:
-            raise BadInput(f"{file}: {in_words(error)}") from error
+            except (ValueError, OSError) as error:
+                raise BadInput(f"{file}: {in_words(error)}") from error
+            yield stream
 
     def copy(self, file: Path, folder: Path) -> Path:
         """Copy a file that `opened` opens into the folder; return the copy's path."""

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import irl_bench
@@ -41,6 +42,11 @@ def test_a_run_returns_frames_and_load_returns_the_same(tmp_path: Path) -> None:
         {"plugins": [int]},
         {"plugins": "mine.py"},
         {"demos": []},
+        {"demos": [[1]]},
+        {"seeds": 3.0},
+        {"solves": True},
+        {"action_bounds": (-1, 1)},
+        {"action_bounds": [(-1, 0, 1)]},
         {"budget": "huge"},
         {"solves": 2, "retrain": False},
         {"transfer": ["sideways"]},
@@ -61,6 +67,12 @@ def test_the_command_line_without_options_is_the_request_without_arguments() -> 
         demos=(0,), methods=["all"], envs=["all"], plugins=[], baseline=[]
     )
     assert engine_of(args) == irl_bench.Engine()
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    request = irl_bench.RunRequest(seeds=np.arange(3), demos=np.array([5]), solves=np.int64(2))
+    assert request.all_seeds == (0, 1, 2)
+    assert irl_bench.RunRequest(seeds=np.int64(2)).all_seeds == (0, 1)
 
 
 def test_texts_that_pandas_takes_for_nothing_are_texts(tmp_path: Path) -> None:

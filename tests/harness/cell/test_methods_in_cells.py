@@ -18,7 +18,7 @@ from harness.cell.experts import source_for
 from harness.cell.recording import chosen
 from harness.records import Cell, Conditions, Library, Shown
 from harness.registry import SPECS, load_method
-from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_POINTS
+from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS
 from harness.rl import world
 from harness.rl.seeds import demonstration_seeds, evaluation_seeds
 from harness.rl.simulator import Simulator
@@ -80,8 +80,10 @@ def test_whatever_a_method_says_its_cell_can_be_kept(tmp_path: Path, fits: Fits)
         assert {(row.status, row.reason) for row in result.rows} == {("skipped", kept)}
     long = [float(x) for x in range(123_456)]
     curves = {"long": long, "none": [], **{f"curve {i}": [float(i)] for i in range(100)}}
-    fits.append(lambda *given: Learned(still, None, curves))
+    details = {f"detail {i}": np.float32(i) for i in range(40)}
+    fits.append(lambda *given: Learned(still, None, curves, details))
     result = decode(encode(run(BC, tmp_path)))
+    assert result.details == {f"detail {i}": float(i) for i in range(MOST_DETAILS - 1)}
     thinned = result.curves["long"]
     assert len(result.curves) < len(thinned) <= MOST_POINTS
     assert (thinned[0], thinned[-1]) == ((1.0, 0.0), (123_456.0, 123_455.0))
