@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+HARNESS = [sys.executable, "-m", "harness"]
 
 
 def test_the_walk_through_goes_from_a_method_to_another_library(tmp_path: Path) -> None:
@@ -17,3 +18,8 @@ def test_the_walk_through_goes_from_a_method_to_another_library(tmp_path: Path) 
     assert re.search(r"^ *swingup +ridge +-?\d\.\d+ ", out, re.MULTILINE)
     assert re.search(r"^ridge on cartpole returns \d+\.\d \+- \d+\.\d\n\Z", out, re.MULTILINE)
     assert (tmp_path / "exported/policy.safetensors").exists()
+
+
+def test_the_example_of_a_reward_keeps_the_contract() -> None:
+    words = ["check", "difference", "--plugin", str(EXAMPLES / "my_reward.py")]
+    subprocess.run([*HARNESS, *words], cwd=EXAMPLES.parent, check=True)
