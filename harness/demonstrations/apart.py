@@ -51,7 +51,7 @@ def recording_in(path: Path) -> Recording:
         except OSError as error:
             raise ValueError(f"no process can be started to read it: {error.strerror}") from error
         except subprocess.TimeoutExpired as error:
-            raise ValueError(f"reading it takes more than the {SECONDS} s that are allowed") from error
+            raise ValueError(f"reading it takes more than {SECONDS} s: its reader ended") from error
         except Exception as error:  # whatever subprocess, NumPy and zipfile raise
             why = "it takes more memory than is allowed, or is damaged: its reader ended"
             raise ValueError(why) from error

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import resource
-import signal
 import sys
 import time
 from pathlib import Path
@@ -16,23 +15,14 @@ NO_NUMBERS = "It ends processes that cells leave behind."
 
 PATIENCE = 5.0
 """Seconds for killed processes to be gone."""
-_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
-"""Requests of prctl(2)."""
+_SET_CHILD_SUBREAPER = 36
+"""A request of prctl(2)."""
 
 
 def adopt_orphans() -> None:
     """Make this process the parent of its descendants whose own parents end, where the system can."""
-    _control(_SET_CHILD_SUBREAPER, 1)
-
-
-def end_with_parent() -> None:
-    """Let this process be killed as its parent ends, where the system can."""
-    _control(_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def _control(request: int, value: int) -> None:
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(request, value, 0, 0, 0)
+        ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def is_alive(process: psutil.Process) -> bool:

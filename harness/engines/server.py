@@ -25,7 +25,7 @@ from typing import Self
 
 import psutil
 
-from harness.engines.containment import adopt_orphans, end_with_parent, kill_descendants
+from harness.engines.containment import adopt_orphans, kill_descendants
 from harness.registry import BadInput
 
 SIZE = 8
@@ -184,7 +184,6 @@ def _fork(file: int, control: socket.socket) -> int:
         code = 1
         try:
             control.close()
-            end_with_parent()
             importlib.import_module("harness.engines.worker").serve(connection)
             code = 0
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import os
+import select
 import signal
 import sys
 import tempfile
@@ -19,7 +20,7 @@ import msgspec
 
 from harness.cell.phases import Phase
 from harness.engines.compute import compute, describe, process_restored
-from harness.engines.containment import adopt_orphans, bound_memory
+from harness.engines.containment import adopt_orphans, bound_memory, kill_descendants
 from harness.engines.jobs import Job, Outcome
 from harness.store.files import appending
 
@@ -43,6 +44,7 @@ def serve(connection: Connection) -> None:
     os.setsid()
     adopt_orphans()
     process = os.getpid()
+    threading.Thread(target=_end_with_run, args=(connection.fileno(),), daemon=True).start()
 
     def send(message: Message) -> None:
         connection.send_bytes(msgspec.msgpack.encode(message))
@@ -58,6 +60,15 @@ def serve(connection: Connection) -> None:
         if os.getpid() != process:  # A copy of the process came back from a job that made it.
             return
         send(Message(outcome=outcome, reusable=_traces() == before))
+
+
+def _end_with_run(connection: int) -> None:
+    """Wait until the run has closed its end of the connection, and end this process, whatever it does."""
+    poll = select.poll()
+    poll.register(connection, getattr(select, "POLLRDHUP", 0))
+    if not poll.poll()[0][1] & select.POLLNVAL:  # which says that a job has closed this end
+        kill_descendants()
+        os._exit(1)
 
 
 def _traces() -> list[object]:
