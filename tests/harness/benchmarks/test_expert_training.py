@@ -24,8 +24,7 @@ from methods.network import Network
 def agent(seed: int) -> ShippedExpert:
     """Return an agent whose networks are numbered by its seed."""
     expert, medium = (
-        Network(np.zeros(1), np.ones(1), (np.full((1, 1), seed + half, float),), (np.zeros(1),))
-        for half in (0, 0.5)
+        Network(np.zeros(1), np.ones(1), (np.full((1, 1), seed + x),), (np.zeros(1),)) for x in (0.0, 0.5)
     )
     return ShippedExpert(expert, medium, {"seed": seed})
 
