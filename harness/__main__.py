@@ -25,8 +25,7 @@ def start() -> int:
 
 
 def _start() -> int:
-    if hasattr(signal, "SIGCHLD"):
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how processes end.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # Ignored, it hides how processes end.
     os.environ["MPLBACKEND"] = "agg"  # Figures are files; what the user has set need not be there.
     if sys.warnoptions:  # -W and PYTHONWARNINGS could make errors of the libraries' warnings.
         sys.warnoptions.append("ignore")

@@ -239,7 +239,7 @@ def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
 
 
 def _variants(envs: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the tasks with other dynamics, by these names or all. Raises BadInput where there is none."""
+    """Return the tasks with other dynamics, by these names or all. Raises BadInput where tasks have none."""
     entries, theirs = KNOWN.entries["env"], KNOWN.of_plugins("env")
     try:
         known = {env: entries[env].variants if env in theirs else SPECS[env].variants for env in envs}

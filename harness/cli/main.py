@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -65,10 +66,6 @@ def _how_to_report(argv: Sequence[str]) -> str:
 
 def _limits() -> dict[str, int]:
     """Return those limits that this process's memory has, in KB, by ulimit's letters."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return {}
     kinds = {"v": resource.RLIMIT_AS, "d": resource.RLIMIT_DATA}
     limits = {letter: resource.getrlimit(kind)[0] for letter, kind in kinds.items()}
     return {letter: most >> 10 for letter, most in limits.items() if most != resource.RLIM_INFINITY}

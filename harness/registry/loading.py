@@ -77,9 +77,9 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
 
 
 def answer(request: str, file: str) -> NoReturn:
-    """Write what plug-ins offer, and why they cannot be used, into a new file, and end this process.
+    """Write what plug-ins offer into a new file, or why they cannot be used, and end this process.
 
-    request: JSON of the path of modules, plug-ins, and entries of installed packages.
+    `request`: JSON of the path of modules, plug-ins, and entries of installed packages.
     """
     import msgspec
 

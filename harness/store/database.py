@@ -164,7 +164,7 @@ def _address(file: Path, write: bool) -> Iterator[str]:
 
 
 def _why_none(connection: sqlite3.Connection) -> str:
-    """Return why this is no whole database of a run, '' where it is one."""
+    """Return why this database of a run is incomplete or another program's, '' for a whole one."""
     application, version = (
         connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
     )

@@ -46,7 +46,7 @@ def open_marked(
 
 def is_new(path: Path, *begun: str) -> bool:
     """Return whether the folder is absent, or has nothing but what a process leaves that was killed at once:
-    our lock, half-written files, and files named `begun`. Raises OSError where it is no folder."""
+    our lock, half-written files, and files named `begun`. Raises OSError for anything but a folder."""
     if not os.path.lexists(path):
         return True
     names = {name for name in os.listdir(path) if not is_unfinished(name)}

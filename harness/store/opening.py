@@ -30,9 +30,9 @@ MOST_NAMED = 5
 def open_for_run(path: Path, request: Request, variables: Mapping[str, str] | None = None) -> Iterator[Store]:
     """Start a run in `path`, which is made, or continue the one there; hold it until the context ends.
 
-    `variables`: those of the engine that computes the run. Raises BadInput where that is another kind of
-    directory or a run under other conditions, where its database is damaged, and where `path` cannot be
-    written or another process holds it. Nothing has changed then.
+    `variables`: those of the engine that computes the run.
+    Raises BadInput for another kind of directory, a run under other conditions, and a damaged database. It
+    does so, too, where `path` cannot be written or another process holds it. Nothing has changed then.
     """
     merged(path, request)
     if (path / "recordings").is_symlink():
