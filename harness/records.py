@@ -50,8 +50,8 @@ UNSHOWN = (REFERENCE, "control_true", "control_plus1", "control_minus1", "contro
 """Methods that see no demonstrations."""
 NOMINAL = "nominal"
 """The dynamics of a task itself; its variants have others."""
-LEARNED = "learned"
-"""The name of a cell's input that is the artifact of the cell before it."""
+LEARNED, RESULT = "learned", "result"
+"""Names of a cell's inputs that are the artifact and the result of the cell before it."""
 RECORDED = ("median", "worst", "", *(f"episode_{number}" for number in range(MOST_EPISODES)))
 """Recorded episodes; '' is the first one, in older runs."""
 Recordings = Annotated[dict[FileName, Text], Meta(max_length=2 * len(RECORDED))]

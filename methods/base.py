@@ -273,12 +273,14 @@ class Learned:
     """The result of a fit: the apprentice policy pi* and the reward R*, None if the method learns none.
 
     `curves`: one value an iteration, such as losses, by name. `details`: numbers about the fit, by name.
+    `others`: rewards of other methods that begin with the same fit, by name.
     """
 
     policy: Policy
     reward: Reward | None
     curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
     details: Mapping[str, float] = field(default_factory=dict)
+    others: Mapping[str, Reward] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return a line without arrays."""

@@ -14,17 +14,18 @@ target of 1 of Gulrajani et al. 2017. It counts among living steps only
 (`methods.adversarial.contrast_among_living`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from methods.adversarial import Game, Turn
 from methods.base import ABSORBING_STEPS, Episodes, Learned, Rng, Transitions, World
 from methods.network import mlp
+from methods.parts import TwoParts
 from methods.rewards import NetworkReward
 from methods.visits import visitations, visited
 
 
 @dataclass(frozen=True)
-class GAIL(Game):
+class GAIL(TwoParts, Game):
     """GAIL's hyper-parameters, besides the game's."""
 
     actions: bool = True
@@ -32,7 +33,7 @@ class GAIL(Game):
     mean: bool = False
     """True if R* is the mean of all logits, False if it is the last one."""
 
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+    def first(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Play the game."""
         mean, std, generator = self.standard(demos, world, rng)
         inputs = world.obs_size + (world.act_size if self.actions else 0) + 1
@@ -49,5 +50,9 @@ class GAIL(Game):
             losses.append(discriminator.learn(expert, visited(steps, mean, std, self.actions), rng))
 
         result = self.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
-        reward = result.mean if self.mean else result.last
-        return Learned(result.policy, reward, {"discriminator's loss": losses})
+        curves = {"discriminator's loss": losses}
+        return Learned(result.policy, result.last, curves, others={"gail_mean": result.mean})
+
+    def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Choose the reward."""
+        return replace(first, reward=first.others["gail_mean"], others={}) if self.mean else first

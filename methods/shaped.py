@@ -24,6 +24,7 @@ from torch import Tensor
 
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
+from methods.parts import TwoParts
 from methods.rewards import default_absorbing
 
 FIRST_L = 0.01  # factor of the last weights of L that torch draws
@@ -33,7 +34,7 @@ carry it away far from demonstrations."""
 
 
 @dataclass(frozen=True)
-class Shaped(Regression):
+class Shaped(TwoParts, Regression):
     """Hyper-parameters, besides those of `Regression`. The layer sizes are those of figure 4.3."""
 
     f_layers: tuple[int, ...] = (32, 16)
@@ -43,7 +44,7 @@ class Shaped(Regression):
     weight_decay: float = 0.0
     """Weight of the sum of all squared weights of f and L in the loss."""
 
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
+    def first(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Maximise eq. 4.3 over the demonstrated pairs, without the environment."""
         obs, act = demos.pairs()
         mean, std = standardiser(obs)

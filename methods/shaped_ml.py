@@ -50,11 +50,10 @@ class ShapedML(Shaped):
     prior: float = 1e-3
     """Inverse variance of the Gaussian prior on the weights of costs, whose mean is 1."""
 
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Fit f as `Shaped` does, then L by maximum likelihood."""
-        learned = super().fit(demos, world, rng)
-        assert isinstance(learned.reward, ShapedReward)
-        f, size = learned.reward.f, world.act_size
+    def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Fit L by maximum likelihood."""
+        assert isinstance(first.policy, Network)
+        f, size = first.policy, world.act_size
         precision = self._precision(demos, world, f, rng)
         C = torch.as_tensor(np.linalg.inv(precision), dtype=torch.float32)
         generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
@@ -74,7 +73,7 @@ class ShapedML(Shaped):
         curve = self.minimise(loss, [chol], data, rng)
         reward = ShapedReward(f, Network.from_torch(chol, f.mean, f.std))
         absorbing = default_absorbing(reward, demos, world.random_actions, rng)
-        curves = {**learned.curves, "negative log-likelihood": curve}
+        curves = {**first.curves, "negative log-likelihood": curve}
         return Learned(f, replace(reward, absorbing=absorbing), curves, reward.size_of_l(demos.pairs()[0]))
 
     def _precision(self, demos: Episodes, world: World, f: Network, rng: Rng) -> Array:

@@ -63,10 +63,9 @@ class ShapedRanked(Shaped):
     """Solves from scratch by reinforcement learning, each under the latest reward. Their states rank below
     f's in the next one."""
 
-    def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Fit f as `Shaped` does, then the reward by comparisons."""
-        learned = super().fit(demos, world, rng)
-        policies = [roughened(learned.policy, share, world.random_actions, rng) for share in self.levels]
+    def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:
+        """Fit the reward by comparisons."""
+        policies = [roughened(first.policy, share, world.random_actions, rng) for share in self.levels]
         ladder = [world.rollout(policy, self.rollouts, rng) for policy in policies]
         reached = list[Episodes]()
         reward, curves = self._rank(ladder, reached, demos, world, rng)
@@ -75,7 +74,7 @@ class ShapedRanked(Shaped):
             agent.learn(world.solve_steps, reward)
             reached.append(world.rollout(agent.policy, self.rollouts, rng))
             reward, curves = self._rank(ladder, reached, demos, world, rng)
-        return Learned(learned.policy, reward, {**learned.curves, **curves})
+        return Learned(first.policy, reward, {**first.curves, **curves})
 
     def _rank(
         self, ladder: Sequence[Episodes], reached: Sequence[Episodes], demos: Episodes, world: World, rng: Rng

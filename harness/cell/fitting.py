@@ -11,7 +11,7 @@ import numpy as np
 from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
-from harness.records import PolicyName
+from harness.records import CellResult, PolicyName
 from harness.registry import load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
@@ -20,11 +20,10 @@ from harness.rl.seeds import rng_for
 from harness.rl.world import TaskWorld
 from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
+from methods.parts import BEGINS_WITH, TwoParts
 from methods.rewards import fast
 
-SAME_FIT = {"gail_mean": "gail", "shaped_ml": "shaped", "shaped_ranked": "shaped"}
-"""Methods by whose name others draw their random numbers, because both begin with the same fit."""
-OWN_CURVES = 3
+OF_RL = ("pi_R", "pi_R_true", "pi_R_chosen")
 """Curves that RL adds to those of a method."""
 
 
@@ -35,6 +34,7 @@ class Candidate:
     `reward`: the learned reward that belongs to it, None where that is the true one or missing.
     `columns`: columns of its row of scores.csv besides the scores.
     `solves`: the policy of each RL solve, with its return under R* on the judging episodes.
+    `others`: rewards of other methods that begin with the same fit, by name.
     """
 
     name: PolicyName
@@ -45,6 +45,7 @@ class Candidate:
     details: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     solves: Sequence[tuple[Policy, float]] = ()
+    others: Mapping[str, Reward] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Fitted:
 def fit(inputs: Inputs) -> Fitted:
     """Return what the cell's method learns, or what the cell before learned where that was handed over."""
     learned = inputs.shared.learned
-    if {"pi_star", "reward"} <= learned.keys():
+    if inputs.is_transfer and {"pi_star", "reward"} <= learned.keys():
         fitted = Fitted(Candidate("pi_star", learned["pi_star"], learned["reward"]), learned["reward"])
     else:
         fitted = _fit_now(inputs)
@@ -76,9 +77,9 @@ def fit(inputs: Inputs) -> Fitted:
 
 
 def _fit_now(inputs: Inputs) -> Fitted:
-    demos, world = demonstrations(inputs), inputs.world()
+    demos, world, first = demonstrations(inputs), inputs.world(), _first(inputs)
     try:
-        learned = learned_by(inputs, inputs.cell.method, demos, world)
+        learned = learned_by(inputs, inputs.cell.method, demos, world, first)
     except Unsuitable as error:
         reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
         return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason)
@@ -88,12 +89,32 @@ def _fit_now(inputs: Inputs) -> Fitted:
     if learned.reward is not None and demos.whole:
         paid = totals(fast(learned.reward), list(zip(demos.obs, demos.act, strict=True)))
         columns["own_return_shown"] = float(paid.mean())
-    return Fitted(_star(inputs, learned, world), learned.reward, columns=columns)
+    star = _star(inputs, learned, world)
+    if first:
+        star = _after(inputs.shared.before, star)
+    return Fitted(star, learned.reward, columns=columns)
+
+
+def _first(inputs: Inputs) -> Learned | None:
+    """Return the first part of the fit, where the cell before has learned it."""
+    learned, name = inputs.shared.learned, inputs.cell.method
+    if inputs.is_transfer or name not in BEGINS_WITH or "pi_star" not in learned:
+        return None
+    others = {name: learned[name]} if name in learned else {}
+    return Learned(learned["pi_star"], learned.get("reward"), others=others)
+
+
+def _after(before: CellResult, star: Candidate) -> Candidate:
+    """Return pi* with what the first part of its fit took, and with its curves."""
+    row = next(row for row in before.rows if row.policy == "pi_star")
+    took = {name: value + getattr(row, name) for name, value in star.columns.items()}
+    of_first = {name: curve for name, curve in before.curves.items() if name not in OF_RL}
+    return replace(star, columns=took, curves={**of_first, **star.curves})
 
 
 def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
     """Return pi* with what its fit took, and with the method's own curves and numbers."""
-    most, count = MOST_CURVES - OWN_CURVES, len(learned.curves)
+    most, count = MOST_CURVES - len(OF_RL), len(learned.curves)
     warning = f"{inputs.cell.name}: of {count} curves the first {most} are kept"
     answers = [("answers of the expert", world.answers)] if world.answers else []
     details = [*[*learned.details.items()][: MOST_DETAILS - 1], *answers]
@@ -104,6 +125,7 @@ def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
         curves={name: _curve(values) for name, values in [*learned.curves.items()][:most]},
         details={name: float(value) for name, value in details},
         warnings=(warning,) if count > most else (),
+        others=learned.others,
     )
 
 
@@ -122,13 +144,20 @@ def demonstrations(inputs: Inputs) -> Episodes:
         return inputs.shared.demonstrations(inputs.cell.shown)
 
 
-def learned_by(inputs: Inputs, method: str, demos: Episodes, world: World) -> Learned:
-    """Return what a method learns with the settings of its environment and budget."""
+def learned_by(
+    inputs: Inputs, method: str, demos: Episodes, world: World, first: Learned | None = None
+) -> Learned:
+    """Return what a method learns with the settings of its environment and budget. `first`: the first part of
+    its fit, None where that is still to be done."""
     with inputs.stage("fit"):
         settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
-        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_FIT.get(method, method), "fit")
+        rng = rng_for(inputs.cell.seed, inputs.cell.env, BEGINS_WITH.get(method, method), "fit")
         own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
-        learned = load_method(method)(**settings).fit(own, world, rng)
+        made = load_method(method)(**settings)
+        if first and isinstance(made, TwoParts):
+            learned = made.go_on(first, own, world, *rng.spawn(1))
+        else:
+            learned = made.fit(own, world, rng)
         check_learned(learned, inputs.spec, demos)
     return learned
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from harness.cell.fitting import Candidate, Fitted
+from harness.cell.fitting import OF_RL, Candidate, Fitted
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.judge.advantage import known_comparison, sampled_comparison
@@ -69,11 +69,7 @@ def retrain(inputs: Inputs, fitted: Fitted) -> Retrained:
             "solves": len(solutions),
             **measure(inputs, reward),
         },
-        curves={
-            "pi_R": chosen.curve,
-            "pi_R_true": chosen.true_curve,
-            "pi_R_chosen": chosen.curve[at : at + 1],
-        },
+        curves=dict(zip(OF_RL, (chosen.curve, chosen.true_curve, chosen.curve[at : at + 1]), strict=True)),
         solves=[(solution.policy, earned) for solution, earned in zip(solutions, judged, strict=True)],
     )
     return Retrained([*star, trained], fitted.columns)

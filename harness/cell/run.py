@@ -165,7 +165,7 @@ def _artifact(inputs: Inputs, scored: Scored) -> tuple[bytes, list[str]]:
         one.name: one.policy for one in scored.candidates if one.policy and one.name != "random"
     }
     if learned and inputs.cell.method not in (REFERENCE, "control_true"):
-        learned["reward"] = scored.candidates[0].reward
+        learned |= {"reward": scored.candidates[0].reward, **scored.candidates[0].others}
     return artifact(inputs.cell, inputs.conditions, learned)
 
 

@@ -15,12 +15,13 @@ from harness.cell.sharing import name_of
 from harness.cell.shipped import shipped_policies
 from harness.demonstrations.arrays import from_arrays, to_arrays
 from harness.judge.advantage import Ranked, Replays, ranked, replay
-from harness.records import LEARNED, Conditions, Shown
+from harness.records import LEARNED, RESULT, CellResult, Conditions, Shown
 from harness.registry import SPECS
 from harness.registry.keys import experts_version
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.store.artifacts import learned_in
 from harness.store.cache import Kept, as_bytes, from_bytes
+from harness.store.codec import decode
 from methods.base import Episodes, Policy
 
 REPLAYS = {"smoke": 20, "quick": 200, "full": 500}
@@ -77,6 +78,11 @@ class Shared:
         """Policies and rewards by name; empty where nothing was handed over."""
         data = self.inputs.get(LEARNED)
         return learned_in(data) if data else {}
+
+    @property
+    def before(self) -> CellResult:
+        """The result of the cell that `learned` is of."""
+        return decode(self.inputs[RESULT])
 
     @property
     def replays(self) -> Replays:

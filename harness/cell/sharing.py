@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Cell, Shown
+from methods.parts import BEGINS_WITH
 
 
 def takes_one_solve(cell: Cell) -> bool:
@@ -16,8 +17,10 @@ def before(cell: Cell) -> Cell | None:
     """Return the cell whose artifact saves this one a fit, if there is one."""
     if cell.method == "control_clone":
         return dataclasses.replace(cell, method="bc", dynamics=NOMINAL)
-    fitted = cell.dynamics != NOMINAL and cell.method not in UNSHOWN
-    return dataclasses.replace(cell, dynamics=NOMINAL) if fitted else None
+    if cell.dynamics == NOMINAL:
+        first = BEGINS_WITH.get(cell.method)
+        return dataclasses.replace(cell, method=first) if first else None
+    return None if cell.method in UNSHOWN else dataclasses.replace(cell, dynamics=NOMINAL)
 
 
 def name_of(shown: Shown) -> str:

@@ -35,7 +35,7 @@ from harness.engines.jobs import WORK, Job, Outcome
 from harness.engines.processes import Processes
 from harness.engines.scratch import scratch_folder
 from harness.process.environment import CHOSEN, numeric, of_user
-from harness.records import LEARNED
+from harness.records import LEARNED, RESULT
 from harness.registry import BadInput, Unfinished, plugins
 from harness.store.files import write_atomic
 
@@ -173,8 +173,8 @@ class Ray:
 
     def submit(self, job: Job) -> None:
         self._check_head()
-        own = {name: data for name, data in job.inputs.items() if name == LEARNED}
-        shared = {name: data for name, data in job.inputs.items() if name != LEARNED}
+        own = {name: data for name, data in job.inputs.items() if name in (LEARNED, RESULT)}
+        shared = {name: data for name, data in job.inputs.items() if name not in own}
         if job.shared and job.conditions.demonstrations:
             shared = {DEMONSTRATIONS: given.file_of(job.conditions.demonstrations).read_bytes()}
         # References leave the object store with the last job of their group.

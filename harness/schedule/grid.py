@@ -17,7 +17,7 @@ from harness.cell.phases import Phase
 from harness.cell.sharing import before, needs
 from harness.engines.inline import Inline
 from harness.engines.jobs import Engine, Job, Outcome
-from harness.records import LEARNED, REFERENCE, Cell, CellResult, Conditions, failed_rows
+from harness.records import REFERENCE, Cell, CellResult, Conditions, failed_rows
 from harness.registry.keys import cell_keys
 from harness.registry.plugins import modules, needed
 from harness.schedule.costs import Costs
@@ -41,8 +41,8 @@ class Sink(Protocol):
     def log(self, printed: bytes) -> None:
         """Store the printed text of a job."""
 
-    def learned(self, cell: Cell) -> bytes:
-        """Return what a stored cell learned, empty where nothing is stored."""
+    def handed_on(self, cell: Cell) -> Mapping[str, bytes]:
+        """Return a stored cell's artifact and result by name, empty where no artifact is stored."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +178,8 @@ class Schedule:
         if not job.shared:
             (cell,) = job.cells
             inputs = {name: data for name, data in self.inputs[job.group].items() if needs(cell, name)}
-            if (source := before(cell)) and (learned := self.grid.sink.learned(source)):
-                inputs[LEARNED] = learned
+            if source := before(cell):
+                inputs |= self.grid.sink.handed_on(source)
             job = replace(job, inputs=inputs)
         self.grid.engine.submit(job)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO
 
-from harness.records import LEARNED, PROGRAM_NAME, Cell, CellResult
+from harness.records import LEARNED, PROGRAM_NAME, RESULT, Cell, CellResult
 from harness.registry import BadInput
 from harness.registry.keys import report_key, task_version
 from harness.registry.machine import origin
@@ -87,12 +87,13 @@ class Store:
             if LEARNED in files:
                 self._database.put("learned", cell.name, files[LEARNED])
 
-    def learned(self, cell: Cell) -> bytes:
-        """Return what a cell learned, empty where nothing is stored that counts for this run."""
+    def handed_on(self, cell: Cell) -> dict[str, bytes]:
+        """Return a cell's artifact and result by name, empty where no artifact counts for this run."""
         with suppress(ValueError):
             if (text := self._database.read("cells", cell.name)) is not None:
-                return self._learned(self._counting(cell.name, text))
-        return b""
+                learned = self._learned(self._counting(cell.name, text))
+                return {LEARNED: learned, RESULT: text} if learned else {}
+        return {}
 
     def read_learned(self, result: CellResult) -> dict[str, Any]:
         """Return what a cell learned, by name, as `learned_in` does. Raises BadInput where it is damaged."""

@@ -36,8 +36,9 @@ class Found:
         self.results.append(result)
         self.files |= {f"{result.cell.name} {name}": data for name, data in files.items()}
 
-    def learned(self, cell: Cell) -> bytes:
-        return self.files.get(f"{cell.name} {LEARNED}", b"")
+    def handed_on(self, cell: Cell) -> Mapping[str, bytes]:
+        learned = self.files.get(f"{cell.name} {LEARNED}")
+        return {LEARNED: learned} if learned else {}
 
     def log(self, printed: bytes) -> None:
         with (self.directory / "run.log").open("ab") as file:

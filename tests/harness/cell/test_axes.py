@@ -24,6 +24,7 @@ from harness.records import (
     LEARNED,
     NOMINAL,
     REFERENCE,
+    RESULT,
     UNSHOWN,
     Cell,
     CellResult,
@@ -31,14 +32,17 @@ from harness.records import (
     Shown,
     row_of,
 )
-from harness.registry import METHODS, SPECS, load_method
+from harness.registry import ENVS, METHODS, SPECS, load_method
 from harness.rl.seeds import rng_for
 from harness.store.codec import decode, encode
 from harness.store.names import files_of
 from harness.store.opening import open_to_verify
 from harness.store.request import Request, command_of
 from methods.base import Episodes
+from methods.gail import GAIL
+from methods.parts import BEGINS_WITH
 from methods.settings import settings_for
+from methods.shaped import Shaped
 
 SMOKE = Conditions("smoke", "absorbing", "sbx")
 MANY = Request(
@@ -173,18 +177,36 @@ def test_what_was_learned_is_carried_over_and_trained_on_elsewhere(
     [
         (Cell("cartpole", "bc", 0), Cell("cartpole", "control_clone", 0)),
         (Cell("swingup", "shaped", 0), Cell("swingup", "shaped", 0, dynamics="flipped")),
+        *[(Cell("swingup", first, 0), Cell("swingup", method, 0)) for method, first in BEGINS_WITH.items()],
     ],
 )
-def test_what_another_cell_learned_and_what_is_fitted_again_score_the_same(
-    learned_in: Cell, cell: Cell
+def test_what_another_cell_learned_and_what_is_fitted_again_are_the_same(
+    learned_in: Cell, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conditions = Conditions("smoke", "absorbing", "sb3")
-    _, files = run_cell(learned_in, conditions, prepare([learned_in], conditions))
-    inputs, rows = prepare([cell], conditions), []
-    for given in (inputs, {**inputs, LEARNED: files[LEARNED]}):
-        result, _ = run_cell(cell, conditions, given)
-        rows.append([repr(dataclasses.replace(row, fit_seconds=0.0)) for row in result.rows])
-    assert rows[0] == rows[1]
+    conditions = Conditions("smoke", "absorbing", "sbx")
+    inputs = prepare([cell], conditions)
+    again, _ = run_cell(cell, conditions, inputs)
+    before, files = run_cell(learned_in, conditions, prepare([learned_in], conditions))
+    for kind in (GAIL, Shaped):
+        monkeypatch.delattr(kind, "first")
+    handed = {LEARNED: files[LEARNED], RESULT: encode(before).encode()}
+    result, _ = run_cell(cell, conditions, inputs | handed)
+
+    def all_but_times(result: CellResult) -> str:
+        rows = [dataclasses.replace(row, fit_seconds=0.0) for row in result.rows]
+        return repr((rows, result.curves, result.details, result.warnings))
+
+    assert all_but_times(result) == all_but_times(again)
+
+
+@pytest.mark.parametrize(("method", "first"), BEGINS_WITH.items())
+@pytest.mark.parametrize("budget", ["smoke", "quick", "full"])
+def test_methods_that_share_the_first_part_of_a_fit_have_its_settings(
+    method: str, first: str, budget: str
+) -> None:
+    for env in ENVS:
+        its, firsts = (vars(load_method(name)(**settings_for(name, env, budget))) for name in (method, first))
+        assert its | firsts | {"mean": None} == its | {"mean": None}
 
 
 @pytest.mark.parametrize("method", METHODS)

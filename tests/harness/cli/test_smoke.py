@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from harness.cell.fitting import SAME_FIT
 from harness.process.environment import numeric
 from harness.registry import ENVS, METHODS
+from methods.parts import BEGINS_WITH
 
 ROOT = Path(__file__).parents[3]
 EVERY_METHOD = ("cartpole", "cartpole_discrete", "gridworld")
@@ -42,17 +42,18 @@ def test_everything_runs_and_scores_do_not_depend_on_what_runs_before_or_beside(
     unsuitable = every[(every["policy"] == "pi_star") & (every["status"] != "ok")]
     assert list(zip(unsuitable["env"], unsuitable["method"], strict=True)) == [("cartpole_discrete", "csil")]
     stars = every[every["policy"] == "pi_star"].pivot(index="method", columns="env", values="return_mean")
-    for method, same in SAME_FIT.items():
+    for method, same in BEGINS_WITH.items():
         assert stars.loc[method].equals(stars.loc[same])
     others = ",".join(name for name in ENVS if name not in EVERY_METHOD)
     inline = ("--no-retrain", "--engine", "inline")
     two = scores(tmp_path / "others", "--methods", "maxent,bc", "--envs", others, *inline)
     assert set(two.loc[two["policy"] == "pi_star", "status"]) == {"ok"}
     assert set(two["status"]) <= {"ok", "skipped"}
-    alone = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", SMALL)
+    begun = "maxmargin,shaped_ml,gail_mean"
+    alone = scores(tmp_path / "alone", "--methods", begun, "--envs", SMALL)
     same = every[(every["env"] == SMALL) & every["method"].isin(alone["method"])]
     pd.testing.assert_frame_equal(alone, same.reset_index(drop=True), check_exact=True)
     recording = tmp_path / f"alone/run/recordings/{SMALL}__maxmargin__seed0__pi_R.worst.rrd"
     recording.write_bytes(recording.read_bytes()[:-1])
-    again = scores(tmp_path / "alone", "--methods", "maxmargin", "--envs", SMALL)
+    again = scores(tmp_path / "alone", "--methods", begun, "--envs", SMALL)
     pd.testing.assert_frame_equal(again, alone, check_exact=True)

@@ -63,13 +63,13 @@ def test_what_another_version_computed_is_left_out_of_runs_but_not_of_reports(
     with open_for_run(tmp_path, REQUEST) as run:
         run.save(*with_learned(result()))
         assert list(run.load()[0]) == [CELL]
-        assert run.learned(CELL) == b"x"
+        assert run.handed_on(CELL)[LEARNED] == b"x"
     monkeypatch.setattr(packages, "version_of", lambda package: "0")
     with open_for_run(tmp_path, REQUEST) as run:
         results, unusable = run.load()
         assert results == {}
         assert "version" in unusable[run.place(NAME)]
-        assert run.learned(CELL) == b""
+        assert run.handed_on(CELL) == {}
     with open_for_report(tmp_path) as run:
         assert list(run.load()[0]) == [CELL]
 
@@ -101,10 +101,10 @@ def test_a_cell_whose_recording_or_artifact_is_damaged_is_computed_again(
         its, files = recorded()
         its, learned = with_learned(its)
         run.save(its, files | learned)
-        assert (list(run.load()[0]), run.learned(CELL)) == ([CELL], b"x")
+        assert (list(run.load()[0]), run.handed_on(CELL)[LEARNED]) == ([CELL], b"x")
         how(tmp_path)
         assert run.load() == ({}, {run.place(NAME): f"{lost} is missing or damaged"})
-        assert run.learned(CELL) == b""
+        assert run.handed_on(CELL) == {}
     assert main(["verify", str(tmp_path)]) == 1
     with open_for_report(tmp_path) as run:
         assert list(run.load()[0]) == [CELL]
