@@ -12,7 +12,7 @@ from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import PolicyName
-from harness.registry import load_method
+from harness.registry import THESIS, load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
 from harness.rl.learned import check_learned
@@ -22,8 +22,12 @@ from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
 
-SAME_FIT = {"gail_mean": "gail", "shaped_ml": "shaped", "shaped_ranked": "shaped"}
-"""Methods by whose name others draw their random numbers, because both begin with the same fit."""
+SAME_FIT = {
+    "gail_mean": "gail",
+    **dict.fromkeys(("shaped_ml", "shaped_ranked", *THESIS), "shaped"),
+}
+"""Methods by whose name others draw their random numbers, because both begin with the same fit, or differ in
+one thing."""
 OWN_CURVES = 3
 """Curves that RL adds to those of a method."""
 
