@@ -22,12 +22,10 @@ from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
 
-SAME_FIT = {
-    "gail_mean": "gail",
-    **dict.fromkeys(("shaped_ml", "shaped_ranked", *THESIS), "shaped"),
-}
-"""Methods by whose name others draw their random numbers, because both begin with the same fit, or differ in
-one thing."""
+SAME_FIT = {"gail_mean": "gail", "shaped_ml": "shaped", "shaped_ranked": "shaped"}
+"""Methods that begin with the same fit as others."""
+SAME_NUMBERS = SAME_FIT | dict.fromkeys(THESIS, "shaped")
+"""Methods by whose name others draw their random numbers, because their fits are compared."""
 OWN_CURVES = 3
 """Curves that RL adds to those of a method."""
 
@@ -130,7 +128,7 @@ def learned_by(inputs: Inputs, method: str, demos: Episodes, world: World) -> Le
     """Return what a method learns with the settings of its environment and budget."""
     with inputs.stage("fit"):
         settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
-        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_FIT.get(method, method), "fit")
+        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_NUMBERS.get(method, method), "fit")
         own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
         learned = load_method(method)(**settings).fit(own, world, rng)
         check_learned(learned, inputs.spec, demos)
