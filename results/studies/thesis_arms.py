@@ -10,7 +10,7 @@ demonstrations, one solve, the seed's 100 evaluation episodes.
 Columns: arm (without `shaped_thesis_`), env and seed. eig_shown, eig_away: mean eigenvalue of L L^T at the
 demonstrations, and in the random policy's evaluation episodes. star, pi_R: mean true returns, pi_R
 learned by the task's learner under `absorbing` with the default of what an end pays. zero: the same where an
-end pays 0. ddpg: by DDPG under `native`, of `thesis` and `shaped` alone. variant: the same as pi_R, in the
+end pays 0. ddpg: by DDPG under `native`, of `thesis` alone. variant: the same as pi_R, in the
 task's variant (`VARIANTS`). Each solve's `solved_` column is 1 if RL solved R*. The arms `random`, `expert`
 and `true` are references: their returns are in pi_R and variant, where `true` is RL on the true reward.
 """
@@ -43,7 +43,6 @@ from methods.shaped_thesis import ShapedThesis
 CONDITIONS = Conditions("full", "absorbing", "sbx")
 VARIANTS = {"cartpole": "long_pole", "pendulum": "long_pole", "swingup": "heavy", "highway": "dense"}
 REFERENCES = ("random", "expert", "true")
-ENDS = ("thesis", "shaped")
 WITHOUT = ("batch", "end")
 ARMS: dict[str, Mapping[str, Any]] = {
     "thesis": {},
@@ -113,7 +112,7 @@ class Seed:
             "star": true_return(star["task"]),
         }
         solves = {"pi_R": ("task", paid), "variant": ("variant", paid), "zero": ("task", zero)}
-        if arm in ENDS:
+        if arm == "thesis":
             solves["ddpg"] = ("task", zero)
         for name, (where, reward) in solves.items():
             found = self.played(self.solve(where, reward, name == "ddpg"), where)
