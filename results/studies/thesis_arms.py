@@ -21,7 +21,6 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -66,12 +65,11 @@ class Seed:
         self.source = source_for(env, seed, CONDITIONS)
         self.seeds = evaluation_seeds(seed, self.spec.eval_episodes["full"])
         self.places = {"task": self.spec, "variant": self.spec.variant(VARIANTS[env])}
+        self.by_chance = {where: self.played(self.random(), where) for where in self.places}
 
-    @cache
-    def by_chance(self, where: str) -> list[Trajectory]:
-        """Return episodes of the random policy."""
+    def random(self) -> Policy:
         rng = rng_for(self.seed, self.env, "reference", "random policy")
-        return self.played(lambda obs: self.spec.random_actions(len(obs), rng), where)
+        return lambda obs: self.spec.random_actions(len(obs), rng)
 
     def played(self, policy: Policy, where: str) -> list[Trajectory]:
         """Return the evaluation episodes of a policy."""
@@ -89,7 +87,7 @@ class Seed:
         returns = {}
         for name, where in (("pi_R", "task"), ("variant", "variant")):
             if arm == "random":
-                episodes = self.by_chance(where)
+                episodes = self.by_chance[where]
             else:
                 policy = self.solve(where, None) if arm == "true" else self.source.expert.policy
                 episodes = self.played(policy, where)
@@ -104,7 +102,7 @@ class Seed:
         zero = learned.reward
         assert isinstance(zero, ShapedReward)
         paid = replace(zero, absorbing=default_absorbing(zero, demos, world.random_actions, rng))
-        away = np.concatenate([episode.obs[:-1] for episode in self.by_chance("task")])
+        away = np.concatenate([episode.obs[:-1] for episode in self.by_chance["task"]])
         star = {where: self.played(learned.policy, where) for where in self.places}
         numbers = {
             "eig_shown": zero.size_of_l(demos.pairs()[0])["eigenvalues of LLᵀ, mean"],
@@ -117,7 +115,7 @@ class Seed:
         for name, (where, reward) in solves.items():
             found = self.played(self.solve(where, reward, name == "ddpg"), where)
             numbers[name] = true_return(found)
-            own = [own_return(reward, episodes) for episodes in (found, star[where], self.by_chance(where))]
+            own = [own_return(reward, episodes) for episodes in (found, star[where], self.by_chance[where])]
             numbers[f"solved_{name}"] = is_solved(*own)
         return numbers
 
