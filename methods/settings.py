@@ -18,6 +18,17 @@ BASES = {
     "methods.network:Regression": ("bc", "dagger", "csil", *SHAPED),
 }
 """Methods by the base class that they share."""
+THESIS_ARMS: dict[str, dict[str, Any]] = {
+    "batch": {"batch_matrix": True},
+    "start": {"small_start": True},
+    "tanh": {"squashed": True},
+    "squared": {"squared": True},
+    "units": {"units": True},
+    "standardised": {"standardised": True},
+    "soap": {"soap_steps": 2000},
+    "end": {"default_end": True},
+}
+"""Settings of the arms of `shaped_thesis`. All but the first together are `shaped`."""
 LARGE = ("halfcheetah", "hopper", "walker2d")
 """Environments whose experts need larger networks to be cloned."""
 ANY: tuple[str, ...] = ()
@@ -26,6 +37,8 @@ SMOKE_RL = {"iterations": 1, "rollouts": 3}
 SMOKE_RANKS = {"rollouts": 2, "comparisons": 200, "reward_steps": 50, "networks": 2}
 
 SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, Any]]] = [
+    *(((f"shaped_thesis_{arm}",), ANY, ANY, own) for arm, own in THESIS_ARMS.items()),
+    (("shaped_thesis_soap",), ANY, ("smoke",), {"soap_steps": 200}),
     (("maxmargin_projection",), ANY, ANY, {"projection": True}),
     (MAXMARGIN, ("gridworld",), ANY, {"iterations": 30}),
     (("maxent_state",), ANY, ANY, {"actions": False}),

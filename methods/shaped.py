@@ -77,11 +77,11 @@ class Shaped(TwoParts, Regression):
 
 
 def shaped_reward(a: Tensor, f: Tensor, chol: Tensor) -> Tensor:
-    """Return eq. 4.3 for actions (B, A), f(s) (B, A) and L(s) (B, A * A), (B,)."""
+    """Return eq. 4.3 for actions (B, A), f(s) (B, A) and L(s) (B, A * A), (B,). Arrays of JAX will do."""
     size = a.shape[1]
-    d = (a - f).unsqueeze(1)
-    projected = d @ chol.view(-1, size, size)
-    return -(projected.square().sum((1, 2)) + d.square().sum((1, 2)))
+    d = (a - f)[:, None]
+    projected = d @ chol.reshape(-1, size, size)
+    return -((projected**2).sum((1, 2)) + (d**2).sum((1, 2)))
 
 
 @dataclass(frozen=True)

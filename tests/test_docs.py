@@ -1,8 +1,10 @@
 """What the documents say is there, and their generated parts read as they should."""
 
+import csv
 import dataclasses
 import importlib
 import inspect
+import math
 import re
 import sys
 from collections.abc import Iterator
@@ -10,8 +12,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from docutils.utils.math.latex2mathml import tex2mathml
+from scipy.stats import t
 
 from harness.registry import BUILT_IN, ENVS, load_method
 
@@ -142,3 +146,39 @@ def test_scores_are_those_of_the_boards(extension: Any) -> None:
     assert boards.score(None) == ""
     found = {(row["run"], row["method"], row["policy"]) for row in boards.rows()}
     assert ("highway", "shaped", "pi_R") in found
+
+
+def test_the_table_of_the_thesiss_arms_is_that_of_the_file(extension: Any) -> None:
+    file = ROOT / "results/studies/thesis_arms.csv"
+    rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+    returns = {
+        (row["arm"], row["env"], row["seed"], name): float(row[name])
+        for row in rows
+        for name in ("pi_R", "variant")
+        if row[name]
+    }
+
+    def mean_and_interval(values: list[float]) -> list[float]:
+        mean = float(np.mean(values))
+        half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / math.sqrt(len(values)))
+        return [mean, mean - half, mean + half]
+
+    lines = extension("thesis_arms").arms().splitlines()[2:]
+    assert len(lines) > 10
+    for line in lines:
+        env, arm, count, shown, away, *scores, solved = (cell.strip(" `") for cell in line[1:-1].split("|"))
+        its = [row for row in rows if (row["env"], row["arm"]) == (env, arm)]
+        assert int(count) == len(its)
+        for text, name in ((shown, "eig_shown"), (away, "eig_away")):
+            assert float(text) == pytest.approx(np.mean([float(row[name]) for row in its]), rel=0.06)
+        for text, name in zip(scores, ("star", "pi_R", "zero", "ddpg", "variant"), strict=True):
+            place, top = ("variant", "true") if name == "variant" else ("pi_R", "expert")
+            values = []
+            for row in (row for row in its if row[name]):
+                least, most = (returns[reference, env, row["seed"], place] for reference in ("random", top))
+                values.append((float(row[name]) - least) / (most - least))
+            found = [float(number) for number in re.findall(r"-?[\d.]+", text)]
+            expected = mean_and_interval(values) if len(values) > 2 else values and [float(np.mean(values))]
+            assert found == pytest.approx(expected, abs=0.0051), (env, arm, name)
+        counts = [sum(row[f"solved_{name}"] == "1" for row in its) for name in ("pi_R", "zero", "variant")]
+        assert solved == ", ".join(map(str, counts))

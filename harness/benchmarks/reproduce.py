@@ -34,10 +34,10 @@ LEARNER: LearnerName = "ddpg"
 """The thesis's learner."""
 SOLVES = 3
 """RL solves of each learned reward."""
-STUDIED = ("shaped", "shaped_decay", "bc")
-"""The thesis's model, the same with the weight regularisation that its section 5.3 suspects, and behaviour
-cloning."""
-THESIS = ("shaped", Shown(100))
+STUDIED = ("shaped_thesis", "shaped", "shaped_decay", "bc")
+"""The thesis's model to the letter, this benchmark's, the latter with the weight regularisation that section
+5.3 suspects, and behaviour cloning."""
+THESIS = ("shaped_thesis", Shown(100))
 """The method and demonstrations that the thesis evaluates."""
 GREEN, YELLOW = "#009e73", "#e69f00"
 TABLE = {

@@ -12,7 +12,7 @@ from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import CellResult, PolicyName
-from harness.registry import load_method
+from harness.registry import THESIS, load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
 from harness.rl.learned import check_learned
@@ -23,6 +23,8 @@ from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.parts import BEGINS_WITH, TwoParts
 from methods.rewards import fast
 
+SAME_NUMBERS = BEGINS_WITH | dict.fromkeys(THESIS, "shaped")
+"""Methods by whose name others draw their random numbers, because their fits are compared."""
 OF_RL = ("pi_R", "pi_R_true", "pi_R_chosen")
 """Curves that RL adds to those of a method."""
 
@@ -151,7 +153,7 @@ def learned_by(
     its fit, None where that is still to be done."""
     with inputs.stage("fit"):
         settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
-        rng = rng_for(inputs.cell.seed, inputs.cell.env, BEGINS_WITH.get(method, method), "fit")
+        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_NUMBERS.get(method, method), "fit")
         own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
         made = load_method(method)(**settings)
         if first and isinstance(made, TwoParts):

@@ -17,6 +17,7 @@ from harness.registry import (
     ENVS,
     GROUPS,
     KNOWN,
+    METHOD_GROUPS,
     METHODS,
     SPECS,
     VARIANTS,
@@ -37,7 +38,8 @@ def list_names(named: Sequence[str]) -> int:
     sections = {
         title: {name: entry.summary for name, entry in table.items()} for title, table in tables.items()
     }
-    sections["groups of envs"] = {name: ", ".join(members) for name, members in GROUPS.items()}
+    for kind, groups in (("methods", METHOD_GROUPS), ("envs", GROUPS)):
+        sections[f"groups of {kind}"] = {name: ", ".join(members) for name, members in groups.items()}
     for kind in KNOWN.entries:
         if table := KNOWN.of_plugins(kind):
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}

@@ -15,6 +15,7 @@ from harness.registry import (
     GROUPS,
     LEARNERS,
     LIBRARIES,
+    METHOD_GROUPS,
     METHODS,
     PROTOCOLS,
     RECORDS,
@@ -43,7 +44,8 @@ def add_run(add: argparse.ArgumentParser) -> None:
         "--methods",
         default="all",
         metavar="all|A,B",
-        help=", ".join([*METHODS, *VARIANTS]) + "; plugins: those of plug-ins, which 'all' does not include",
+        help=", ".join([*METHODS, *VARIANTS, *METHOD_GROUPS])
+        + "; plugins: those of plug-ins, which 'all' does not include",
     )
     add.add_argument(
         "--envs",

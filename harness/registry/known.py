@@ -12,7 +12,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
-from harness.registry.names import BUILT_IN, ENVS, GROUPS, METHODS, VARIANTS, BadInput, Entry, choose
+from harness.registry.names import (
+    BUILT_IN,
+    ENVS,
+    GROUPS,
+    METHOD_GROUPS,
+    METHODS,
+    VARIANTS,
+    BadInput,
+    Entry,
+    choose,
+)
 from harness.registry.ours import PROGRAM
 from harness.registry.sources import Sources, sources_of
 
@@ -145,7 +155,7 @@ class Registry:
     def chosen_methods(self, text: str) -> tuple[str, ...]:
         """Return the methods in a text with commas between. Raises BadInput as `choose` does."""
         theirs = tuple(self.of_plugins("method"))
-        return choose("method", text, METHODS, (*VARIANTS, *theirs), {"plugins": theirs})
+        return choose("method", text, METHODS, (*VARIANTS, *theirs), {**METHOD_GROUPS, "plugins": theirs})
 
     def chosen_envs(self, text: str) -> tuple[str, ...]:
         """Return the tasks in a text with commas between. Raises BadInput as `choose` does."""
@@ -156,7 +166,14 @@ class Registry:
         """Add a plug-in's method or task. Raises BadInput for a name that is taken or cannot be used."""
         if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
             raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
-        taken = name in BUILT_IN[kind] or name in {"all", "plugins", "reference", "expert", *GROUPS}
+        taken = name in BUILT_IN[kind] or name in {
+            "all",
+            "plugins",
+            "reference",
+            "expert",
+            *GROUPS,
+            *METHOD_GROUPS,
+        }
         if taken or name.startswith(("control_", GYMNASIUM_NAME)):
             raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
         known = self.entries[kind].setdefault(name, entry)

@@ -13,6 +13,7 @@ NO_NUMBERS = {
     "ENVS": "Keys are of a cell's own entry.",
     "BUILT_IN": "Keys are of a cell's own entry.",
     "GROUPS": "It lists what users may type.",
+    "METHOD_GROUPS": "It lists what users may type.",
     "choose": "It reads what users type.",
 }
 
@@ -67,6 +68,7 @@ class Entry(NamedTuple):
         return self.target.partition(":")[0]
 
 
+_THESIS = "methods.shaped_thesis:ShapedThesis"
 METHODS = {
     "shaped": Entry("methods.shaped:Shaped", "the thesis's shaped-reward model, learned from expert pairs"),
     "shaped_ml": Entry(
@@ -92,7 +94,20 @@ METHODS = {
     "csil": Entry("methods.csil:CSIL", "coherent soft imitation learning (Watson et al. 2023)"),
     "sqil": Entry("methods.sqil:SQIL", "soft Q imitation learning (Reddy et al. 2020); learns no reward"),
 }
+THESIS = {
+    "shaped_thesis": Entry(_THESIS, "shaped to the letter of the thesis's figures and section 5"),
+    "shaped_thesis_batch": Entry(_THESIS, "shaped_thesis, with figure 4.4's one number for a batch as R"),
+    "shaped_thesis_start": Entry(_THESIS, "shaped_thesis, with L near 0 at the start, as in shaped"),
+    "shaped_thesis_tanh": Entry(_THESIS, "shaped_thesis, with f squashed"),
+    "shaped_thesis_squared": Entry(_THESIS, "shaped_thesis, with squared errors of f"),
+    "shaped_thesis_units": Entry(_THESIS, "shaped_thesis, in units of the actions' standard deviation"),
+    "shaped_thesis_standardised": Entry(_THESIS, "shaped_thesis, on standardised observations"),
+    "shaped_thesis_soap": Entry(_THESIS, "shaped_thesis, fitted by SOAP"),
+    "shaped_thesis_end": Entry(_THESIS, "shaped_thesis, with shaped's default of what an end pays"),
+}
+"""The thesis's model, and arms that change one thing in it towards `shaped`."""
 VARIANTS = {
+    **THESIS,
     "gail_mean": Entry("methods.gail:GAIL", "gail, with the mean of the latest discriminators as reward"),
     "airl": Entry("methods.airl:AIRL", "airl_state, with a reward of states and actions"),
     "dagger": Entry(
@@ -189,6 +204,8 @@ GROUPS = {
     "tabular": ("gridworld",),
 }
 """Names that stand for several environments."""
+METHOD_GROUPS = {"thesis": (*THESIS,)}
+"""Names that stand for several methods."""
 
 BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
 """Names of this program's own methods and tasks."""
