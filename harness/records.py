@@ -46,6 +46,9 @@ LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
 CONTROL_METHODS = {"control_shuffled": "shaped", "control_clone": "bc"}
 """Methods that fit controls."""
+SAME_FIT = {"gail_mean": "gail", "shaped_ml": "shaped", "shaped_ranked": "shaped"}
+"""Methods by whose name others draw their random numbers, because both begin with the same fit. Their pi_star
+is the same policy."""
 UNSHOWN = (REFERENCE, "control_true", "control_plus1", "control_minus1", "control_survival")
 """Methods that see no demonstrations."""
 NOMINAL = "nominal"

@@ -11,7 +11,7 @@ import numpy as np
 from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
-from harness.records import PolicyName
+from harness.records import SAME_FIT, PolicyName
 from harness.registry import load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
@@ -22,8 +22,6 @@ from harness.store.codec import printable
 from methods.base import Episodes, Learned, Policy, Reward, Unsuitable, World
 from methods.rewards import fast
 
-SAME_FIT = {"gail_mean": "gail", "shaped_ml": "shaped", "shaped_ranked": "shaped"}
-"""Methods by whose name others draw their random numbers, because both begin with the same fit."""
 OWN_CURVES = 3
 """Curves that RL adds to those of a method."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 RESAMPLES = 10_000
 AT_ONCE = 500
 """Resamples in memory at a time."""
-NORMAL = 1.959964
-"""Half the normal 95 % interval, in standard errors."""
 CONFIDENCE = 0.9
 """The level of all intervals. results/studies/coverage.csv has what they cover."""
 RANGE = (0.0, 1.0)
@@ -64,11 +62,6 @@ def share_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Return the share of scores that reach `SUCCESS`, with the interval of Clopper & Pearson (1934)."""
     reached = [float(value >= SUCCESS) for value in values]
     return (math.fsum(reached) / len(reached) if reached else math.nan, *mean_interval(reached))
-
-
-def normal_interval(mean: float, error: float) -> tuple[float, float]:
-    """Return the 95 % interval of a normal mean with this standard error."""
-    return mean - NORMAL * error, mean + NORMAL * error
 
 
 def interquartile_mean(values: Sequence[float]) -> float:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from harness.cell.fitting import SAME_FIT
 from harness.process.environment import numeric
+from harness.records import SAME_FIT
 from harness.registry import ENVS, METHODS
 
 ROOT = Path(__file__).parents[3]
