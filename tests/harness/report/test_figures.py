@@ -47,7 +47,7 @@ def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> No
     assert chart is not None
     star, trained = chart.plots
     assert "shaped with 5: 0.16" in star
-    assert 'data-tip="maxent, 20 demonstrations: 0.20"' in trained
+    assert 'data-tip="maxent, 20 demonstrations: 0.20 [0.01, 0.96]"' in trained
     for few in ((0,), (5,)):
         assert drawn(results(few, (NOMINAL,)))[1] is None
 
@@ -82,9 +82,10 @@ def test_figures_for_papers_are_equal_for_equal_results_and_mark_what_is_no_resu
 def test_tables_for_papers_have_the_boards_scores() -> None:
     report = build(REQUEST, make_results())
     tex, md, text = (table(report, kind, "cartpole") for kind in ("tex", "md", "csv"))
-    assert tex.count(r"\begin{tabular}{llrrrrl}") == tex.count(r"\bottomrule") == 1
-    assert r"shaped & $\pi_R$ & 0.86 [0.84, 0.89] & the best &" in tex
-    assert md.startswith("## cartpole\n\n| Method | Policy | Score [95 %] |")
+    assert tex.count(r"\begin{tabular}{llrrrrlrrl}") == tex.count(r"\bottomrule") == 1
+    assert r"shaped & $\pi_R$ & 0.86 [0.32, 0.95] & 0\% [0\%, 63\%] & 0.86 & highest &" in tex
+    assert r"maxmargin & $\pi_R$ & 0.68 [0.15, 0.93] & 0\% [0\%, 78\%] & 0.68 & +0.19 ns (none) &" in tex
+    assert md.startswith("## cartpole\n\n| Method | Policy | Score [90 %] |")
     assert text.count("\ncartpole,") == sum(entry.env == "cartpole" for entry in report.entries)
     assert table(report, "tex").count(r"\begin{tabular}") == len(ENVS)
 
