@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from harness.judge.comparisons import Difference, compare, stand_out
+from harness.judge.comparisons import Difference, pooled
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
 from harness.judge.rows import UNINFORMED, counts, is_rival, same_stars
@@ -87,7 +87,7 @@ def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
         if len(envs) < 2:
             continue
         rivals = {m: its for m, its in whole.items() if is_rival(m)}
-        differences, beside = compare(rivals), stand_out(rivals)
+        beside, differences = pooled(rivals)
         significant = {pair: one.mean for pair, one in differences.items() if one.is_significant}
         for method, its in whole.items():
             by_env = {env: [x for (name, _), x in its.items() if name == env] for env in envs}

@@ -111,7 +111,7 @@ def compare(scores: Mapping[str, Scores], controls: Collection[str] = ()) -> dic
 
 
 def stand_out(scores: Mapping[str, Scores]) -> dict[str, Difference]:
-    """Return each method's difference to the mean of the others, as one family.
+    """Return each method's difference to the mean of the others, as one family; two methods are one test.
 
     It is over the tasks and seeds that another one has, too, and tasks weigh the same. Without a difference,
     its score is as likely as any other method's there to be its own. The detectable difference is that of a
@@ -128,14 +128,28 @@ def stand_out(scores: Mapping[str, Scores]) -> dict[str, Difference]:
             values.append(scale * (mine[key] - known.mean()))
         if shared:
             all_values[method], all_options[method] = np.array(values), options
-    adjusted = holm({method: p_value(its, all_options[method]) for method, its in all_values.items()})
-    errors = NormalDist().inv_cdf(1 - ALPHA / 2 / max(1, len(adjusted))) + NormalDist().inv_cdf(POWER)
+    p_values = {method: p_value(its, all_options[method]) for method, its in all_values.items()}
+    adjusted = holm(p_values) if len(p_values) > 2 else p_values
+    tests = len(p_values) if len(p_values) > 2 else 1
+    errors = NormalDist().inv_cdf(1 - ALPHA / 2 / tests) + NormalDist().inv_cdf(POWER)
     differences = {}
     for method, p in adjusted.items():
         count = len(all_values[method])
         spread = math.sqrt(sum(float(np.square(option).mean()) for option in all_options[method]))
         differences[method] = Difference(float(all_values[method].mean()), p, count, errors * spread / count)
     return differences
+
+
+def pooled(scores: Mapping[str, Scores]) -> tuple[dict[str, Difference], dict[Pair, Difference]]:
+    """Return the differences of methods to the mean of the others, and of all pairs.
+
+    A pair of methods that do not differ from the others' mean has a p-value of 1. So both families together
+    name a difference among equal methods with probability `ALPHA` at most.
+    """
+    beside = stand_out(scores)
+    apart = {method for method, one in beside.items() if one.is_significant}
+    pairs = compare(scores).items()
+    return beside, {pair: one if apart & {*pair} else one._replace(p=1.0) for pair, one in pairs}
 
 
 def _weights(keys: Sequence[tuple[str, int]]) -> Array:

@@ -66,7 +66,9 @@ def scores_figure(boards: Sequence[Board]) -> Figure:
     axes.set_xlabel(f"normalized score: 0 random, 1 the expert; dots: seeds, bars: {LEVEL} intervals")
     for policy, (colour, marker) in LOOKS.items():
         axes.scatter([], [], color=colour, marker=marker, label=NAMES[policy])
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
+    if any(entry.is_unsolved for board in boards for entry in board.entries):
+        figures.scatter(axes, [], GREY, "D", hollow=True).set_label("R* not solved")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
     return figure
 
 
@@ -97,12 +99,12 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> Non
         shift = -0.2 if policy == "pi_star" else 0.2
         ys = [place[e.method] + shift * (e.method in both) for e in mine]
         small = [
-            (row.normalized_score, y, colour if counts(row) else PAPER)
+            (row.normalized_score, y, (colour, 0.45) if counts(row) else PAPER)
             for e, y in zip(mine, ys, strict=True)
             for row in dots[e.method, policy][:MOST_DOTS]
         ]
         xs, rows, inner = zip(*small, strict=True) if small else ([], [], [])
-        axes.scatter(xs, rows, 8, color=inner, alpha=0.45, linewidths=0.4, edgecolors=colour)
+        axes.scatter(xs, rows, 8, color=inner, linewidths=0.5, edgecolors=[(colour, 0.7)])
         spans(axes, [((e.score_low, y), (e.score_high, y)) for e, y in zip(mine, ys, strict=True)], colour)
         for hollow in (False, True):
             some = [(e, y) for e, y in zip(mine, ys, strict=True) if e.is_unsolved == hollow]

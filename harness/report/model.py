@@ -278,9 +278,7 @@ def _across(rows: Sequence[Row], entries: Sequence[Entry]) -> Across:
         if pairs := [line for line in lines if line.policy == policy and line.comparisons]:
             runs, comparisons = min(line.runs for line in pairs), pairs[0].comparisons
             least = as_text(detectable(runs, comparisons), ".2f")
-            notes.append(
-                f"{name}: {runs} runs each, {comparisons} pairs; the least that shows in one is {least}"
-            )
+            notes.append(f"{name}: {runs} runs or more each, {comparisons} pairs; {least} would show in one")
     return Across(without, notes, lines)
 
 

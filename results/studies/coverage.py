@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from harness.judge.comparisons import CONTROLS, compare, stand_out
+from harness.judge.comparisons import CONTROLS, compare, pooled
 from harness.judge.statistics import CONFIDENCE, RANGE, mean_interval
 
 COLUMNS = ("what", "how", "n", "tasks", "methods", "rate", "other", "value", "lowest", "width", "simulations")
@@ -94,8 +94,7 @@ def board(rates: Sequence[float], n: int, tasks: int, seed: int) -> Board:
     chances = np.append(rates, [rates[-1]] * len(controls))[:, None]
     won = (np.random.default_rng(seed).random((len(names), len(keys))) < chances).astype(float)
     scores = {name: dict(zip(keys, its.tolist(), strict=True)) for name, its in zip(names, won, strict=True)}
-    pairs = compare(scores, controls)
-    beside = stand_out(scores) if tasks > 1 else {}
+    beside, pairs = pooled(scores) if tasks > 1 else ({}, compare(scores, controls))
     better = [
         other for (one, other), gap in pairs.items() if one == "0" and gap.is_significant and gap.mean > 0
     ]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, permutation_test
 
-from harness.judge.comparisons import compare, detectable, holm, p_value, sign_flips, stand_out
+from harness.judge.comparisons import compare, detectable, holm, p_value, pooled, sign_flips, stand_out
 
 STUDY = Path(__file__).parents[3] / "results/studies/coverage.py"
 
@@ -63,6 +63,21 @@ def test_tasks_weigh_the_same_and_only_shared_seeds_count() -> None:
     assert beside["one"].mean == pytest.approx(0.5)
     assert beside["one"].p == pytest.approx(differences["one", "other"].p)
     assert ("control_clone", "control_survival") not in differences
+
+
+def test_pairs_over_tasks_need_a_method_that_stands_out() -> None:
+    keys = [(task, seed) for task in "abcd" for seed in range(5)]
+    high, low = (dict.fromkeys(keys, level) for level in (1.0, 0.0))
+    beside, pairs = pooled({"good": high, "bad": low, "poor": low})
+    assert beside["good"].is_significant
+    assert beside["good"].mean == 1.0
+    assert pairs["good", "poor"].is_significant
+    scores = {"a": dict.fromkeys(keys, 0.6), "b": dict.fromkeys(keys, 0.5), "noise": {}}
+    scores["noise"] = {key: float(place % 2) for place, key in enumerate(keys)}
+    assert compare(scores)["a", "b"].is_significant
+    beside, pairs = pooled(scores)
+    assert not any(one.is_significant for one in beside.values())
+    assert {one.p for one in pairs.values()} == {1.0}
 
 
 def test_five_seeds_show_no_difference_and_ten_a_large_one() -> None:

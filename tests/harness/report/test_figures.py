@@ -9,11 +9,11 @@ import pytest
 
 from harness.cli.main import main
 from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.report import charts
+from harness.report import charts, curves
 from harness.report.figures import Chart, styled
 from harness.report.files import figure, table
 from harness.report.model import Board, build
-from tests.harness.made_results import ENVS, REQUEST, make_results
+from tests.harness.made_results import ENVS, REQUEST, changed, make_results
 from tests.harness.small_runs import run
 
 __all__ = ["run"]
@@ -65,6 +65,36 @@ def test_transfer_shows_policies_carried_over_and_the_expert_in_the_pages_colour
     assert plot.count("var(--c2)") == 1, "the expert's level"
     assert "style=" not in plot
     assert "#" not in plot.replace('href="#', "").replace("url(#", "")
+
+
+def test_learning_curves_and_costs_count_the_steps_of_checks() -> None:
+    results = changed(make_results(("cartpole",)), "shaped", check_steps=30_000)
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        curve, cost = curves.learning(board, 60), charts.costs(board)
+    assert curve is not None
+    assert curve.data is not None
+    mine = curve.data[(curve.data["method"] == "shaped") & (curve.data["curve"] == "pi_R_true")]
+    true = [r.curves["pi_R_true"] for r in results if r.cell.method == "shaped"]
+    assert mine["x"].tolist() == [3 * x for x, _ in true[0]]
+    means = [sum(y for _, y in points) / 3 for points in zip(*true, strict=True)]
+    assert mine["mean"].tolist() == pytest.approx([(mean - 20) / 480 for mean in means])
+    assert cost is not None
+    assert "shaped π_R 0.86 [0.32, 0.95], 90,000 interactions" in cost.plots[1]  # both fit and RL
+
+
+def test_profiles_have_each_method_over_environments() -> None:
+    results = changed(make_results(), "control_survival", return_mean=20.0)
+    lines = build(REQUEST, results).across.lines
+    with styled():
+        chart = charts.profiles(lines, "pi_star")
+        assert charts.profiles([], "pi_star") is None
+    assert chart is not None
+    assert chart.table is not None
+    shares = {(method, str(level)): str(share) for method, level, share in chart.table.items}
+    assert {method for method, _ in shares} == {"bc", "shaped", "maxmargin"}
+    assert (shares["bc", "0.9"], shares["bc", "1"]) == ("100% [100%, 100%]", "0% [0%, 0%]")
+    assert shares["shaped", "0.9"].startswith("67% [")
 
 
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])

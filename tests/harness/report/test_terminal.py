@@ -47,6 +47,17 @@ def test_five_lines_give_the_results_and_where_to_look() -> None:
     assert closing(results)["look at"] == f"{where}; recordings: irl-bench view results/latest"
 
 
+def test_over_tasks_methods_are_named_that_differ_from_the_others() -> None:
+    tasks = dataclasses.replace(REQUEST, seeds=tuple(range(10)))
+    results = changed(make_results(seeds=10), "control_survival", return_mean=20.0)
+    line = closing(results, tasks)["pi*"]
+    assert "over 2 tasks, beside the other methods' mean: bc +0.1" in line
+    few = changed(make_results(), "control_survival", return_mean=20.0)
+    beside = "over 2 tasks, beside the other methods' mean: no significant difference ("
+    alike = [r for r in few if r.cell.method != "maxmargin" and r.cell.seed < 2]
+    assert beside in closing(alike, REQUEST)["pi*"]
+
+
 @pytest.mark.parametrize(
     ("method", "level", "expected"),
     [
