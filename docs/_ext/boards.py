@@ -40,7 +40,7 @@ def shown(row: Row) -> str:
 
 
 def score(row: Row | None) -> str:
-    """Mean and 95 % interval; the mean alone of fewer than three seeds."""
+    """Mean and interval, Student's at 95 %; the mean alone of fewer than three seeds."""
     if row is None:
         return ""
     mean, low, high = (row[f"score_{name}"] and f"{float(row[f'score_{name}']):z.2f}" for name in SCORE)

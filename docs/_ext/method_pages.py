@@ -135,8 +135,9 @@ def results(names: Sequence[str]) -> str:
     if not its:
         return "It is on no reference board yet."
     text = [
-        "Scores at the budget `full`: 0 is a random policy, 1 the expert. Means over seeds and 95 % "
-        "intervals; of fewer than three seeds there are none. What they show: [findings](../findings.md)."
+        "Scores at the budget `full`: 0 is a random policy, 1 the expert. Means over seeds and "
+        "Student's 95 % intervals; of fewer than three seeds there are none. "
+        "What they show: [findings](../findings.md)."
     ]
     for title, chosen in (
         ("", [row for row in its if row["dynamics"] == "nominal"]),

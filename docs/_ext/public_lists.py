@@ -40,8 +40,8 @@ PLAIN = {
 """Meanings of columns whose fields have no docstring."""
 ENDINGS = {
     "std": "Standard deviation, beside `{0}_mean`.",
-    "low": "Lower end of the 95 % interval of `{0}_mean`.",
-    "high": "Upper end of the 95 % interval of `{0}_mean`.",
+    "low": "Lower end of the interval of `{0}_mean`.",
+    "high": "Upper end of the interval of `{0}_mean`.",
     "mean": "Mean {0}.",
 }
 """Meanings of endings of such names, by the name before them."""

@@ -4,7 +4,7 @@ where pi* succeeds? Files:
 DIR/study.json              The mark of the directory.
 DIR/native, DIR/absorbing   A run's directory for each protocol.
 DIR/scores.csv              Their scores.
-DIR/study.csv, .md          The scores' means over seeds, with 95 % intervals.
+DIR/study.csv, .md          The scores' means over seeds, with intervals.
 DIR/<env>_figure_5_3.png    The thesis's figure.
 """
 

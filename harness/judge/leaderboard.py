@@ -9,27 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from harness.judge.rows import (
-    LOWER,
-    Scales,
-    behind,
-    best_of,
-    by_shown,
-    is_rival,
-    mean,
-    role_of,
-    scales_of,
-    scores_of,
-    standard_error,
-)
-from harness.judge.statistics import mean_interval, normal_interval
+from harness.judge.comparisons import detectable
+from harness.judge.rows import LOWER, by_shown, is_rival, mean, role_of, scales_of, scores_of
+from harness.judge.standings import Standing, standings_of
+from harness.judge.statistics import interquartile_mean, mean_interval, share_interval
 from harness.records import CONTROLS, NOMINAL, REFERENCE, Cell, CellResult, Row, Shown
 from harness.registry import Demonstrator
 from harness.registry.bounds import usable
 
 _POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
-NEGLIGIBLE = 0.005
-"""The largest difference of scores that counts as equal."""
 UNSCORED = ("not scored", "what would score 1 is missing, or no better than a random policy")
 MEANS = (
     *("reward_distance", "reward_floor", "reward_rank", "policy_ranking", "own_return", "own_return_shown"),
@@ -43,8 +31,8 @@ class Entry:
     """One line of the leaderboard: a method's policy in a task with its demonstrations, over its ok seeds.
 
     Scores are normalized. The random policy scores 0. The expert scores 1, or the demonstrations in a run
-    without experts. In a variant, RL on the true reward scores 1. Fields named low and high bound a mean's 95
-    % interval. Costs are means over seeds. Unknown numbers are NaN.
+    without experts. In a variant, RL on the true reward scores 1. They are of the seeds whose reward RL
+    solved, or where that is unknown. Costs and returns are means over ok seeds. Unknown numbers are NaN.
     """
 
     env: str
@@ -61,19 +49,38 @@ class Entry:
     """'ok' where every seed is, or else 'failed' where one is, or else 'skipped'."""
     seeds: int
     seeds_ok: int
+    seeds_scored: int
+    """Seeds whose scores the next columns are of."""
     score_mean: float
     score_low: float
     score_high: float
-    varies: str
-    """The source of intervals: 'seeds', or 'episodes' for a single seed, whose luck is left out."""
+    score_iqm: float
+    """Interquartile mean of the scores."""
+    share: float
+    """Share of these seeds that reach 0.9."""
+    share_low: float
+    """Lower end of the interval of `share` (Clopper & Pearson 1934)."""
+    share_high: float
+    """Upper end of the interval of `share`."""
+    unsolved: int
+    """Seeds whose reward RL did not solve. Their scores say nothing about the reward."""
+    score_unsolved: float
+    """Mean score of these seeds."""
     best: bool
-    """True for the method that others' policies of the same name are compared with (`best_of`)."""
-    behind_mean: float
+    """True for the method with the highest mean (`best_of`)."""
+    same_policy_as: str
+    """The method whose pi_star this one is, too: it is compared under that name."""
+    behind: float
     """Methods: the gap to the best method's policy of the same name, paired by seed."""
-    behind_low: float
-    behind_high: float
-    tied: bool
-    """True where that interval reaches down to a negligible gap: it is not significantly worse."""
+    behind_p: float
+    """The p-value of this gap, adjusted over all comparisons on the board (`harness.judge.comparisons`)."""
+    better_than: str
+    """Methods and controls whose scores are significantly lower, paired by seed."""
+    worse_than: str
+    """Methods and controls whose scores are significantly higher."""
+    detectable: float
+    """The smallest difference to a method that always succeeds that `seeds_scored` seeds show with power 0.8.
+    Empty where they show none."""
     above_best_lower_control: float
     """pi_R rows: mean score minus the best mean score of lower controls, over the seeds that all have."""
     share_of_true: float
@@ -88,8 +95,6 @@ class Entry:
     solved: float
     """Share of the seeds whose reward RL solved (`is_solved`), in pi_R rows of methods."""
     return_mean: float
-    return_low: float
-    return_high: float
     discounted_mean: float
     fit_seconds: float
     env_steps: float
@@ -99,15 +104,25 @@ class Entry:
     """The baseline it comes from, if any, and the seeds that were skipped, failed or not scored, and why."""
 
     @property
-    def unsolved(self) -> bool:
-        """True where RL failed to solve R* on some seed: the score there says nothing about R*."""
-        return self.solved < 1
+    def is_unsolved(self) -> bool:
+        """True where RL solved R* on no seed: no score says anything about R*."""
+        return not math.isfinite(self.score_mean) and self.unsolved > 0
+
+    @property
+    def drawn_score(self) -> float:
+        """The mean score; where RL solved R* on no seed, that of all seeds."""
+        return self.score_unsolved if self.is_unsolved else self.score_mean
+
+    @property
+    def interactions(self) -> float:
+        """Environment steps, those that check checkpoints included."""
+        return self.env_steps + self.check_steps
 
     @property
     def incomparable(self) -> bool:
         """True for a method with a score that shares no seed with the best one."""
-        scored = is_rival(self.method) and math.isfinite(self.score_mean)
-        return scored and not self.best and not math.isfinite(self.behind_mean)
+        scored = is_rival(self.method) and not self.same_policy_as and math.isfinite(self.score_mean)
+        return scored and not self.best and not math.isfinite(self.behind)
 
     @property
     def task(self) -> str:
@@ -164,22 +179,21 @@ def leaderboard(rows: Sequence[Row]) -> list[Entry]:
     tasks: dict[tuple[str, bool, str, str], list[Row]] = {}
     for row in rows:
         tasks.setdefault((row.env, row.dynamics != NOMINAL, row.dynamics, row.protocol), []).append(row)
-    scales = scales_of(rows)
     return [
         entry
         for _, of_task in sorted(tasks.items())
         for shown, mine in by_shown(of_task, lambda row: row).items()
-        for entry in _board(mine, shown, scales)
+        for entry in _board(mine, shown)
     ]
 
 
-def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
+def _board(rows: Sequence[Row], shown: Shown) -> list[Entry]:
     """Return the lines of one board."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.method, row.policy), []).append(row)
-    score = {key: mean([row.normalized_score for row in group]) for key, group in groups.items()}
     seeds = {key: scores_of(group) for key, group in groups.items()}
+    score = {key: mean([*its.values()]) for key, its in seeds.items()}
     lower = [(name, "pi_R") for name in CONTROLS if role_of(name, rows[0].protocol) == LOWER]
 
     def common(*keys: tuple[str, str]) -> list[float]:
@@ -188,11 +202,9 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
         shared = set(known[0]).intersection(*known[1:])
         return [mean([one[seed] for seed in shared]) for one in known]
 
-    best = {}  # rows of the best method, by policy
+    standings: dict[tuple[str, str], Standing] = {}
     for policy in _POLICIES:
-        rivals = [key for key in sorted(groups) if key[1] == policy and is_rival(key[0])]
-        scored = [key for key in rivals if math.isfinite(score[key])]
-        best[policy] = best_of([groups[key] for key in sorted(scored, key=lambda key: -score[key])])
+        standings |= standings_of({m: its for (m, p), its in sorted(seeds.items()) if p == policy}, policy)
 
     def place(key: tuple[str, str]) -> tuple[Any, ...]:
         method, policy = key
@@ -209,33 +221,20 @@ def _board(rows: Sequence[Row], shown: Shown, scales: Scales) -> list[Entry]:
             above = mine - max(bars)
             mine, true = common(key, ("control_true", "pi_R"))
             share = mine / true if true > 0 else math.nan
-        of_best = best[key[1]] if is_rival(key[0]) else []
-        entries.append(_entry(groups[key], shown, score[key], above, share, of_best, scales))
+        entries.append(_entry(groups[key], shown, above, share, standings.get(key, Standing())))
     return entries
 
 
-def _entry(
-    rows: list[Row],
-    shown: Shown,
-    score: float,
-    above: float,
-    share: float,
-    best: list[Row],
-    scales: Scales,
-) -> Entry:
+def _entry(rows: list[Row], shown: Shown, above: float, share: float, standing: Standing) -> Entry:
     first = rows[0]
     ok = [row for row in rows if row.status == "ok"]
-    scored = [row for row in ok if math.isfinite(row.normalized_score)]
-    if len(ok) == 1:
-        varies = "episodes"
-        errors = [standard_error(row, scales) for row in scored]
-        low, high = normal_interval(score, math.hypot(*errors))
-        returns = normal_interval(ok[0].return_mean, standard_error(ok[0], {}))
-    else:
-        varies = "seeds" if ok else ""
-        low, high = mean_interval([row.normalized_score for row in scored])
-        returns = mean_interval([row.return_mean for row in ok if math.isfinite(row.return_mean)])
-    behind_mean, behind_low, behind_high = behind(scored, best, scales)
+    scores = [*scores_of(ok).values()]
+    unsolved = [row.normalized_score for row in ok if row.solved == 0]
+    # The reference scores 0 and 1 by definition.
+    vary = scores if first.method != REFERENCE or len({*scores}) > 1 else []
+    score_low, score_high = mean_interval(vary)
+    reached, share_low, share_high = share_interval(vary)
+    to_best = standing.differences.get(standing.best)
     means: dict[str, Any] = {name: mean([getattr(row, name) for row in ok]) for name in MEANS}
     statuses = {row.status for row in rows}
     return Entry(
@@ -251,19 +250,25 @@ def _entry(
         status=next(status for status in ("failed", "skipped", "ok") if status in statuses),
         seeds=len(rows),
         seeds_ok=len(ok),
-        score_mean=score,
-        score_low=low,
-        score_high=high,
-        varies=varies,
-        best=bool(best) and best[0].method == first.method,
-        behind_mean=behind_mean,
-        behind_low=behind_low,
-        behind_high=behind_high,
-        tied=behind_low <= NEGLIGIBLE,
+        seeds_scored=len(scores),
+        score_mean=mean(scores),
+        score_low=score_low,
+        score_high=score_high,
+        score_iqm=interquartile_mean(scores),
+        share=reached,
+        share_low=share_low,
+        share_high=share_high,
+        unsolved=len(unsolved),
+        score_unsolved=mean(unsolved),
+        best=standing.best == first.method,
+        same_policy_as=standing.same_policy_as,
+        behind=-to_best.mean if to_best else math.nan,
+        behind_p=to_best.p if to_best else math.nan,
+        better_than=standing.names(1),
+        worse_than=standing.names(-1),
+        detectable=detectable(len(scores), standing.comparisons) if standing.comparisons else math.nan,
         above_best_lower_control=above,
         share_of_true=share,
-        return_low=returns[0],
-        return_high=returns[1],
         note=_note(rows),
         **means,
     )

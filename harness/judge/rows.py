@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TypeVar
 
-from harness.judge.statistics import mean_interval, normal_interval
 from harness.records import ALL_SHOWN, LOWER_CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Row, Shown
 from harness.registry import ASKING
+from methods.parts import BEGINS_WITH
 
 T = TypeVar("T")
 
@@ -90,50 +90,40 @@ def mean(values: Sequence[float]) -> float:
     return math.fsum(known) / len(known) if known else math.nan
 
 
+def counts(row: Row) -> bool:
+    """Return whether its score is known, and not of a policy of RL that did not solve the reward."""
+    return math.isfinite(row.normalized_score) and row.solved != 0
+
+
 def scores_of(rows: Sequence[Row]) -> dict[int, float]:
-    """Return the scores that are known, by seed."""
-    return {row.seed: row.normalized_score for row in rows if math.isfinite(row.normalized_score)}
+    """Return the scores that count, by seed."""
+    return {row.seed: row.normalized_score for row in rows if counts(row)}
 
 
-def best_of(ordered: Sequence[list[Row]]) -> list[Row]:
-    """Return the rows of the first method that no method with as many seeds beats where both have a score.
+def same_stars(methods: Collection[str]) -> dict[str, str]:
+    """Return the methods whose pi_star is that of another one of these, by which it counts."""
+    first: dict[str, str] = {}
+    for method in sorted(methods, key=lambda name: (name in BEGINS_WITH, name)):
+        first.setdefault(BEGINS_WITH.get(method, method), method)
+    counted = {method: first[BEGINS_WITH.get(method, method)] for method in methods}
+    return {method: other for method, other in counted.items() if method != other}
 
-    `ordered`: rows of each method, by falling mean score. A mean over easy seeds alone is not the best.
+
+def best_of(ordered: Mapping[str, Mapping[int, float]]) -> str:
+    """Return the first method that no method with as many seeds beats where both have a score; '' for none.
+
+    `ordered`: scores by seed of each method, by falling mean. A mean over easy seeds alone is not the best.
     """
-    unbeaten = (rows for rows in ordered if not any(_beats(other, rows) for other in ordered))
-    return next(unbeaten, ordered[0] if ordered else [])
+    unbeaten = (m for m, its in ordered.items() if not any(_beats(other, its) for other in ordered.values()))
+    return next(unbeaten, next(iter(ordered), ""))
 
 
-def _beats(rows: list[Row], others: list[Row]) -> bool:
+def _beats(mine: Mapping[int, float], theirs: Mapping[int, float]) -> bool:
     """Return whether it has at least as many seeds and a higher score on the shared ones, or more seeds where
     none are shared."""
-    mine, theirs = scores_of(rows), scores_of(others)
     if mine.keys() == theirs.keys() or len(mine) < len(theirs):
         return False
     shared = mine.keys() & theirs.keys()
     if not shared:
         return len(mine) > len(theirs)
     return math.fsum(mine[seed] - theirs[seed] for seed in shared) > 0
-
-
-def behind(rows: Sequence[Row], best: Sequence[Row], scales: Scales) -> tuple[float, float, float]:
-    """Return the mean gap of scored rows to the best method's over the seeds that both have, and its 95 %
-    interval. With one such seed, the interval is over episodes, as if they were not paired."""
-    theirs = {row.seed: row for row in best if math.isfinite(row.normalized_score)}
-    pairs = [(theirs[row.seed], row) for row in rows if row.seed in theirs]
-    gaps = [one.normalized_score - other.normalized_score for one, other in pairs]
-    if not pairs or best[0].method == rows[0].method:
-        return math.nan, math.nan, math.nan
-    if len(pairs) > 1:
-        return mean(gaps), *mean_interval(gaps)
-    errors = [standard_error(row, scales) for row in pairs[0]]
-    return gaps[0], *normal_interval(gaps[0], math.hypot(*errors))
-
-
-def standard_error(row: Row, scales: Scales) -> float:
-    """Return the standard error of its mean score over evaluation episodes, or, without scales, of its
-    return."""
-    if row.episodes < 2:
-        return math.nan
-    error = row.return_std / math.sqrt(row.episodes)
-    return error / scales[row.task, row.seed][1] if scales else error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,14 +11,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator
 
+from harness.judge.across_tasks import Overall
 from harness.judge.leaderboard import Entry
-from harness.records import CONTROLS, NOMINAL, REFERENCE, Shown
+from harness.judge.rows import counts
+from harness.judge.statistics import LEVELS, profile
+from harness.records import CONTROLS, NOMINAL, REFERENCE, Row, Shown
 from harness.report import columns, figures
 from harness.report.columns import METHOD, NAMES, POLICY, SCORE, score
 from harness.report.facts import NO_RESULT
-from harness.report.figures import BLUE, GREEN, GREY, GROUND, ORANGE, Chart, Plot, around, rules, spans
+from harness.report.figures import BLUE, GREEN, GREY, GROUND, ORANGE, PAPER, Chart, Plot, around, rules, spans
 from harness.report.model import Board
-from harness.report.tables import Table, number
+from harness.report.tables import LEVEL, Table, at, interval, number
 
 MOST_LINES = 14
 """Methods of a figure of lines; its table has all."""
@@ -27,14 +31,19 @@ LOOKS = {"pi_star": (BLUE, "o"), "pi_R": (ORANGE, "D")}
 """Colour and marker of each policy."""
 SIGNS = ((0, "●", "π*"), (1, "◆", "π_R, RL on R*"))
 CARRIED = ((0, "●", "π* carried over"), (1, "◆", "π_R, trained there on R*"))
-UNITS = {"fit_seconds": "seconds", "env_steps": "environment steps", "rl_solves": "RL solves"}
+UNITS = {"fit_seconds": "seconds", "interactions": "interactions", "rl_solves": "RL solves"}
 """Costs of a policy."""
+PROFILES = (
+    at(0, "method", "Method", columns.MEANINGS["method"], "choice"),
+    at(1, "level", "Score", "The score that runs reach."),
+    at(2, "reaching", "Share of runs", "Over all environments that count.", "interval"),
+)
 
 
 def scores(board: Board) -> Chart | None:
     """Return every seed's score, means and intervals, a row for each method; None without any score."""
     mine = [entry for entry in board.entries if entry.method != REFERENCE]
-    known = [entry for entry in mine if math.isfinite(entry.score_mean)]
+    known = [entry for entry in mine if math.isfinite(entry.drawn_score)]
     if not known:
         return None
     said = f"Normalized scores in {board.name}: {_listed(known)}."
@@ -54,10 +63,12 @@ def scores_figure(boards: Sequence[Board]) -> Figure:
         figures.label_rows(axes, names)
         axes.set_title(f"{board.name}{f' ({NO_RESULT}: {board.flag})' if board.flag else ''}")
         _draw_scores(axes, board, partial(figures.scatter, axes))
-    axes.set_xlabel("normalized score: 0 random, 1 the expert; dots: seeds, bars: 95 % intervals")
+    axes.set_xlabel(f"normalized score: 0 random, 1 the expert; dots: seeds, bars: {LEVEL} intervals")
     for policy, (colour, marker) in LOOKS.items():
         axes.scatter([], [], color=colour, marker=marker, label=NAMES[policy])
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
+    if any(entry.is_unsolved for board in boards for entry in board.entries):
+        figures.scatter(axes, [], GREY, "D", hollow=True).set_label("R* not solved")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
     return figure
 
 
@@ -66,9 +77,10 @@ def _rows(board: Board) -> list[str]:
 
 
 def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> None:
-    """Draw dots for seeds, markers for means and bars for intervals; controls on grey.
+    """Draw dots for seeds, markers for means and bars for intervals; controls on grey. Markers are hollow
+    where RL did not solve the reward.
 
-    points: a function that draws markers at x and y, with colour, marker and tooltips.
+    points: a function that draws markers at x and y, with colour, marker, tooltips, and whether hollow.
     """
     place = {method: row for row, method in enumerate(_rows(board))}
     controls = [row for method, row in place.items() if method in CONTROLS]
@@ -77,22 +89,28 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> Non
     rules(axes, True, 0.0, 1.0)
     for entry in board.scored("expert") if not board.is_nominal else ():
         axes.axvline(entry.score_mean, color=GREEN, linewidth=1.2, linestyle=":", zorder=0)
-    dots: dict[tuple[str, str], list[float]] = {}
+    dots: dict[tuple[str, str], list[Row]] = {}
     for row in board.rows:
         if math.isfinite(row.normalized_score):
-            dots.setdefault((row.method, row.policy), []).append(row.normalized_score)
-    both = {e.method for e in board.scored("pi_star")} & {e.method for e in board.scored("pi_R")}
+            dots.setdefault((row.method, row.policy), []).append(row)
+    both = {e.method for e in board.drawn("pi_star")} & {e.method for e in board.drawn("pi_R")}
     for policy, (colour, marker) in LOOKS.items():
-        mine = board.scored(policy)
+        mine = board.drawn(policy)
         shift = -0.2 if policy == "pi_star" else 0.2
         ys = [place[e.method] + shift * (e.method in both) for e in mine]
-        small = [(x, y) for e, y in zip(mine, ys, strict=True) for x in dots[e.method, policy][:MOST_DOTS]]
-        xs, rows = zip(*small, strict=True) if small else ([], [])
-        axes.scatter(xs, rows, 8, color=colour, alpha=0.45, linewidths=0)
+        small = [
+            (row.normalized_score, y, (colour, 0.45) if counts(row) else PAPER)
+            for e, y in zip(mine, ys, strict=True)
+            for row in dots[e.method, policy][:MOST_DOTS]
+        ]
+        xs, rows, inner = zip(*small, strict=True) if small else ([], [], [])
+        axes.scatter(xs, rows, 8, color=inner, linewidths=0.5, edgecolors=[(colour, 0.7)])
         spans(axes, [((e.score_low, y), (e.score_high, y)) for e, y in zip(mine, ys, strict=True)], colour)
-        tips = [f"{e.method} {NAMES[policy]}: {score(e)}" for e in mine]
-        points([(e.score_mean, y) for e, y in zip(mine, ys, strict=True)], colour, marker, tips)
-    every = [value for (method, _), values in dots.items() if method in place for value in values]
+        for hollow in (False, True):
+            some = [(e, y) for e, y in zip(mine, ys, strict=True) if e.is_unsolved == hollow]
+            tips = [f"{e.method} {NAMES[policy]}: {score(e)}" for e, _ in some]
+            points([(e.drawn_score, y) for e, y in some], colour, marker, tips, hollow)
+    every = [row.normalized_score for (method, _), its in dots.items() if method in place for row in its]
     axes.set_xlim(around(every, least=(0.0, 1.0)))
 
 
@@ -113,12 +131,12 @@ def costs(board: Board) -> Chart | None:
             (getattr(e, field) + (stars.get(e.method, math.nan) if e.policy == "pi_R" else 0), e)
             for e in methods
         ]
-        points = [(cost, e) for cost, e in points if math.isfinite(cost + e.score_mean)]
+        points = [(cost, e) for cost, e in points if math.isfinite(cost + e.drawn_score)]
         if any(cost > 0 for cost, _ in points):
-            front = _front(points)
+            front = _front([(cost, e) for cost, e in points if not e.is_unsolved])
             fronts.append(f"{unit}: {', '.join(f'{e.method} {NAMES[e.policy]}' for _, e in front)}")
             plots.append(_cost_plot(board.name, unit, points, front).svg())
-    shown = (METHOD, POLICY, SCORE, columns.SECONDS, columns.STEPS, columns.SOLVES)
+    shown = (METHOD, POLICY, SCORE, columns.SECONDS, columns.STEPS, columns.CHECKS, columns.SOLVES)
     table = Table(f"cost {board.name}", shown, methods)
     return Chart(board.name, plots, f"On the front by {'; by '.join(fronts)}.", (), table) if plots else None
 
@@ -141,17 +159,17 @@ def _cost_plot(
     _scale_costs(axes, [cost for cost, _ in points])
     _scale_scores(axes, [entry for _, entry in points])
     corners = [(cost, entry.score_mean) for cost, entry in front]
-    corners.append((axes.get_xlim()[1], corners[-1][1]))
-    axes.step(*zip(*corners, strict=True), where="post", color=GREY, linewidth=1.2)
-    for policy, (colour, marker) in LOOKS.items():
-        mine = [(cost, entry) for cost, entry in points if entry.policy == policy]
+    corners += [(axes.get_xlim()[1], level) for _, level in corners[-1:]]
+    axes.step(*(zip(*corners, strict=True) if corners else ([], [])), where="post", color=GREY, linewidth=1.2)
+    for (policy, (colour, marker)), hollow in itertools.product(LOOKS.items(), (False, True)):
+        mine = [(cost, e) for cost, e in points if (e.policy, e.is_unsolved) == (policy, hollow)]
         tips = [f"{_listed([e])}, {number(cost, ',.0f' if cost >= 10 else '.2g')} {unit}" for cost, e in mine]
-        plot.points([(cost, entry.score_mean) for cost, entry in mine], colour, marker, tips)
+        plot.points([(cost, e.drawn_score) for cost, e in mine], colour, marker, tips, hollow)
     return plot
 
 
 def _scale_scores(axes: Axes, entries: Sequence[Entry]) -> None:
-    axes.set_ylim(around([entry.score_mean for entry in entries], least=(0.0, 1.0)))
+    axes.set_ylim(around([entry.drawn_score for entry in entries], least=(0.0, 1.0)))
     rules(axes, False, 0.0, 1.0)
 
 
@@ -170,7 +188,7 @@ def _scale_costs(axes: Axes, costs: Sequence[float]) -> None:
 
 def distances(board: Board) -> Chart | None:
     """Return scores of pi_R against the distances of rewards from the true one; None with fewer than two."""
-    known = [e for e in board.scored("pi_R") if math.isfinite(e.reward_distance)]
+    known = [e for e in board.drawn("pi_R") if math.isfinite(e.reward_distance)]
     if len(known) < 2:
         return None
     tips = {e.method: f"{e.method}: distance {e.reward_distance:.2f}, score {score(e)}" for e in known}
@@ -178,16 +196,17 @@ def distances(board: Board) -> Chart | None:
     plot = Plot.of(said, "score of π_R", "distance of R* from the true reward")
     plot.axes.set_xlim(-0.03, 1.03)
     _scale_scores(plot.axes, known)
-    for is_control, colour, marker in ((False, ORANGE, "D"), (True, GREY, "s")):
-        mine = [e for e in known if (e.method in CONTROLS) == is_control]
+    kinds = ((False, False, ORANGE, "D"), (False, True, ORANGE, "D"), (True, False, GREY, "s"))
+    for is_control, hollow, colour, marker in kinds:
+        mine = [e for e in known if (e.method in CONTROLS, e.is_unsolved) == (is_control, hollow)]
         ends = [((e.reward_distance, e.score_low), (e.reward_distance, e.score_high)) for e in mine]
         spans(plot.axes, ends, colour)
-        places = [(e.reward_distance, e.score_mean) for e in mine]
-        plot.points(places, colour, marker, [tips[e.method] for e in mine])
+        places = [(e.reward_distance, e.drawn_score) for e in mine]
+        plot.points(places, colour, marker, [tips[e.method] for e in mine], hollow)
         for e in mine:
             near = [o for o in known if abs(o.reward_distance - e.reward_distance) < 0.25]
-            if sum(abs(o.score_mean - e.score_mean) < 0.08 for o in near) == 1:
-                name, place = e.method.removeprefix("control_"), (e.reward_distance, e.score_mean)
+            if sum(abs(o.drawn_score - e.drawn_score) < 0.08 for o in near) == 1:
+                name, place = e.method.removeprefix("control_"), (e.reward_distance, e.drawn_score)
                 plot.axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
     shown = (METHOD, columns.DISTANCE, columns.RANK, SCORE)
     return Chart(board.name, [plot.svg()], table=Table(f"distances {board.name}", shown, known))
@@ -200,7 +219,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         e
         for e in entries
         if e.dynamics == NOMINAL and e.demos and e.method not in (REFERENCE, *CONTROLS)
-        if math.isfinite(e.score_mean)
+        if math.isfinite(e.drawn_score)
     ]  # fmt: skip
     counts = sorted({e.demos for e in mine})
     if len(counts) < 2:
@@ -228,12 +247,37 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
     ]
     left = f" The first {len(drawn)} of {len(lines)} lines; the table has all." * (len(lines) > len(drawn))
     table = Table(f"demonstrations {env}", (METHOD, POLICY, columns.DEMONSTRATIONS, SCORE), mine)
-    return Chart(env, plots, f"Bars: 95 % intervals.{left}", legend, table)
+    return Chart(env, plots, f"Bars: {LEVEL} intervals.{left}", legend, table)
 
 
 def _draw_line(plot: Plot, entries: Sequence[Entry], colour: str, style: str, marker: str) -> None:
-    places = [(e.demos, e.score_mean) for e in entries]
-    plot.axes.plot(*zip(*places, strict=True) if places else ([], []), color=colour, linestyle=style)
+    solved = [(e.demos, e.score_mean) for e in entries if not e.is_unsolved]
+    plot.axes.plot(*zip(*solved, strict=True) if solved else ([], []), color=colour, linestyle=style)
     spans(plot.axes, [((e.demos, e.score_low), (e.demos, e.score_high)) for e in entries], colour)
-    tips = [f"{e.method}, {e.demos} demonstrations: {score(e)}" for e in entries]
-    plot.points(places, colour, marker, tips)
+    for hollow in (False, True):
+        some = [e for e in entries if e.is_unsolved == hollow]
+        tips = [f"{e.method}, {e.demos} demonstrations: {score(e)}" for e in some]
+        plot.points([(e.demos, e.drawn_score) for e in some], colour, marker, tips, hollow)
+
+
+def profiles(lines: Sequence[Overall], policy: str) -> Chart | None:
+    """Return the performance profile of each method over environments (Agarwal et al. 2021); None without
+    methods."""
+    mine = [line for line in lines if line.policy == policy and line.method not in CONTROLS][:MOST_LINES]
+    if not mine:
+        return None
+    middles = "; ".join(f"{line.method} {line.score:.2f}" for line in mine)
+    said = f"Performance profiles of {NAMES[policy]}. Interquartile means: {middles}."
+    plot, points = Plot.of(said, f"{NAMES[policy]}: share of runs", "score that they reach"), []
+    for place, line in enumerate(mine):
+        colour, style, marker = figures.look(place)
+        share, low, high = profile([*line.scores.values()])
+        plot.axes.plot(LEVELS, share, color=colour, linestyle=style)
+        plot.axes.fill_between(LEVELS, low, high, color=colour, alpha=0.12, linewidth=0)
+        shares = [interval(*ends, ".0%") for ends in zip(share, low, high, strict=True)]
+        tips = [f"{line.method}, {level:g}: {one}" for level, one in zip(LEVELS, shares, strict=True)]
+        plot.points([*zip(LEVELS, share, strict=True)], colour, marker, tips)
+        points += [(line.method, number(level, "g"), one) for level, one in zip(LEVELS, shares, strict=True)]
+    legend = [figures.sign(place, line.method) for place, line in enumerate(mine)]
+    table = Table(f"profiles {NAMES[policy]}", PROFILES, points)
+    return Chart(NAMES[policy], [plot.svg()], legend=legend, table=table)

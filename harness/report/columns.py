@@ -7,10 +7,12 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Any
 
+from harness.judge.comparisons import ALPHA, POWER
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
 from harness.judge.rows import ASKS
-from harness.report.tables import Column, Kind, Value, interval, number
+from harness.judge.statistics import SUCCESS
+from harness.report.tables import LEVEL, Column, Kind, Value, interval, number
 
 NO_SCORE = "no score: the return that would score 1 is missing, or no better than random"
 INCOMPARABLE = "no seed in common"
@@ -27,10 +29,16 @@ MEANINGS = {
     "policy": "π* (pi_star): the policy that the method returned. π_R (pi_R): the policy that RL finds from "
     "scratch under the method's learned reward alone.",
     "score": "Normalized return under the true reward: 0 random, 1 the expert, or RL on the true reward in a "
-    "variant. Brackets: 95 % interval of the mean over seeds (Student's t); with one seed over its episodes.",
-    "behind": "Difference to the score of the best method's policy of the same name, paired by seed. 'tied': "
-    "the interval holds 0, or the difference is under 0.005. 'no seed in common': not compared. The best has "
-    "the highest mean that no method with as many seeds beats on the seeds that both have.",
+    f"variant. Brackets: {LEVEL} interval of the mean over seeds, for scores from 0 to 1 (Gaffke 2005). Seeds"
+    " on which RL did not solve R* are left out; 'not solved' is followed by their mean.",
+    "share": f"Share of these seeds that reach {SUCCESS}, with its interval (Clopper & Pearson 1934).",
+    "score_iqm": "Interquartile mean of the scores: the mean of the middle half.",
+    "behind": "Gap to the highest mean of a policy of the same name, paired by seed. 'ns': not significant "
+    f"at {ALPHA}, by flips of signs, adjusted for all comparisons on the board (Holm 1979). In parentheses: "
+    f"the smallest gap to a method that always succeeds that so many seeds show with power {POWER}. No method"
+    " with as many seeds beats the highest mean on the seeds that both have.",
+    "differs": "Methods, control_clone and control_survival from which it differs significantly by the same "
+    "test.",
     "above_best_lower_control": "Difference to the best control whose reward lacks information, over seeds "
     "that all have. A learned reward has to be above 0 here.",
     "seeds": "Seeds that finished without failure, and seeds that were asked for.",
@@ -39,7 +47,7 @@ MEANINGS = {
     "remarks": "The role, and all of the note.",
     "role": "Methods are compared with each other. A lower control's reward has no information, the upper "
     "control's is the true one.",
-    "return": "Undiscounted return under the true reward, mean over seeds.",
+    "return_mean": "Undiscounted return under the true reward, mean over seeds.",
     "discounted_mean": "Return, discounted with the task's gamma.",
     "reward_distance": "Distance from the true reward by the advantages that it gives to actions: 0 the same "
     "up to scale, 1 the opposite. The floor is its distance from a shaped copy of itself: smaller "
@@ -60,21 +68,37 @@ MEANINGS = {
 
 
 def score(entry: Entry) -> Value:
-    """Return the normalized score with its interval."""
+    """Return the normalized score with its interval, or the state that RL solved R* on no seed."""
+    if entry.is_unsolved:
+        return Value(f"not solved ({as_text(entry.score_unsolved, 'z.2f')})")
     return interval(entry.score_mean, entry.score_low, entry.score_high)
 
 
-def _returned(entry: Entry) -> Value:
-    return interval(entry.return_mean, entry.return_low, entry.return_high, ".1f")
+def difference(gap: float, p: float, detectable: float) -> Value:
+    """Return a difference, and where it is not significant the smallest one that would have been found."""
+    if p <= ALPHA:
+        return number(gap, "+z.2f")
+    least = as_text(detectable, ".2f") if math.isfinite(detectable) else "none"
+    return Value(f"{as_text(gap, '+z.2f')} ns ({least})", gap)
+
+
+def _share(entry: Entry) -> Value:
+    return interval(entry.share, entry.share_low, entry.share_high, ".0%")
 
 
 def _behind(entry: Entry) -> Value:
     if entry.best:
-        return Value("the best", 0.0)
-    if not math.isfinite(entry.behind_mean):
-        return Value(INCOMPARABLE * entry.incomparable)
-    value = interval(entry.behind_mean, entry.behind_low, entry.behind_high, "+z.2f")
-    return Value(value.text + " tied" * entry.tied, value.number, value.low, value.high)
+        return Value("highest", 0.0)
+    if not math.isfinite(entry.behind):
+        return Value(
+            f"as {entry.same_policy_as}" if entry.same_policy_as else INCOMPARABLE * entry.incomparable
+        )
+    return difference(entry.behind, entry.behind_p, entry.detectable)
+
+
+def _differs(entry: Entry) -> str:
+    its = {"better than": entry.better_than, "worse than": entry.worse_than}
+    return "; ".join(f"{how} {', '.join(names.split())}" for how, names in its.items() if names)
 
 
 def _distance(entry: Entry) -> Value:
@@ -88,8 +112,7 @@ def _seeds(entry: Entry) -> Value:
 
 
 def _note(entry: Entry) -> str:
-    one_seed = entry.varies == "episodes" and math.isfinite(entry.return_low)
-    text = _joined(_unsolved(entry), entry.note, "one seed: intervals are over episodes" * one_seed)
+    text = _joined(unsolved(entry), entry.note)
     more = " … (all of it in leaderboard.csv)"
     return text if len(text) <= LONGEST_NOTE else text[:LONGEST_NOTE] + more
 
@@ -97,11 +120,13 @@ def _note(entry: Entry) -> str:
 def _remarks(entry: Entry) -> str:
     role = {"method": "", ASKS: f"{ASKS}: not ranked"}.get(entry.role, entry.role)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds" if 0 < entry.seeds_ok < entry.seeds else ""
-    return _joined(role, seeds, _unsolved(entry), entry.note)
+    return _joined(role, seeds, unsolved(entry), entry.note)
 
 
-def _unsolved(entry: Entry) -> str:
-    return f"R* solved on {as_text(entry.solved, '.0%')} of seeds" if entry.unsolved else ""
+def unsolved(entry: Entry) -> str:
+    """Return on how many seeds RL did not solve R*, in words, and their mean score."""
+    mean = as_text(entry.score_unsolved, "z.2f")
+    return f"R* not solved on {entry.unsolved} of {entry.seeds_ok} seeds ({mean})" if entry.unsolved else ""
 
 
 def _joined(*parts: str) -> str:
@@ -148,6 +173,7 @@ DISTANCE = _column("Reward: distance (floor)", "reward_distance", _distance, "re
 RANK = _column("Reward: rank", "reward_rank", "z.2f", "rewards", of_reward=True)
 SECONDS = _column("Seconds", "fit_seconds", ".1f", "costs")
 STEPS = _column("Env steps", "env_steps", ",.0f", "costs")
+CHECKS = _column("Check steps", "check_steps", ",.0f", "costs")
 SOLVES = _column("RL solves", "rl_solves", ".0f", "costs")
 ENTRY = (
     _column("Task", "env", attrgetter("env"), "first", kind="choice"),
@@ -155,14 +181,17 @@ ENTRY = (
     METHOD,
     POLICY,
     SCORE,
-    _column("Behind the best", "behind", _behind, "first terminal scores", kind="interval"),
+    _column("Reach 0.9", "share", _share, "first scores", kind="interval"),
+    _column("Interquartile mean", "score_iqm", "z.2f", "scores"),
+    _column("Behind the best", "behind", _behind, "first terminal scores"),
+    _column("Differs", "differs", _differs, "scores", kind="text"),
     _column("Above best lower control", "above_best_lower_control", "+z.2f", "first scores", of_reward=True),
     _column("Seeds ok", "seeds", _seeds, "first scores"),
     DEMONSTRATIONS,
     _column("Note", "note", _note, "first scores", kind="note"),
     _column("Note", "remarks", _remarks, "terminal", kind="note"),
     _column("Role", "role", attrgetter("role"), kind="text"),
-    _column("Return", "return", _returned, "costs", kind="interval"),
+    _column("Return", "return_mean", ".1f", "costs"),
     _column("Discounted return", "discounted_mean", "z.2f"),
     DISTANCE,
     RANK,
@@ -173,7 +202,7 @@ ENTRY = (
     _column("Of demonstrations", "own_return_shown", ".1f", "rewards"),
     SECONDS,
     STEPS,
-    _column("Check steps", "check_steps", ",.0f", "costs"),
+    CHECKS,
     SOLVES,
 )
 """Columns in the order of the leaderboard."""

@@ -14,7 +14,8 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from harness.judge.numbers import as_text
-from harness.records import REFERENCE, CellResult
+from harness.judge.rows import scales_of
+from harness.records import REFERENCE
 from harness.registry.bounds import Curve, thinned
 from harness.report.figures import BLUE, GREEN, GREY, ORANGE, PINK, Chart, Plot, around
 from harness.report.model import Board
@@ -28,7 +29,7 @@ OWN = ("pi_R", "pi_R_true", "pi_R_chosen", "expert")
 COLUMNS, WIDTH, HEIGHT = 4, 260.0, 150.0
 """Panels in a row, and the size of each in pixels."""
 SIGNS = (
-    (1, "━", "true return of RL on R*, with the range over seeds"),
+    (1, "━", "score of RL on R*, with the range over seeds"),
     (1, "○", "the checkpoint that counts, a ring for each seed"),
     (3, "┉", "return under R* itself (axis on the right)"),
     (0, "╍", "RL on the true reward"),
@@ -101,24 +102,22 @@ def _ticks(limits: Limits) -> list[tuple[float, str]]:
 
 def learning(board: Board, most: int) -> Chart | None:
     """Return a panel for each method that was retrained, at most `most`; None where none was."""
-    by_method: dict[str, list[CellResult]] = {}
-    for result in board.results:
-        by_method.setdefault(result.cell.method, []).append(result)
-    methods = [m for m in board.methods if any(r.curves.get("pi_R") for r in by_method.get(m, ()))]
+    by_method = _scored(board)
+    methods = [m for m in board.methods if any(r.get("pi_R") for r in by_method.get(m, ()))]
     means = {
         (method, name): summary
         for method in dict.fromkeys([REFERENCE, "control_true", *methods[:most]])
         for name in ("expert", "pi_R", "pi_R_true")
-        if len(summary := _summary([r.curves.get(name, []) for r in by_method.get(method, ())]))
+        if len(summary := _summary([r.get(name, []) for r in by_method.get(method, ())]))
     }
     true = [summary for (_, name), summary in means.items() if name == "pi_R_true"]
     drawn = [method for method in methods[:most] if (method, "pi_R") in means]
     if not true or not drawn:
         return None
-    stars = {e.method: e.return_mean for e in board.entries if e.policy == "pi_star"}
+    stars = {e.method: e.score_mean for e in board.entries if e.policy == "pi_star"}
     y = around([value for summary in true for value in summary[:, 2:].flat] + list(stars.values()))
     longest = max(1.0, *(summary[-1, 0] for (_, name), summary in means.items() if name != "expert"))
-    said = f"RL on rewards in {board.name}: true return and return under R* by steps, for {', '.join(drawn)}."
+    said = f"RL on rewards in {board.name}: score and return under R* by interactions, of {', '.join(drawn)}."
     panels = Panels(said, len(drawn))
     for number, method in enumerate(drawn):
         panels.begin(number, method, (0.0, longest), y)
@@ -131,7 +130,7 @@ def learning(board: Board, most: int) -> Chart | None:
         panels.scale(under, PINK)
         panels.curve(means.get((method, "pi_R_true")), y, ORANGE)
         rings = list(filter(None, map(_chosen, by_method[method][:MOST_SEEDS])))
-        tips = [f"{method}, steps {x:,.0f}: true return {as_text(v, '.1f')}" for x, v in rings]
+        tips = [f"{method}, {x:,.0f} interactions: score {as_text(v, 'z.2f')}" for x, v in rings]
         panels.points(panels.places(np.array(rings).reshape(-1, 2), y).tolist(), ORANGE, "o", tips)
     return Chart(board.name, [panels.svg()], _left_out(board, len(methods), most), data=_data(board, means))
 
@@ -179,9 +178,30 @@ def _summary(seeds: Sequence[Curve]) -> Array:
     return np.asarray(summary[thinned(range(len(summary)), MOST_DRAWN)])
 
 
-def _chosen(result: CellResult) -> tuple[float, float] | None:
-    """Return the steps of the checkpoint that counts, and its true return."""
-    marked, true = result.curves.get("pi_R_chosen"), dict(result.curves.get("pi_R_true", []))
+def _scored(board: Board) -> dict[str, list[dict[str, Curve]]]:
+    """Return the curves of RL by method: steps become all interactions, and true returns scores.
+
+    Steps that check checkpoints are spread evenly over the others. Seeds without a scale have no true curve.
+    """
+    scales, spent = scales_of(board.rows), dict[str, list[float]]()
+    for row in board.rows:
+        if row.policy in ("pi_R", "expert") and row.status == "ok":
+            steps, checks = spent.get(row.method, (0.0, 0.0))
+            spent[row.method] = [steps + row.env_steps, checks + row.check_steps]
+    curves: dict[str, list[dict[str, Curve]]] = {}
+    for result in board.results:
+        steps, checks = spent.get(result.cell.method, (0.0, 0.0))
+        ratio = 1 + checks / steps if steps else 1.0
+        mine = {n: [(ratio * x, y) for x, y in curve] for n, curve in result.curves.items() if n in OWN}
+        low, scale = scales.get((result.cell.task, result.cell.seed), (math.nan, math.nan))
+        true = [(x, (y - low) / scale) for x, y in mine.pop("pi_R_true", [])]
+        curves.setdefault(result.cell.method, []).append(mine | ({"pi_R_true": true} if scale > 0 else {}))
+    return curves
+
+
+def _chosen(curves: Mapping[str, Curve]) -> tuple[float, float] | None:
+    """Return the interactions until the checkpoint that counts, and its score."""
+    marked, true = curves.get("pi_R_chosen"), dict(curves.get("pi_R_true", []))
     if not marked or not math.isfinite(true.get(marked[0][0], math.nan)):
         return None
     return marked[0][0], true[marked[0][0]]

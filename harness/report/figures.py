@@ -103,10 +103,15 @@ class Plot:
         return self.figure.axes[0]
 
     def points(
-        self, places: Sequence[Sequence[float]], colour: str, marker: str, tips: Sequence[str] = ()
+        self,
+        places: Sequence[Sequence[float]],
+        colour: str,
+        marker: str,
+        tips: Sequence[str] = (),
+        hollow: bool = False,
     ) -> None:
         """Draw markers. `tips`: a text for each, which the pointer brings up."""
-        scatter(self.axes, places, colour, marker).set_gid(f"tips-{len(self.tips)}")
+        scatter(self.axes, places, colour, marker, hollow=hollow).set_gid(f"tips-{len(self.tips)}")
         self.tips.append(tips)
 
     def svg(self) -> Markup:
@@ -168,12 +173,17 @@ def label_rows(axes: Axes, rows: Sequence[str]) -> None:
 
 
 def scatter(
-    axes: Axes, places: Sequence[Sequence[float]], colour: str, marker: str, tips: Sequence[str] = ()
+    axes: Axes,
+    places: Sequence[Sequence[float]],
+    colour: str,
+    marker: str,
+    tips: Sequence[str] = (),
+    hollow: bool = False,
 ) -> PathCollection:
-    """Draw markers with a thin rim. `tips`: for a page alone."""
+    """Draw markers with a thin rim. `tips`: for a page alone. `hollow`: with a rim of the colour alone."""
     xs, ys = zip(*places, strict=True) if places else ([], [])
-    size = 26 if marker == "D" else 34
-    return axes.scatter(xs, ys, size, colour, marker=marker, zorder=4, edgecolors=PAPER, linewidths=0.8)
+    size, (inner, rim) = 26 if marker == "D" else 34, (PAPER, colour) if hollow else (colour, PAPER)
+    return axes.scatter(xs, ys, size, inner, marker=marker, zorder=4, edgecolors=rim, linewidths=0.8)
 
 
 def spans(axes: Axes, ends: Sequence[tuple[tuple[float, float], tuple[float, float]]], colour: str) -> None:

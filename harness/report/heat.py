@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from harness.judge.comparisons import ALPHA
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
 from harness.judge.rows import ASKS
 from harness.records import REFERENCE
-from harness.report.columns import INCOMPARABLE, NAMES, NO_SCORE, score
+from harness.report.columns import INCOMPARABLE, NAMES, NO_SCORE, score, unsolved
 from harness.report.model import Board
 
 MOST_COLUMNS = 16
@@ -107,19 +108,20 @@ def _tile(entry: Entry | None) -> Tile:
     if entry is None:
         return Tile()
     name = f"{entry.method}, {NAMES[entry.policy]}, {entry.board}: "
+    if entry.is_unsolved:
+        return Tile("not solved", tip=name + unsolved(entry))
     if not math.isfinite(entry.score_mean):
         reason = " ".join(entry.note.split())[:LONGEST_REASON] or NO_SCORE
         return Tile("failed" if entry.status == "failed" else "none", tip=name + reason)
     parts = [f"{score(entry)}, {entry.seeds_ok} of {entry.seeds} seeds"]
-    parts += ["interval over episodes"] * (entry.varies == "episodes")
     parts += [f"{INCOMPARABLE} with the best"] * entry.incomparable
-    mark = ""
-    if entry.best or entry.tied:
-        mark = "★" if entry.best else "≈"
-        parts.append("the best" if entry.best else "not significantly worse than the best")
+    parts += [f"the policy of {entry.same_policy_as}"] * bool(entry.same_policy_as)
+    mark = "★" if entry.best else "▼" if entry.behind_p <= ALPHA else ""
+    if mark:
+        parts.append("the highest mean" if entry.best else "significantly worse than the highest mean")
     if entry.unsolved:
         mark += "†"
-        parts.append(f"RL solved R* on {as_text(entry.solved, '.0%')} of seeds")
+        parts.append(unsolved(entry))
     shade = round(SHADES * min(1.0, max(0.0, entry.score_mean)))
     return Tile(as_text(entry.score_mean, "z.2f"), mark, shade, name + "; ".join(parts))
 
@@ -127,9 +129,8 @@ def _tile(entry: Entry | None) -> Tile:
 def _cautions(board: Board, policy: str) -> list[tuple[str, str]]:
     """Return cautions about a board's scores of a policy: a word and a sentence each."""
     cautions = [("not a result", f"{board.name} is not a result: {board.flag}.")] if board.flag else []
-    if {e.varies for e in board.entries} <= {"episodes", ""}:
-        over = "One seed: intervals are over its episodes, and say nothing of another seed."
-        cautions.append(("one seed", over))
+    if board.has_one_seed:
+        cautions.append(("one seed", "One seed ranks no methods."))
     if policy == "pi_R" and board.tie:
         says = "This cannot show whether a reward was learned."
         cautions.append(("controls tie", f"An uninformed control does as well: {board.tie}. {says}"))

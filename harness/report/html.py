@@ -16,10 +16,10 @@ from markupsafe import Markup
 
 from harness.judge.leaderboard import Entry
 from harness.report import charts, curves, facts, heat
-from harness.report.columns import ENTRY
+from harness.report.columns import ENTRY, NAMES
 from harness.report.figures import Chart, styled
 from harness.report.model import Board, Report
-from harness.report.tables import Table, as_csv
+from harness.report.tables import LEVEL, Table, as_csv
 
 PAGE, STYLE, SCRIPT = (
     Path(__file__).with_name(f"page.{kind}").read_text(encoding="utf-8") for kind in ("html.j2", "css", "js")
@@ -50,13 +50,16 @@ class Section:
 
 
 NOTES = {
-    "seeds": "Small dots are seeds, markers means, bars 95 % intervals; controls are on grey.",
+    "seeds": f"Small dots are seeds, markers means, bars {LEVEL} intervals; controls are on grey. Hollow: RL "
+    "did not solve R*, so the score says nothing about it.",
     "transfer": "0 is the random policy there, 1 RL on the true reward. Dotted: the expert, carried over.",
     "cost": "Upper left is better. The line is the Pareto front: no point off it scores more for as little. "
     "The cost of π_R is that of the fit and of RL on R*.",
     "distances": "A good reward is at the upper left. Squares are controls. At the lower left the reward is "
     "right and the learner did not use it; at the upper right a wrong reward solves the task.",
-    "learning": "Steps are those that RL learned from, not checks. True returns of a task have one scale.",
+    "learning": "Interactions are steps that RL learned from, and those that checked its checkpoints, spread "
+    "evenly. Scores of a task have one scale.",
+    "profiles": f"Shares of runs that reach a score, over environments that count, with {LEVEL} intervals.",
     "training": "Means over seeds, and their range, by iteration.",
 }
 
@@ -126,12 +129,14 @@ def _sections(report: Report) -> list[Section]:
     def each(draw: Callable[..., Chart | None], boards: Sequence[Board], *more: int) -> list[Chart]:
         return [chart for board in boards if (chart := draw(board, *more))]
 
+    profiles = [chart for policy in NAMES if (chart := charts.profiles(report.across.lines, policy))]
     scores, carried = each(charts.scores, nominal), each(charts.scores, variants)
     costs, distances = each(charts.costs, nominal), each(charts.distances, nominal)
     learning, training = each(curves.learning, report.drawn, most), each(curves.training, nominal, most)
     distant = "Distances between rewards, and scores of π_R"
     shown = [chart for chart in by_demonstrations if chart]
     return [
+        Section("profiles", "Profiles", "Performance profiles over environments", profiles),
         Section("seeds", "Seeds", "Scores, seed by seed", scores, charts.SIGNS),
         Section("transfer", "Transfer", "Transfer to other dynamics", carried, charts.CARRIED),
         Section("cost", "Cost", "Score against cost", costs, charts.SIGNS),

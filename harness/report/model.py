@@ -7,12 +7,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from harness.judge.across_tasks import indistinct, overall
+from harness.judge.across_tasks import Overall, indistinct, overall
+from harness.judge.comparisons import ALPHA, POWER, detectable
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
+from harness.judge.numbers import as_text
 from harness.judge.rows import ASKS, UNINFORMED, by_shown, is_on, shown_in
+from harness.judge.statistics import SUCCESS
 from harness.records import NOMINAL, CellResult, Row
 from harness.report import facts
-from harness.report.columns import INCOMPARABLE, METHOD, POLICY, score
+from harness.report.columns import INCOMPARABLE, METHOD, NAMES, POLICY, difference, score
 from harness.report.tables import Column, Table, Value, interval, number
 from harness.store.request import Request
 
@@ -29,7 +32,7 @@ FEW_NAMES = 4
 OVERALL = (
     METHOD,
     POLICY,
-    Column("envs", "Environments", "The number of environments.", lambda x: number(x.envs, ".0f")),
+    Column("envs", "Environments", "The number of environments.", lambda x: number(len(x.scores), ".0f")),
     Column("runs", "Runs", "Scores: environments times seeds.", lambda x: number(x.runs, ".0f")),
     Column(
         "middle",
@@ -38,7 +41,28 @@ OVERALL = (
         lambda x: interval(x.score, x.low, x.high),
         "interval",
     ),
-    Column("below", "Runs below 0.95", "Share of the runs.", lambda x: Value(f"{x.below:.0%}", x.below)),
+    Column("reached", f"Reach {SUCCESS}", "Share of the runs.", lambda x: number(x.reached, ".0%")),
+    Column(
+        "unsolved",
+        "Not solved",
+        "Seeds left out, whose reward RL did not solve.",
+        lambda x: number(x.unsolved, ".0f"),
+    ),
+    Column(
+        "beside",
+        "Beside the others",
+        "Mean over tasks of the difference to the other methods' mean, by permutation of methods within task "
+        "and seed, adjusted for the number of methods (Holm 1979). 'ns': not significant; in parentheses the "
+        f"smallest difference that would have been found with power {POWER}.",
+        lambda x: difference(x.beside.mean, x.beside.p, x.beside.detectable) if x.beside else Value(""),
+    ),
+    Column(
+        "better_than",
+        "Better than",
+        "Methods with a significantly lower score, pair by pair over all tasks and seeds (Holm 1979).",
+        lambda x: ", ".join(x.better_than),
+        "text",
+    ),
 )
 
 
@@ -92,35 +116,57 @@ class Board:
         """Return the scored methods by this policy, best first."""
         return sorted((e for e in self.scored(policy) if e.role == "method"), key=lambda e: -e.score_mean)
 
+    def drawn(self, policy: str) -> list[Entry]:
+        """Return the entries of this policy that have a score, or a reward that RL did not solve."""
+        return [e for e in self.entries if e.policy == policy and math.isfinite(e.drawn_score)]
+
     def best(self, policy: str) -> Entry | None:
-        """Return the method that others are compared with by this policy."""
+        """Return the method with the highest mean by this policy."""
         return next((e for e in self.entries if e.policy == policy and e.best), None)
 
-    def tied(self, policy: str) -> list[str]:
-        """Return the methods that are not significantly worse than the best."""
-        return [e.method for e in self.entries if e.policy == policy and e.tied]
-
     def winner(self, policy: str) -> str:
-        """Return which methods are best by this policy, in words; an empty text where none has a score."""
+        """Return the highest mean by this policy, and which methods are significantly worse, in words; an
+        empty text where none has a score."""
         best = self.best(policy)
         if best is None:
             return ""
         most = max(e.seeds_ok for e in self.entries)
-        seeds = f" ({best.seeds_ok} of {most} seeds)" if best.seeds_ok < most else ""
-        apart = [e.method for e in self.entries if e.policy == policy and e.incomparable]
-        lists = {"not significantly worse": self.tied(policy), INCOMPARABLE: apart}
-        others = [f", {title}: {some(names)}" for title, names in lists.items() if names]
-        return f"{best.method} {score(best)}{seeds}{''.join(others)}"
+        seeds = f" ({best.seeds_scored} of {most} seeds)" if best.seeds_scored < most else ""
+        others = [e for e in self.entries if e.policy == policy]
+        compared = [e for e in others if math.isfinite(e.behind)]
+        lists = {
+            "significantly worse": [e.method for e in compared if e.behind_p <= ALPHA],
+            INCOMPARABLE: [e.method for e in others if e.incomparable],
+        }
+        words = [f", {title}: {some(names)}" for title, names in lists.items() if names]
+        return f"{best.method} {score(best)}{seeds}{''.join(words)}"
+
+    def equals(self, policy: str) -> str:
+        """Return that no method is significantly worse by this policy than the highest mean, with the least
+        that would have shown; an empty text where some are, or none is compared."""
+        best = self.best(policy)
+        compared = [e for e in self.entries if e.policy == policy and math.isfinite(e.behind)]
+        if best is None or not compared or any(e.behind_p <= ALPHA for e in compared):
+            return ""
+        seen, least = math.isfinite(best.detectable), as_text(best.detectable, ".2f")
+        shows = f"show {least} or more" if seen else "cannot show any"
+        count = best.seeds_scored
+        return f"no significant difference ({count} seed{'s' * (count > 1)} {shows})"
 
 
 @dataclass(frozen=True)
 class Across:
     """Comparison over environments. `without`: reasons to leave environments out. `notes`: lines on the
-    choice. `table`: a policy each, best first."""
+    choice. `lines`: a policy each, best first."""
 
     without: Mapping[str, str]
     notes: Sequence[str]
-    table: Table
+    lines: Sequence[Overall]
+
+    @property
+    def table(self) -> Table:
+        """The lines as a table."""
+        return Table("across", OVERALL, self.lines)
 
 
 @dataclass(frozen=True)
@@ -227,7 +273,13 @@ def _across(rows: Sequence[Row], entries: Sequence[Entry]) -> Across:
     if len({row.env for row in compared}) > 1:
         notes = [f"{env} is left out: {why}" for env, why in without.items()]
         notes += [f"of boards with {shown}"] * bool(str(shown))
-    return Across(without, notes, Table("across", OVERALL, overall(compared, tuple(without))))
+    lines = overall(compared, tuple(without))
+    for policy, name in NAMES.items():
+        if pairs := [line for line in lines if line.policy == policy and line.comparisons]:
+            runs, comparisons = min(line.runs for line in pairs), pairs[0].comparisons
+            least = as_text(detectable(runs, comparisons), ".2f")
+            notes.append(f"{name}: {runs} runs or more each, {comparisons} pairs; {least} would show in one")
+    return Across(without, notes, lines)
 
 
 def some(names: Sequence[str], between: str = ", ") -> str:

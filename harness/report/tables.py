@@ -13,9 +13,12 @@ from typing import Any, BinaryIO, Literal
 import pandas as pd
 
 from harness.judge.numbers import as_text
+from harness.judge.statistics import CONFIDENCE
 
 Kind = Literal["choice", "text", "note", "number", "interval"]
 """Types of columns: few texts to filter by, other texts, long texts, numbers, numbers with an interval."""
+LEVEL = f"{100 * CONFIDENCE:.0f} %"
+"""The level of intervals."""
 FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """The beginning of a text that a spreadsheet would compute, with any apostrophes before it.
 `page.js` has the same."""
@@ -29,7 +32,7 @@ LATEX = {
 
 @dataclass(frozen=True)
 class Value:
-    """A number, its text, and the ends of its 95 % interval; what is not known is NaN."""
+    """A number, its text, and the ends of its interval; what is not known is NaN."""
 
     text: str
     number: float = math.nan
@@ -60,7 +63,7 @@ class Column:
     @property
     def heading(self) -> str:
         """The title as tables show it."""
-        return f"{self.title} [95 %]" if self.kind == "interval" else self.title
+        return f"{self.title} [{LEVEL}]" if self.kind == "interval" else self.title
 
     @property
     def is_number(self) -> bool:

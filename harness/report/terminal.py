@@ -16,9 +16,10 @@ from rich import box
 from rich.console import Console
 from rich.text import Text
 
-from harness.judge.across_tasks import GOOD, NO_BETTER
+from harness.judge.across_tasks import NO_BETTER
 from harness.judge.leaderboard import Entry
 from harness.judge.rows import ASKS
+from harness.judge.statistics import SUCCESS
 from harness.registry import BUILT_IN
 from harness.report.columns import score, visible
 from harness.report.facts import NO_RESULT
@@ -50,7 +51,7 @@ def closing(report: Report, directory: Path) -> list[str]:
     plugins = [method for method in report.request.methods if method not in BUILT_IN["method"]]
     lines = {
         "cells": "; ".join([*_counts(report, directory), *_cautions(report)]),
-        **{name: _best(report.boards, policy) for policy, name in NAMES.items()},
+        **{name: _best(report, policy) for policy, name in NAMES.items()},
         "yours": "; ".join(_placed(method, report.boards) for method in plugins),
         "controls": _controls(report.boards),
         "look at": "; ".join(places),
@@ -79,8 +80,8 @@ def tables(report: Report) -> list[str]:
             console.print(_table(board.entries, width >= WITH_INTERVALS))
         there = "; in other dynamics 1 is RL on the true reward" if report.request.variants else ""
         console.print(
-            f"Score: 0 is a random policy, 1 {report.top}{there}. tied: not significantly worse than the "
-            "best. Where RL did not solve R*, pi_R says nothing of R*.",
+            f"Score: 0 is a random policy, 1 {report.top}{there}. ns: not significant, and the smallest gap "
+            "that these seeds would show. not solved: RL did not solve R*, so pi_R says nothing of R*.",
             markup=False,
         )
     return [line.rstrip() for line in capture.get().splitlines()]
@@ -127,20 +128,26 @@ def _cautions(report: Report) -> list[str]:
     return lines + [ONE_SEED] * all(board.has_one_seed for board in report.boards)
 
 
-def _best(boards: Sequence[Board], policy: str) -> str:
-    """Return which methods are best by this policy, and which are not significantly worse."""
+def _best(report: Report, policy: str) -> str:
+    """Return which methods have the highest mean by this policy, what differs, and what RL did not solve."""
+    boards = report.boards
     known = [(board, best) for board in boards if (best := board.best(policy))]
-    lines = [f"{board.name}: {board.winner(policy)}" for board, _ in known]
+    says = {board.name: (board.winner(policy), board.equals(policy)) for board, _ in known}
+    lines = [f"{name}: {', '.join(filter(None, parts))}" for name, parts in says.items()]
     if len(known) > FEW_BOARDS:
-        counts = Counter(method for board, best in known for method in (best.method, *board.tied(policy)))
+        counts = Counter(best.method for _, best in known)
         often = [f"{method} on {count}" for method, count in counts.most_common()]
-        lines = [f"best, or not significantly worse, of {len(known)} boards: {some(often)}"]
+        lines = [f"highest mean of {len(known)} boards: {some(often)}"]
+    if compared := [line for line in report.across.lines if line.policy == policy and line.beside]:
+        apart = [f"{x.method} {x.beside.mean:+.2f}" for x in compared if x.beside and x.beside.is_significant]
+        tasks = f"over {len(compared[0].scores)} tasks, beside the other methods' mean"
+        least = max(x.beside.detectable for x in compared if x.beside)
+        lines.append(f"{tasks}: {some(apart) or f'no significant difference ({least:.2f} shows)'}")
     mine = [(board.name, e) for board in boards for e in board.entries if e.policy == policy]
     asking = dict.fromkeys(e.method for _, e in mine if e.role == ASKS and e.seeds_ok)
     lines += [f"{method} {ASKS} and is not ranked" for method in sorted(asking)]
-    if unsolved := [f"{e.method} on {name}" for name, e in mine if e.unsolved]:
-        says = "RL did not solve R* on every seed, so the score says nothing about the reward"
-        lines.append(f"{says}: {some(unsolved)}")
+    if unsolved := [f"{e.method} on {name} ({e.unsolved} of {e.seeds_ok})" for name, e in mine if e.unsolved]:
+        lines.append(f"seeds left out, on which RL did not solve R*: {some(unsolved)}")
     return "; ".join(lines) or "no method has a score"
 
 
@@ -173,7 +180,7 @@ def _controls(boards: Sequence[Board]) -> str:
         f"{_mean(e)} on {board.name}"
         for board in boards
         for e in board.scored("pi_R")
-        if e.role == "upper control" and e.score_mean < GOOD and board.is_nominal
+        if e.role == "upper control" and e.score_mean < SUCCESS and board.is_nominal
     ]
     return f"{line}; RL on the true reward falls short: {some(short)}" if short else line
 

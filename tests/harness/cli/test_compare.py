@@ -20,10 +20,11 @@ def test_runs_are_compared_over_the_seeds_that_both_have(tmp_path: Path) -> None
     stored = [(path, *files._read(path)) for path in (one, other)]
     runs = [compare.Run(str(path), request.conditions, results) for path, request, results in stored]
     found = {line[1:3]: line[3:] for line in compare.differences(*runs).items}
-    seeds, _, _, difference, better = found["gail", "pi_star"]
-    assert (seeds.number, better.number) == (2, 1.0)
-    assert (difference.number, difference.low, difference.high) == pytest.approx((10 / 480,) * 3)
-    assert [value.number for value in found["shaped", "pi_R"][3:]] == [0.0, 0.5]
+    seeds, _, _, difference, p, better = found["gail", "pi_star"]
+    assert (seeds.number, better.number, p.number) == (2, 1.0, 1.0)
+    assert difference.number == pytest.approx(10 / 480)
+    assert str(difference) == "+0.02 ns (none)"
+    assert [value.number for value in found["shaped", "pi_R"][3:]] == [0.0, 1.0, 0.5]
     assert compare.differing(*runs) == []
     assert compare.other_versions(*runs) == []
     fewer = dataclasses.replace(

@@ -1,4 +1,4 @@
-"""What rows come to: scores, differences, ties, a summary over tasks, and intervals as in the literature."""
+"""What rows come to: scores, differences, and a summary over tasks."""
 
 from __future__ import annotations
 
@@ -6,21 +6,12 @@ import dataclasses
 import math
 from collections.abc import Iterable
 
-import numpy as np
 import pytest
-from scipy.stats import norm, sem, spearmanr, t
 
 from harness.judge.across_tasks import indistinct, overall
+from harness.judge.comparisons import detectable
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
-from harness.judge.statistics import (
-    CONFIDENCE,
-    RESAMPLES,
-    interquartile_interval,
-    interquartile_mean,
-    mean_interval,
-    normal_interval,
-    rank_correlation,
-)
+from harness.judge.statistics import interquartile_mean, mean_interval, share_interval
 from harness.records import Cell, CellResult
 from tests.harness.made_results import RETURNS, entry_of, make_results, make_row
 
@@ -38,10 +29,12 @@ def test_the_leaderboard_has_means_over_seeds_in_order_and_hides_no_failure() ->
     assert len(entries) == len(RETURNS) + 1
     shaped = entries["shaped", "pi_R"]
     assert (shaped.seeds, shaped.seeds_ok, shaped.status, shaped.role) == (3, 3, "ok", "method")
-    assert (shaped.return_mean, shaped.env_steps, shaped.varies) == (435, 15_000, "seeds")
-    assert shaped.score_mean == pytest.approx((435 - 20) / 480)
-    expected = t.interval(0.95, 2, 435, sem([430, 435, 440]))
-    assert (shaped.return_low, shaped.return_high) == pytest.approx(expected)
+    assert (shaped.return_mean, shaped.env_steps, shaped.interactions) == (435, 15_000, 15_000)
+    scores = [(earned - 20) / 480 for earned in (440, 435, 430)]
+    assert (shaped.seeds_scored, shaped.score_mean) == (3, pytest.approx((435 - 20) / 480))
+    assert (shaped.score_low, shaped.score_high) == mean_interval(scores)
+    assert (shaped.share, shaped.share_low, shaped.share_high) == share_interval(scores)
+    assert shaped.score_iqm == interquartile_mean(scores)
     skipped, failed = entries["bc", "pi_R"], entries["maxmargin", "pi_R"]
     assert skipped.note == "skipped (seeds 0, 1, 2): learns no reward"
     assert (skipped.seeds_ok, skipped.status) == (0, "skipped")
@@ -103,23 +96,9 @@ def test_who_asks_the_expert_is_compared_with_nobody() -> None:
     asking, best = (entry_of(results, method, "pi_star") for method in ("dagger", "bc"))
     assert (asking.role, asking.best, best.best) == ("asks the expert", False, True)
     assert asking.score_mean > best.score_mean
-    assert math.isnan(asking.behind_mean)
-    assert math.isnan(best.behind_mean)
+    assert math.isnan(asking.behind)
+    assert math.isnan(best.behind)
     assert {"bc", "dagger"} & {line.method for line in overall(scored_rows(results))} == {"bc"}
-
-
-@pytest.mark.parametrize(
-    ("losses", "tied"),
-    [((30.0, -20.0, 10.0), True), ((0.9, 5.9, 10.9), True), ((50.0, 55.0, 60.0), False)],
-    ids=["its interval holds 0", "nobody would care", "it is worse"],
-)
-def test_what_is_not_significantly_worse_than_the_best_is_tied(losses: tuple[float, ...], tied: bool) -> None:
-    results = make_results(("cartpole",))
-    for result in results:
-        if result.cell.method == "maxmargin":
-            level = 440 - losses[result.cell.seed]
-            result.rows[:] = [make_row("cartpole", "maxmargin", result.cell.seed, "pi_R", return_mean=level)]
-    assert entry_of(results, "maxmargin", "pi_R").tied == tied
 
 
 def with_scores(scores: dict[str, dict[int, float]]) -> list[CellResult]:
@@ -132,6 +111,61 @@ def with_scores(scores: dict[str, dict[int, float]]) -> list[CellResult]:
     return results
 
 
+@pytest.mark.parametrize(("seeds", "differs"), [(5, ""), (10, "bc")])
+def test_methods_are_compared_seed_by_seed_where_so_many_can_differ(seeds: int, differs: str) -> None:
+    """All seeds but one are 0.3 better; two controls are as bad as bc."""
+    results = [r for r in make_results(("cartpole",), seeds) if r.cell.method == "reference"]
+    for method in ("gail", "bc", "control_clone", "control_survival"):
+        for seed in range(seeds):
+            level = 0.6 if method == "gail" and seed != 3 else 0.3
+            row = make_row("cartpole", method, seed, "pi_R", return_mean=20 + 480 * level)
+            results.append(CellResult(Cell("cartpole", method, seed), [row]))
+    better, worse = (entry_of(results, method, "pi_R") for method in ("gail", "bc"))
+    assert better.better_than == (f"{differs} control_clone control_survival" if differs else "")
+    assert (better.best, worse.worse_than) == (True, "gail" if differs else "")
+    assert worse.behind == pytest.approx(0.3 * (seeds - 1) / seeds)
+    assert (worse.behind_p <= 0.05) == bool(differs)
+    # Five comparisons: two methods, and both with two controls.
+    assert better.detectable == pytest.approx(detectable(seeds, 5), nan_ok=True)
+    assert math.isnan(better.detectable) == (seeds == 5)
+
+
+def test_two_names_of_one_pi_star_count_once() -> None:
+    results = make_results()
+    for env in ("cartpole", "pendulum"):
+        for seed in range(3):
+            names = ("pi_star", "pi_R")
+            rows = [make_row(env, "shaped_ml", seed, name, return_mean=460 - 5 * seed) for name in names]
+            results.append(CellResult(Cell(env, "shaped_ml", seed), rows))
+    star, own = (entry_of(results, "shaped_ml", policy) for policy in ("pi_star", "pi_R"))
+    assert (star.same_policy_as, own.same_policy_as) == ("shaped", "")
+    assert (own.best, star.incomparable) == (True, False)
+    lines = {(line.method, line.policy) for line in overall(scored_rows(results))}
+    assert ("shaped_ml", "pi_R") in lines
+    assert ("shaped_ml", "pi_star") not in lines
+    alone = [r for r in results if r.cell.method != "shaped"]
+    assert entry_of(alone, "shaped_ml", "pi_star").same_policy_as == ""
+
+
+def test_seeds_whose_reward_rl_did_not_solve_are_a_state_of_their_own() -> None:
+    results = make_results(("cartpole",))
+    for result in results:
+        if result.cell.method == "shaped":
+            solved = float(result.cell.seed > 0)
+            result.rows[1] = dataclasses.replace(result.rows[1], solved=solved)
+        elif result.cell.method == "maxmargin" and result.cell.seed < 2:
+            result.rows[1] = dataclasses.replace(result.rows[1], solved=0.0)
+    entries = entries_of(results)
+    some, none = entries["shaped", "pi_R"], entries["maxmargin", "pi_R"]
+    assert (some.seeds_ok, some.seeds_scored, some.unsolved) == (3, 2, 1)
+    assert some.score_mean == pytest.approx((432.5 - 20) / 480)
+    assert some.score_unsolved == pytest.approx((440 - 20) / 480)
+    assert (some.is_unsolved, none.is_unsolved, none.best, none.unsolved) == (False, True, False, 2)
+    assert math.isnan(none.score_mean)
+    assert none.drawn_score == none.score_unsolved == pytest.approx((347.5 - 20) / 480)
+    assert entries["shaped", "pi_star"].unsolved == 0
+
+
 def test_a_mean_over_easy_seeds_alone_is_not_the_best() -> None:
     """airl has seed 0 alone, where the others do better; gail has a seed that nobody else has."""
     hard = {0: 1.1, 1: 0.8, 2: 0.8, 3: 0.8}
@@ -140,12 +174,11 @@ def test_a_mean_over_easy_seeds_alone_is_not_the_best() -> None:
     )
     best = {method for (method, _), entry in entries.items() if entry.best}
     assert best == {"shaped"}
-    assert entries["airl", "pi_R"].behind_mean == pytest.approx(0.1)
+    assert entries["airl", "pi_R"].behind == pytest.approx(0.1)
     gail = entries["gail", "pi_R"]
-    assert (gail.incomparable, gail.tied) == (True, False)
+    assert gail.incomparable
     lucky = entry_of(with_scores({"airl": {0: 1.2}, "shaped": hard | {4: 5.0}}), "airl", "pi_R")
-    assert lucky.behind_mean == pytest.approx(-0.1)  # not significantly worse
-    assert lucky.tied
+    assert lucky.behind == pytest.approx(-0.1)
 
 
 def test_controls_are_compared_with_over_the_seeds_that_both_have() -> None:
@@ -163,7 +196,8 @@ def test_overall_compares_only_what_every_env_has() -> None:
     results = make_results()
     pooled = {(line.method, line.policy): line for line in overall(scored_rows(results))}
     shaped = pooled["shaped", "pi_R"]
-    assert (shaped.runs, shaped.envs, shaped.below, pooled["control_true", "pi_R"].below) == (6, 2, 1.0, 0.0)
+    reached = [pooled[method, "pi_R"].reached for method in ("shaped", "control_true")]
+    assert (shaped.runs, len(shaped.scores), reached) == (6, 2, [0.0, 1.0])
     # Six equal pairs: one score is cut at either end, four are left.
     assert shaped.score == pytest.approx((435 - 20) / 480)
     fewer = [r for r in results if (r.cell.env, r.cell.method) != ("pendulum", "shaped")]
@@ -172,45 +206,3 @@ def test_overall_compares_only_what_every_env_has() -> None:
     lines = overall(rows, ("pendulum",))
     assert lines == overall([row for row in rows if row.env != "pendulum"])
     assert [line.score for line in lines] == sorted((line.score for line in lines), reverse=True)
-
-
-def test_the_interval_is_students_whatever_the_order() -> None:
-    values = [1.0, 2.0, 4.0, 4.5]
-    expected = t.interval(0.95, 3, loc=np.mean(values), scale=sem(values))
-    assert mean_interval(values) == pytest.approx(expected)
-    assert mean_interval(values[::-1]) == mean_interval(values)
-    assert normal_interval(3.0, 0.5) == pytest.approx(norm.interval(0.95, 3.0, 0.5))
-    assert all(math.isnan(bound) for bound in (*mean_interval([4.0]), *mean_interval([])))
-    assert mean_interval([4.0, 4.0, 4.0]) == (4.0, 4.0)
-
-
-def test_interquartile_mean_ignores_the_outer_quarters_and_refuses_what_is_not_finite() -> None:
-    assert interquartile_mean([-1e9, 1.0, 2.0, 1e9]) == 1.5
-    assert interquartile_mean([3.0, 1.0, 2.0]) == 2.0  # too few to cut: the plain mean
-    assert interquartile_mean([8, 1, 2, 3, 4, 5, 6, 7]) == 4.5
-    assert math.isnan(interquartile_mean([]))
-    for function in (mean_interval, interquartile_mean):
-        with pytest.raises(ValueError, match="finite"):
-            function([1.0, math.nan])
-
-
-def test_interquartile_interval_resamples_within_tasks_only() -> None:
-    """Runs that do not vary within their task leave nothing to resample, however far tasks lie apart."""
-    assert interquartile_interval([[0.0, 0.0], [1.0, 1.0]]) == (0.5, 0.5)
-    assert all(math.isnan(bound) for bound in interquartile_interval([[1.0, 2.0], [3.0]]))
-    rng = np.random.default_rng(3)
-    tasks = [rng.normal(size=count).tolist() for count in (2, 7, 300)]
-    draws = np.random.default_rng(5)
-    drawn = [draws.choice(np.sort(runs), (RESAMPLES, len(runs))) for runs in tasks]
-    middle = np.sort(np.concatenate(drawn, axis=1))[:, 77 : 309 - 77].mean(axis=1)
-    expected = np.quantile(middle, [(1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2])
-    assert interquartile_interval(tasks, seed=5) == tuple(expected)
-
-
-def test_ranks_correlate_as_scipy_has_it() -> None:
-    rng = np.random.default_rng(0)
-    for size in (3, 10, 1000):
-        one, other = rng.normal(size=size), rng.normal(size=size)
-        for a, b in ((one, other), (one.round(), other.round(1)), (one, one**3), (one, -one)):
-            assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
-    assert math.isnan(rank_correlation(np.array([1.0, math.nan]), np.array([1.0, 2.0])))

@@ -9,11 +9,11 @@ import pytest
 
 from harness.cli.main import main
 from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.report import charts
+from harness.report import charts, curves
 from harness.report.figures import Chart, styled
 from harness.report.files import figure, table
 from harness.report.model import Board, build
-from tests.harness.made_results import ENVS, REQUEST, make_results
+from tests.harness.made_results import ENVS, REQUEST, changed, make_results
 from tests.harness.small_runs import run
 
 __all__ = ["run"]
@@ -47,7 +47,7 @@ def test_scores_are_drawn_against_demonstrations_where_there_are_several() -> No
     assert chart is not None
     star, trained = chart.plots
     assert "shaped with 5: 0.16" in star
-    assert 'data-tip="maxent, 20 demonstrations: 0.20"' in trained
+    assert 'data-tip="maxent, 20 demonstrations: 0.20 [0.01, 0.96]"' in trained
     for few in ((0,), (5,)):
         assert drawn(results(few, (NOMINAL,)))[1] is None
 
@@ -67,6 +67,36 @@ def test_transfer_shows_policies_carried_over_and_the_expert_in_the_pages_colour
     assert "#" not in plot.replace('href="#', "").replace("url(#", "")
 
 
+def test_learning_curves_and_costs_count_the_steps_of_checks() -> None:
+    results = changed(make_results(("cartpole",)), "shaped", check_steps=30_000)
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        curve, cost = curves.learning(board, 60), charts.costs(board)
+    assert curve is not None
+    assert curve.data is not None
+    mine = curve.data[(curve.data["method"] == "shaped") & (curve.data["curve"] == "pi_R_true")]
+    true = [r.curves["pi_R_true"] for r in results if r.cell.method == "shaped"]
+    assert mine["x"].tolist() == [3 * x for x, _ in true[0]]
+    means = [sum(y for _, y in points) / 3 for points in zip(*true, strict=True)]
+    assert mine["mean"].tolist() == pytest.approx([(mean - 20) / 480 for mean in means])
+    assert cost is not None
+    assert "shaped π_R 0.86 [0.32, 0.95], 90,000 interactions" in cost.plots[1]  # both fit and RL
+
+
+def test_profiles_have_each_method_over_environments() -> None:
+    results = changed(make_results(), "control_survival", return_mean=20.0)
+    lines = build(REQUEST, results).across.lines
+    with styled():
+        chart = charts.profiles(lines, "pi_star")
+        assert charts.profiles([], "pi_star") is None
+    assert chart is not None
+    assert chart.table is not None
+    shares = {(method, str(level)): str(share) for method, level, share in chart.table.items}
+    assert {method for method, _ in shares} == {"bc", "shaped", "maxmargin"}
+    assert (shares["bc", "0.9"], shares["bc", "1"]) == ("100% [100%, 100%]", "0% [0%, 0%]")
+    assert shares["shaped", "0.9"].startswith("67% [")
+
+
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_figures_for_papers_are_equal_for_equal_results_and_mark_what_is_no_result(
     kind: str, begins: bytes
@@ -82,9 +112,10 @@ def test_figures_for_papers_are_equal_for_equal_results_and_mark_what_is_no_resu
 def test_tables_for_papers_have_the_boards_scores() -> None:
     report = build(REQUEST, make_results())
     tex, md, text = (table(report, kind, "cartpole") for kind in ("tex", "md", "csv"))
-    assert tex.count(r"\begin{tabular}{llrrrrl}") == tex.count(r"\bottomrule") == 1
-    assert r"shaped & $\pi_R$ & 0.86 [0.84, 0.89] & the best &" in tex
-    assert md.startswith("## cartpole\n\n| Method | Policy | Score [95 %] |")
+    assert tex.count(r"\begin{tabular}{llrrrrlrrl}") == tex.count(r"\bottomrule") == 1
+    assert r"shaped & $\pi_R$ & 0.86 [0.32, 0.95] & 0\% [0\%, 63\%] & 0.86 & highest &" in tex
+    assert r"maxmargin & $\pi_R$ & 0.68 [0.15, 0.93] & 0\% [0\%, 78\%] & 0.68 & +0.19 ns (none) &" in tex
+    assert md.startswith("## cartpole\n\n| Method | Policy | Score [90 %] |")
     assert text.count("\ncartpole,") == sum(entry.env == "cartpole" for entry in report.entries)
     assert table(report, "tex").count(r"\begin{tabular}") == len(ENVS)
 

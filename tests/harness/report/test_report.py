@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import html
 import io
-import math
 import os
 import re
 import shutil
@@ -15,13 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scipy.stats import norm
 
 import irl_bench
 from harness.records import COLUMNS, CONTROLS, Cell, CellResult, Conditions
 from harness.report.files import recorded_in, write_report
 from harness.report.model import build
-from tests.harness.made_results import ENVS, REQUEST, entry_of, make_results
+from tests.harness.made_results import ENVS, REQUEST, make_results
 
 STORED = Path(__file__).parents[3] / "results/reference/quick_one_seed"
 RECORDING = "cartpole__shaped__seed0__pi_R.rrd"
@@ -99,8 +97,8 @@ def test_a_run_without_its_reference_has_no_scores_and_says_so(tmp_path: Path) -
     for row in read_csv(tmp_path / "scores.csv"):
         assert (row["normalized_score"] != "") == (row["env"] == "pendulum" and row["status"] == "ok")
     cartpole = (tmp_path / "leaderboard.md").read_text().split("## pendulum")[0]
-    assert "| shaped | π_R | n/a |  | n/a | 1 of 1 | not scored (seed 0)" in cartpole
-    assert "| shaped | π_R | 440.0 [439.9, 440.1] | 12.5 |" in cartpole
+    assert "| shaped | π_R | n/a | n/a | n/a |  |  | n/a | 1 of 1 | not scored (seed 0)" in cartpole
+    assert "| shaped | π_R | 440.0 | 12.5 |" in cartpole
     text = words_of(tmp_path / "report.html")
     assert "cartpole, seed 0: no score" in text
     assert "pendulum, seed 0: no score" not in text
@@ -116,15 +114,28 @@ def test_a_run_with_nothing_to_draw_has_an_empty_report(tmp_path: Path) -> None:
     assert "reference" in (tmp_path / "leaderboard.md").read_text()
 
 
-def test_one_seed_has_the_interval_over_episodes_and_says_so(tmp_path: Path) -> None:
-    results = make_results(("cartpole",), seeds=1)
-    shaped = entry_of(results, "shaped", "pi_R")
-    expected = norm.interval(0.95, 440, (1 / 3) / math.sqrt(100))
-    assert (shaped.return_low, shaped.return_high) == pytest.approx(expected)
-    width = (shaped.return_high - shaped.return_low) / 480
-    assert shaped.score_high - shaped.score_low == pytest.approx(width)
+def test_one_seed_says_next_to_nothing_of_the_mean(tmp_path: Path) -> None:
+    write_report(tmp_path, build(REQUEST, make_results(("cartpole",), seeds=1)))
+    assert "| shaped | π_R | 0.88 [0.04, 0.99] |" in (tmp_path / "leaderboard.md").read_text()
+
+
+def test_what_rl_did_not_solve_is_a_state_and_a_hollow_mark(tmp_path: Path) -> None:
+    results = make_results(seeds=1)
+    for result in results:
+        if result.cell.method == "shaped":
+            distant = {"reward_distance": 0.1, "solved": 0.0}
+            result.rows[1] = replace(result.rows[1], **distant)  # type: ignore[arg-type]
     write_report(tmp_path, build(REQUEST, results))
-    assert "one seed: intervals are over episodes" in (tmp_path / "leaderboard.md").read_text()
+    assert "| shaped | π_R | not solved (0.88) |" in (tmp_path / "leaderboard.md").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert "not solved (0.88)" in page
+    for section in ("seeds", "cost"):
+        plot = page.partition(f'<section id="{section}"')[2].partition("</svg>")[0]
+        (mark,) = re.findall(r'<use data-tip="shaped π_R:? not solved[^>]*', plot)
+        assert 'fill="var(--bg)"' in mark
+    lines = [row for row in read_csv(tmp_path / "leaderboard.csv") if row["method"] == "shaped"]
+    told = {(r["policy"], r["unsolved"], r["score_mean"] == "", r["score_unsolved"] == "") for r in lines}
+    assert told == {("pi_star", "0", False, True), ("pi_R", "1", True, False)}
 
 
 @pytest.mark.parametrize("why", ["smoke", "below its bar", ""])
