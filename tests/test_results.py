@@ -152,14 +152,15 @@ def claims_of_arms(rows: list[dict[str, str]]) -> list[str]:
     assert solved == "1"
     after = [each("zero", "cartpole", arm) for arm in ("thesis", "epochs_1", "epochs_100", "epsilon_1e-7")]
     return [
-        f"Over {len(fits)} fits the mean eigenvalue of LLᵀ is at most {shown:.0e} at demonstrations and {away:.1g} "
-        "in a random policy's episodes.",
-        f"Where an end pays 0, π_R scores 0.3 or more for {share('zero', 'cartpole', 0.3)} fits on cart-pole and "
-        f"{share('zero', 'highway', 0.3)} on highway; with the default, 0.9 or more for "
+        f"Over {len(fits)} fits the mean eigenvalue of LLᵀ is at most {shown:.0e} at demonstrations and "
+        f"{away:.1g} in a random policy's episodes.",
+        "Where an end pays 0, π_R scores 0.3 or more for "
+        f"{share('zero', 'cartpole', 0.3)} fits on cart-pole and {share('zero', 'highway', 0.3)} on highway; "
+        "with the default, 0.9 or more for "
         f"{share('pi_R', 'cartpole', 0.9)} and {share('pi_R', 'highway', 0.9)}.",
-        f"On the swing-up π_R of `thesis` scores {each('pi_R', 'swingup', 'thesis')}, and RL solved its R\\*. `tanh`, "
-        f"`standardised` and `soap` have {better}; `batch`, `start`, `squared` and `units` {poor}.",
-        f"DDPG under `native` scores {each('ddpg', 'cartpole', 'thesis')} on cart-pole with R\\* of `thesis`.",
+        f"On the swing-up π_R of `thesis` scores {each('pi_R', 'swingup', 'thesis')}, and RL solved R\\*. "
+        f"`tanh`, `standardised` and `soap` have {better}; `batch`, `start`, `squared` and `units` {poor}.",
+        f"DDPG under `native` scores {each('ddpg', 'cartpole', 'thesis')} on cart-pole with `thesis`.",
         f"π\\* of `batch` scores {each('star', 'cartpole', 'batch')} on cart-pole, that of `thesis` "
         f"{each('star', 'cartpole', 'thesis')}.",
         f"With an end that pays 0, π_R on cart-pole scores {after[0]} after 10 epochs, {after[1]} after one, "
