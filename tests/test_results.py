@@ -123,3 +123,57 @@ def test_the_tables_of_the_two_by_two_are_those_of_the_files(env: str) -> None:
         (line[0], name): score for line in lines for name, score in zip(heading[1:], line[1:], strict=True)
     }
     assert shown == scores
+
+
+def claims_of_arms(rows: list[dict[str, str]]) -> list[str]:
+    """Return what the page says of the thesis's arms. Scores of one arm are by seed."""
+    returns = {(row["arm"], row["env"], row["seed"]): row["pi_R"] for row in rows}
+    fits = [row for row in rows if row["star"]]
+    arms = dict.fromkeys(row["arm"] for row in fits if not row["arm"].startswith("ep"))
+
+    def scores(name: str, env: str, *names: str) -> list[float]:
+        found = []
+        for row in (row for row in fits if row["env"] == env and row["arm"] in names and row[name]):
+            least, most = (float(returns[arm, env, row["seed"]]) for arm in ("random", "expert"))
+            found.append((float(row[name]) - least) / (most - least))
+        return found
+
+    def each(name: str, env: str, *names: str) -> str:
+        return ", ".join(f"{score:z.2f}" for score in scores(name, env, *names))
+
+    def share(name: str, env: str, least: float) -> str:
+        found = scores(name, env, *arms)
+        return f"{sum(score >= least for score in found)} of {len(found)}"
+
+    shown, away = (max(float(row[name]) for row in fits) for name in ("eig_shown", "eig_away"))
+    poor = each("pi_R", "swingup", "batch", "start", "squared", "units")
+    better = each("pi_R", "swingup", "tanh", "standardised", "soap")
+    (solved,) = {row["solved_pi_R"] for row in fits if (row["arm"], row["env"]) == ("thesis", "swingup")}
+    assert solved == "1"
+    told = ("10 epochs", "one", "100", "10 with epsilon 1e-7")
+    trained = dict(zip(told, ("thesis", "epochs_1", "epochs_100", "epsilon_1e-7"), strict=True))
+    after = [
+        ", ".join(f"{each(name, 'cartpole', arm)} after {epochs}" for epochs, arm in trained.items())
+        for name in ("zero", "star")
+    ]
+    return [
+        f"Over {len(fits)} fits the mean eigenvalue of LLᵀ is at most {shown:.0e} at demonstrations and "
+        f"{away:.1g} in a random policy's episodes.",
+        "Where an end pays 0, π_R scores 0.3 or more for "
+        f"{share('zero', 'cartpole', 0.3)} fits on cart-pole and {share('zero', 'highway', 0.3)} on highway; "
+        "with the default, 0.9 or more for "
+        f"{share('pi_R', 'cartpole', 0.9)} and {share('pi_R', 'highway', 0.9)}.",
+        f"On the swing-up π_R of `thesis` scores {each('pi_R', 'swingup', 'thesis')}, and RL solved R\\*. "
+        f"`tanh`, `standardised` and `soap` have {better}; `batch`, `start`, `squared` and `units` {poor}.",
+        f"DDPG under `native` scores {each('ddpg', 'cartpole', 'thesis')} on cart-pole with `thesis`.",
+        f"π\\* of `batch` scores {each('star', 'cartpole', 'batch')} on cart-pole, that of `thesis` "
+        f"{each('star', 'cartpole', 'thesis')}.",
+        f"With an end that pays 0, π_R on cart-pole scores {after[0]}.",
+        f"π\\* there scores {after[1]}.",
+    ]
+
+
+def test_what_the_thesiss_arms_show_is_that_of_the_file() -> None:
+    claims = claims_of_arms(rows_of(ROOT / "results/studies/thesis_arms.csv"))
+    page = marked("results/reference/thesis/FINDINGS.md", "what the arms show").splitlines()
+    assert page == [f"- {claim}" for claim in claims]

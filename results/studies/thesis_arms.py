@@ -143,7 +143,8 @@ if __name__ == "__main__":
     parser.add_argument("--epochs", action="store_true")
     asked = parser.parse_args()
     if asked.epochs:
-        asked.envs, asked.arms, asked.seeds = "cartpole", ",".join(EPOCHS), seeds_of("100-104")
+        asked.envs, asked.seeds = "cartpole", seeds_of("100-104")
+        asked.arms = ",".join((*REFERENCES, "thesis", *EPOCHS))
     if not asked.file.exists():
         asked.file.write_text(",".join(COLUMNS) + "\n", encoding="utf-8")
     lines = csv.DictReader(asked.file.read_text(encoding="utf-8").splitlines())
