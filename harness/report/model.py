@@ -142,8 +142,8 @@ class Board:
         return f"{best.method} {score(best)}{seeds}{''.join(words)}"
 
     def equals(self, policy: str) -> str:
-        """Return that no method is significantly worse by this policy than the highest mean, with the least
-        that would have shown; an empty text where some are, or none is compared."""
+        """Return that no method is significantly worse by this policy, with the least that would have shown.
+        It is empty where one is, or none is compared."""
         best = self.best(policy)
         compared = [e for e in self.entries if e.policy == policy and math.isfinite(e.behind)]
         if best is None or not compared or any(e.behind_p <= ALPHA for e in compared):

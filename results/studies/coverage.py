@@ -108,7 +108,7 @@ def board(rates: Sequence[float], n: int, tasks: int, seed: int) -> Board:
 
 def lines(draws: int, resamples: int, boards: int) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the file. The numbers are those of simulations: for a success rate, for a group of
-    stored scores, and of boards."""
+    stored scores, and of boards, a quarter of these for the power among thirteen methods."""
     for n, name in itertools.product((5, 10), INTERVALS):
         for rate in (0.5, 0.8, 0.9):
             pool = [1.0] * round(10 * rate) + [0.0] * round(10 - 10 * rate)
@@ -117,16 +117,17 @@ def lines(draws: int, resamples: int, boards: int) -> Iterator[tuple[object, ...
         value, lowest, width = coverage(name, stored(), n, resamples)
         yield "coverage", name, n, 1, 1, "", "", value, lowest, width, resamples
 
-    def shares(rates: Sequence[float], n: int, tasks: int) -> list[float]:
-        return np.mean([board(rates, n, tasks, seed) for seed in range(boards)], axis=0).tolist()
+    def shares(rates: Sequence[float], n: int, tasks: int, count: int) -> list[float]:
+        return np.mean([board(rates, n, tasks, seed) for seed in range(count)], axis=0).tolist()
 
     for (n, tasks), rate in itertools.product(((5, 1), (10, 1), (20, 1), (5, 10)), (0.5, 0.8, 0.9)):
         how = "pairs" if tasks == 1 else "pairs, beside the others"
-        yield "false", how, n, tasks, 13, rate, "", shares([rate] * 13, n, tasks)[0], "", "", boards
+        yield "false", how, n, tasks, 13, rate, "", shares([rate] * 13, n, tasks, boards)[0], "", "", boards
     for methods, other in itertools.product((2, 3, 13), (0.5, 0.6, 0.7)):
-        values = shares([other + 0.3] + [other] * (methods - 1), 5, 10)[1:]
+        count = boards // 4 if methods > 3 else boards
+        values = shares([other + 0.3] + [other] * (methods - 1), 5, 10, count)[1:]
         for how, value in zip(("pair", "any pair", "beside the others"), values, strict=True):
-            yield "power", how, 5, 10, methods, other + 0.3, other, value, "", "", boards
+            yield "power", how, 5, 10, methods, other + 0.3, other, value, "", "", count
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import math
 from pathlib import Path
@@ -126,3 +127,17 @@ def test_boards_of_thirteen_equal_methods_name_no_difference(study: Any, n: int,
 def test_a_method_that_succeeds_30_points_more_often_is_found_over_ten_tasks(study: Any) -> None:
     boards = [study.board([0.8] + [0.5] * 12, 5, 10, seed) for seed in range(20)]
     assert np.mean([board.stands_out for board in boards]) >= 0.8
+
+
+def test_the_stored_simulation_meets_its_bars() -> None:
+    rows = list(csv.DictReader(STUDY.with_suffix(".csv").read_text(encoding="utf-8").splitlines()))
+    values = {
+        (r["what"], r["how"], r["n"], r["tasks"], r["methods"], r["rate"]): float(r["value"]) for r in rows
+    }
+    covered = [value for key, value in values.items() if key[:2] == ("coverage", "mean_interval")]
+    assert len(covered) == 8
+    assert min(covered) >= 0.9
+    assert max(value for key, value in values.items() if key[0] == "false") <= 0.05
+    found = [value for key, value in values.items() if key[:2] == ("power", "beside the others")]
+    assert len(found) == 9
+    assert min(found) >= 0.8
