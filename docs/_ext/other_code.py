@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import re
 from typing import Any, cast
 
 from boards import ROOT, table
@@ -28,7 +29,8 @@ def page() -> str:
     beside = {row["method"]: row for row in rows("against_others.csv")}
     lines = [[f"`{name}`", *map(inline, [*beside[name].values()][1:])] for name in METHODS | VARIANTS]
     settings = [
-        (row["method"], inline(row["setting"]), row["theirs"], ours(row)) for row in rows("against_settings.csv")
+        (row["method"], inline(row["setting"]), row["theirs"], ours(row))
+        for row in rows("against_settings.csv")
     ]
     parts = [
         "# Methods beside other code",
@@ -47,9 +49,10 @@ def page() -> str:
 
 def ours(row: dict[str, str]) -> str:
     """Return our setting, which is a field of the method or of a learner, or the text of the row."""
-    method, _, name = row["ours"].partition(".")
-    if not name:
+    named = re.fullmatch(r"(\w+)\.([a-z_]+)", row["ours"])
+    if not named:
         return inline(row["ours"])
+    method, name = named.groups()
     if method == "PPO":
         return told(getattr(SPECS[TASK].rl, name))
     fitted = cast(Any, load_method(method)(**settings_for(method, TASK, "full")))

@@ -1,9 +1,9 @@
 """Fit a method of the library `imitation` 1.0.1 to what `against_others.py demos` wrote.
 
-python results/studies/against_imitation.py METHOD TASK SEED DEMOS FOLDER FILE, in a virtual environment of its
-own with `pip install imitation==1.0.1`: append lines as `against_others.py curve` does. METHOD is bc, dagger,
-gail, gail_mean_state (a discriminator of states), airl, airl_state or sqil. TASK is swingup (Pendulum-v1) or
-cartpole_discrete (CartPole-v1). GAIL and AIRL have settings that were tuned for the swing-up
+python results/studies/against_imitation.py METHOD TASK SEED DEMOS FOLDER FILE, in a virtual environment of
+its own with `pip install imitation==1.0.1`: append lines as `against_others.py curve` does. METHOD is bc,
+dagger, gail, gail_mean_state (a discriminator of states), airl, airl_state or sqil. TASK is swingup
+(Pendulum-v1) or cartpole_discrete (CartPole-v1). GAIL and AIRL have settings that were tuned for the swing-up
 (costs_swingup.csv), all others are the library's, or Stable-Baselines3's.
 """
 
@@ -99,7 +99,13 @@ def game(name: str, shown: Shown, seed: int) -> Points:
         "features_extractor_kwargs": {"normalize_class": networks.RunningNorm},
     }
     ppo = sb3.PPO(
-        base.FeedForward32Policy, copies, **PPO, gamma=GAMMA[kind], seed=seed, device="cpu", policy_kwargs=features
+        base.FeedForward32Policy,
+        copies,
+        **PPO,
+        gamma=GAMMA[kind],
+        seed=seed,
+        device="cpu",
+        policy_kwargs=features,
     )
     trainer, network = {
         "gail": (gail.GAIL, nets.BasicRewardNet),

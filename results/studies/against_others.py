@@ -1,10 +1,13 @@
 """Set methods beside other code on one task, with the same demonstrations and starts of episodes.
 
-python results/studies/against_others.py demos TASK SEED DEMOS FOLDER: write what `against_imitation.py` reads.
+python results/studies/against_others.py demos TASK SEED DEMOS FOLDER: write what `against_imitation.py`
+reads.
 python results/studies/against_others.py curve METHOD TASK SEED DEMOS FILE: fit our method, and append a line
-to a CSV file for each policy on the way. Columns as in against_others_curves.csv. `at`: environment steps that
-RL learned from, actions that the expert gave, or demonstrations. score: 0 is the random policy, 1 the expert,
+to a CSV file for each policy on the way. Columns are those of against_others_curves.csv. `at`: environment
+steps that RL learned from, actions that the expert gave, or demonstrations.
+score: 0 is the random policy, 1 the expert,
 on 50 evaluation episodes of the tuning seed.
+python results/studies/against_others.py picture: draw against_others_curves.csv as against_others.png.
 """
 
 import csv
@@ -13,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
 from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
@@ -24,6 +29,7 @@ from methods.base import Episodes, Payment, Policy, Reward, Rng
 from methods.network import Network
 from methods.settings import settings_for
 
+HERE = Path(__file__).parent
 CONDITIONS = Conditions("full", "absorbing", "sbx")
 EPISODES = 50
 UNITS = {"bc": "demonstrations", "dagger": "expert's actions"}
@@ -92,9 +98,29 @@ def exported(task: Task) -> dict[str, Any]:
     return numbers | shown | {f"expert_{name}": array for name, array in expert.arrays().items()}
 
 
+def picture() -> None:
+    """Draw the curves of methods that learn by RL, one axes a method, one line a seed."""
+    curves = pd.read_csv(HERE / "against_others_curves.csv")
+    curves = curves[curves.unit == "environment steps"]
+    methods = [*dict.fromkeys(curves[curves.code == "imitation"].method)]
+    figure = Figure(figsize=(3.2 * len(methods), 2.8), layout="constrained")
+    for axes, method in zip(
+        figure.subplots(1, len(methods), sharey=True, squeeze=False)[0], methods, strict=True
+    ):
+        for (code, _), line in curves[curves.method == method].groupby(["code", "seed"]):
+            colour = "tab:orange" if code == "imitation" else "tab:blue"
+            axes.plot(line["at"], line.score, color=colour, label=code)
+        labels = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+        axes.legend(labels.values(), labels.keys(), fontsize=7)
+        axes.set(title=method, xlabel="environment steps", ylim=(-0.2, 1.1))
+    figure.savefig(HERE / "against_others.png", dpi=110)
+
+
 if __name__ == "__main__":
     job, *asked = sys.argv[1:]
-    if job == "demos":
+    if job == "picture":
+        picture()
+    elif job == "demos":
         name, seed, demos, folder = asked
         np.savez(Path(folder) / f"{name}_{seed}_{demos}.npz", **exported(Task(name, int(seed), int(demos))))
     elif job == "curve":

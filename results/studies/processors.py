@@ -11,6 +11,7 @@ programs of JAX may compile in it).
 """
 
 import csv
+import itertools
 import os
 import subprocess
 import sys
@@ -28,7 +29,7 @@ def variables(condition: str, library: str) -> dict[str, str]:
     """Return the environment of a condition such as 'fixed epyc', 'fixed epyc no MKL_CBWR'."""
     words = condition.split()
     result = of_cells(words[0] == "fixed")
-    for before, word in zip(words, words[1:], strict=False):
+    for before, word in itertools.pairwise(words):
         if before == "no":
             assert word in SAME_INSTRUCTIONS
             del result[word]
