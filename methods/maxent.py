@@ -11,8 +11,9 @@ In known models `methods.tabular.maxent` is the algorithm line by line.
 Deviates from the paper: elsewhere "solve the MDP" is reinforcement learning that goes on a little in each
 iteration, as in maximum-likelihood IRL (Zeng et al. 2022). The expected visitations E[mu] come from rollouts
 of the stochastic policy that it learns. PPO's is the best in reward plus entropy, as the likelihood demands.
-Soft actor-critic weighs entropy by itself. Other learners have no stochastic policy, and their deterministic
-one is rolled out. pi* is deterministic. The paper's prior on the network's weights is one on its slope here,
+Soft actor-critic weighs entropy by itself. DDPG, TD3 and Q-learning maximise no entropy, and their
+deterministic policy is rolled out. The reward sees actions, too; that of `maxent_state` does not, as in the
+paper. pi* is deterministic. The paper's prior on the network's weights is one on its slope here,
 because with one on its values RL from scratch failed on the swing-up (`docs/tuning.md`). R* is the mean of
 the networks. In the game between reward and policy averages converge, and last choices need not (Freund &
 Schapire 1999; Syed & Schapire 2007). The network sees an absorbing indicator, and visitations count absorbing

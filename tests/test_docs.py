@@ -25,7 +25,7 @@ PAGES = (
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "results").glob("*/README.md")),
 )
-GENERATED = ("methods", "tasks", "api", "thesis", "studies", "changes")
+GENERATED = ("methods", "tasks", "api", "others", "thesis", "studies", "changes")
 """Folders of docs/ whose pages are made as the others are built, which checks links to them."""
 
 

@@ -43,9 +43,11 @@ def write(app: Sphinx) -> None:
     os.chdir(Path(__file__).parents[2])
     try:
         import method_pages
+        import other_code
         import task_pages
 
         found = {"methods": method_pages.pages(), "tasks": task_pages.pages(), "api": {"irl_bench": api()}}
+        found["others"] = {"index": other_code.page()}
         for source, place in OTHERS.items():
             folder, _, name = place.partition("/")
             found[folder] = {name: moved(Path(source), folder)}

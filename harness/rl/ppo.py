@@ -33,6 +33,9 @@ LARGEST_LOG_STD = 0.0
 """The largest logarithm of actions' standard deviation."""
 LAST_LAYER = 0.01
 """The size of an untrained actor's last weights."""
+ALIGNED = 8
+"""Observations are filled up with zeros to a multiple of it. XLA's products of others round by the sizes of
+the processor's caches."""
 
 
 class Kind(NamedTuple):
@@ -83,6 +86,10 @@ class Functions(NamedTuple):
 
 
 def _output(layers: Any, x: Any) -> Any:
+    missing = -x.shape[-1] % ALIGNED
+    (weight, bias), *others = layers
+    x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, missing)])
+    layers = [(jnp.pad(weight, [(0, missing), (0, 0)]), bias), *others]
     for weight, bias in layers[:-1]:
         x = jax.nn.relu(x @ weight + bias)
     weight, bias = layers[-1]

@@ -44,6 +44,9 @@ def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -
     q = (counts + 1 / actions) / (counts.sum(axis=1, keepdims=True) + 1)
     found = soft_policy(soft_value_iteration(tabular.P, r, 0.9)[1])
     np.testing.assert_allclose(found, q, atol=1e-6)
+    # A floor pays what q avoids, and breaks that.
+    floored = soft_policy(soft_value_iteration(tabular.P, np.maximum(r, CSIL.floor), 0.9)[1])
+    assert np.abs(floored - q).sum(axis=1).mean() > 0.3
     # Where nothing was demonstrated it pays nothing.
     np.testing.assert_allclose(r[counts.sum(axis=1) == 0], 0, atol=1e-12)
 
