@@ -29,7 +29,7 @@ def scores() -> pd.DataFrame:
 
 
 def arms() -> str:
-    """Return means over seeds with 95 % intervals, and how many solves solved R*, in Markdown."""
+    """Return means over seeds with 90 % intervals, and how many solves solved R*, in Markdown."""
     lines = []
     for (env, arm), its in scores().groupby(["env", "arm"], sort=False):
         eigenvalues = [f"{its[name].mean():.2g}" for name in ("eig_shown", "eig_away")]
@@ -40,7 +40,7 @@ def arms() -> str:
 
 
 def score(values: pd.Series[float]) -> str:
-    """Return the mean and its 95 % interval; '' without values, and the mean alone of fewer than three."""
+    """Return the mean and its 90 % interval; '' without values, and the mean alone of fewer than three."""
     values = values.dropna()
     if values.empty:
         return ""
