@@ -1,4 +1,4 @@
-"""Fits of two parts, the first of which several methods share."""
+"""Fits of two parts. Several methods share the first."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ class TwoParts:
         raise NotImplementedError
 
     def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:
-        """Return the result of both parts. By default there is no second one."""
+        """Return the result of both parts, by default that of the first."""
         return first

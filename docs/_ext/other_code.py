@@ -11,7 +11,7 @@ from boards import ROOT, table
 from method_pages import told
 from plain_docstrings import inline
 
-from harness.registry import METHODS, SPECS, VARIANTS, load_method
+from harness.registry import METHODS, SPECS, THESIS, VARIANTS, load_method
 from methods.settings import settings_for
 
 STUDIES = ROOT / "results/studies"
@@ -27,7 +27,9 @@ def rows(name: str) -> list[dict[str, str]]:
 def page() -> str:
     """Return the page in Markdown, with a row for each method of `irl-bench list`."""
     beside = {row["method"]: row for row in rows("against_others.csv")}
-    lines = [[f"`{name}`", *map(inline, [*beside[name].values()][1:])] for name in METHODS | VARIANTS]
+    arms = {*THESIS} - {"shaped_thesis"}
+    shown = [name for name in METHODS | VARIANTS if name not in arms]
+    lines = [[f"`{name}`", *map(inline, [*beside[name].values()][1:])] for name in shown]
     settings = [
         (row["method"], inline(row["setting"]), row["theirs"], ours(row))
         for row in rows("against_settings.csv")
