@@ -5,6 +5,11 @@ steps, and not for its own. Half of each batch is demonstrated. It learns no dis
 
 Payments are never negative. Under protocol `native` an end pays 0, so the agent prefers to live
 (docs/termination.md). pi* is the last policy, because no reward can rank its checkpoints.
+
+Deviates from the paper: soft actor-critic learns its weight of entropy, where the paper's is fixed. More
+steps can make it worse, since own steps like the demonstrations are paid 0. On cart-pole the value of
+demonstrated steps exceeds that of the latest own ones by 1.7 after 4,000 steps, and by -0.3 after 20,000,
+with a score of 0.76 between (`results/studies/sqil_steps.csv`, one seed).
 """
 
 from dataclasses import dataclass
