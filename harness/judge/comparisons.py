@@ -22,7 +22,7 @@ CONTROLS = ("control_clone", "control_survival")
 ROUNDED = 0.01
 """The multiple that differences are rounded to in tests, as tables show them."""
 MOST_EXACT = 200
-"""Differences of an exact test; more are taken as normal."""
+"""Differences other than 0 of an exact test; more are taken as normal."""
 Scores = Mapping[tuple[str, int], float]
 """Scores by task and seed."""
 Pair = tuple[str, str]
@@ -52,7 +52,8 @@ def p_value(values: Array, options: Sequence[Array]) -> float:
     All are rounded to `ROUNDED`, or a thousandth of the largest. Of differences -1, 0 and 1, with both signs
     as options, this is the exact test of McNemar (1947).
     """
-    if not len(values):
+    options = [option for option in options if option.any()]
+    if not options:
         return 1.0
     every = np.concatenate(options)
     unit = max(ROUNDED, float(np.abs(every).max()) / 1000)
@@ -115,7 +116,7 @@ def stand_out(scores: Mapping[str, Scores]) -> dict[str, Difference]:
 
     It is over the tasks and seeds that another one has, too, and tasks weigh the same. Without a difference,
     its score is as likely as any other method's there to be its own. The detectable difference is that of a
-    normal sum.
+    normal sum, and NaN where the largest possible one would not be found.
     """
     all_values, all_options = {}, {}
     for method, mine in scores.items():
@@ -136,7 +137,10 @@ def stand_out(scores: Mapping[str, Scores]) -> dict[str, Difference]:
     for method, p in adjusted.items():
         count = len(all_values[method])
         spread = math.sqrt(sum(float(np.square(option).mean()) for option in all_options[method]))
-        differences[method] = Difference(float(all_values[method].mean()), p, count, errors * spread / count)
+        largest = np.array([option.max() for option in all_options[method]])
+        can_show = len(adjusted) * p_value(largest, all_options[method]) <= ALPHA
+        least = errors * spread / count if can_show else math.nan
+        differences[method] = Difference(float(all_values[method].mean()), p, count, least)
     return differences
 
 

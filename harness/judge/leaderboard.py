@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from harness.judge.comparisons import detectable
 from harness.judge.rows import LOWER, by_shown, is_rival, mean, role_of, scales_of, scores_of
 from harness.judge.standings import Standing, standings_of
 from harness.judge.statistics import interquartile_mean, mean_interval, share_interval
@@ -266,7 +265,7 @@ def _entry(rows: list[Row], shown: Shown, above: float, share: float, standing: 
         behind_p=to_best.p if to_best else math.nan,
         better_than=standing.names(1),
         worse_than=standing.names(-1),
-        detectable=detectable(len(scores), standing.comparisons) if standing.comparisons else math.nan,
+        detectable=standing.detectable,
         above_best_lower_control=above,
         share_of_true=share,
         note=_note(rows),

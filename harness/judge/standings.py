@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,12 +16,17 @@ Seeds = Mapping[int, float]
 @dataclass(frozen=True)
 class Standing:
     """A method among others. `best`: the one with the highest mean. `same_policy_as`: as in `Entry`.
-    `differences`: to the others, by their names. `comparisons`: the number of all comparisons."""
+    `differences`: to the others, by their names."""
 
     best: str = ""
     same_policy_as: str = ""
     differences: Mapping[str, Difference] = field(default_factory=dict)
-    comparisons: int = 0
+
+    @property
+    def detectable(self) -> float:
+        """The smallest difference that the pair with the fewest shared seeds would have shown."""
+        fewest = min(self.differences.values(), key=lambda one: one.pairs, default=None)
+        return math.nan if fewest is None else fewest.detectable
 
     def names(self, sign: int) -> str:
         """Return the names of those that it differs from significantly, with a difference of this sign."""
@@ -42,5 +48,5 @@ def standings_of(scores: Mapping[str, Seeds], policy: str) -> dict[tuple[str, st
     standings = {}
     for method in rivals:
         mine = {other: one for (name, other), one in differences.items() if name == method}
-        standings[method, policy] = Standing(best, same.get(method, ""), mine, len(differences) // 2)
+        standings[method, policy] = Standing(best, same.get(method, ""), mine)
     return standings

@@ -28,7 +28,7 @@ _FREQUENCIES = np.exp(np.arange(-14, 8, STEP))[:, None]
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Return the interval of the mean of independent scores within `RANGE` (Gaffke 2005), to six digits.
+    """Return the interval of the mean of independent scores within `RANGE` (Gaffke 2005), to four digits.
 
     An end is a quantile of the mean of the values and that end of the range, with weights uniform on the
     simplex. Of zeros and ones this is the interval of Clopper & Pearson (1934), so equal scores have a width.

@@ -150,7 +150,7 @@ class Board:
             return ""
         seen, least = math.isfinite(best.detectable), as_text(best.detectable, ".2f")
         shows = f"show {least} or more" if seen else "cannot show any"
-        count = best.seeds_scored
+        count = min(e.seeds_scored for e in (best, *compared))
         return f"no significant difference ({count} seed{'s' * (count > 1)} {shows})"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import shlex
 import shutil
 import sys
@@ -141,8 +142,9 @@ def _best(report: Report, policy: str) -> str:
     if compared := [line for line in report.across.lines if line.policy == policy and line.beside]:
         apart = [f"{x.method} {x.beside.mean:+.2f}" for x in compared if x.beside and x.beside.is_significant]
         tasks = f"over {len(compared[0].scores)} tasks, beside the other methods' mean"
-        least = max(x.beside.detectable for x in compared if x.beside)
-        lines.append(f"{tasks}: {some(apart) or f'no significant difference ({least:.2f} shows)'}")
+        least = max((x.beside.detectable for x in compared if x.beside), key=lambda x: (math.isnan(x), x))
+        shows = "they cannot show any" if math.isnan(least) else f"{least:.2f} shows"
+        lines.append(f"{tasks}: {some(apart) or f'no significant difference ({shows})'}")
     mine = [(board.name, e) for board in boards for e in board.entries if e.policy == policy]
     asking = dict.fromkeys(e.method for _, e in mine if e.role == ASKS and e.seeds_ok)
     lines += [f"{method} {ASKS} and is not ranked" for method in sorted(asking)]

@@ -141,3 +141,14 @@ def test_the_stored_simulation_meets_its_bars() -> None:
     found = [value for key, value in values.items() if key[:2] == ("power", "beside the others")]
     assert len(found) == 9
     assert min(found) >= 0.8
+
+
+def test_a_difference_that_nothing_could_show_is_not_detectable() -> None:
+    a, b = ({(task, 0): score for task in ("x", "y")} for score in (1.0, 0.0))
+    assert all(math.isnan(one.detectable) for one in stand_out({"a": a, "b": b}).values())
+    many = {(f"{task}", seed): 1.0 for task in range(4) for seed in range(5)}
+    assert all(one.detectable < 1 for one in stand_out({"a": many, "b": dict.fromkeys(many, 0.0)}).values())
+
+
+def test_equal_pairs_change_no_p_value() -> None:
+    assert sign_flips([1.0] * 5 + [0.0] * 300) == sign_flips([1.0] * 5) == 0.0625

@@ -37,7 +37,7 @@ def test_five_lines_give_the_results_and_where_to_look() -> None:
     counts = "26 ok, 1 failed, 6 missing; budget quick, protocol absorbing, 3 seeds; "
     assert lines["cells"].startswith(counts)
     assert "why some failed: results/latest/run.log; --retry-failed tries them again" in lines["cells"]
-    nothing = "no significant difference (3 seeds cannot show any)"
+    nothing = "no significant difference (2 seeds cannot show any)"
     assert lines["pi*"] == f"cartpole: bc 0.95 [0.35, 0.98], {nothing}"
     assert lines["pi_R"] == f"cartpole: shaped 0.86 [0.32, 0.95], {nothing}"
     where = "results/latest/report.html, and scores.csv there; tables: irl-bench report --print "
