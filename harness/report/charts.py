@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator
 
@@ -61,9 +62,9 @@ def scores_figure(boards: Sequence[Board]) -> Figure:
     for number_, (board, names) in enumerate(zip(boards, rows, strict=True)):
         axes = figure.add_subplot(grid[number_])
         figures.label_rows(axes, names)
-        axes.set_title(f"{board.name}{f' ({NO_RESULT}: {board.flag})' if board.flag else ''}")
+        axes.set_title(f"{board.name}{f': {NO_RESULT}' if board.flag else ''}")
         _draw_scores(axes, board, partial(figures.scatter, axes))
-    axes.set_xlabel(f"normalized score: 0 random, 1 the expert; dots: seeds, bars: {LEVEL} intervals")
+    axes.set_xlabel(f"normalized score: 0 random, 1 the expert\ndots: seeds, bars: {LEVEL} intervals")
     for policy, (colour, marker) in LOOKS.items():
         axes.scatter([], [], color=colour, marker=marker, label=NAMES[policy])
     if any(entry.is_unsolved for board in boards for entry in board.entries):
@@ -99,12 +100,12 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> Non
         shift = -0.2 if policy == "pi_star" else 0.2
         ys = [place[e.method] + shift * (e.method in both) for e in mine]
         small = [
-            (row.normalized_score, y, (colour, 0.45) if counts(row) else PAPER)
+            (row.normalized_score, y, to_rgba(colour, 0.45) if counts(row) else to_rgba(PAPER))
             for e, y in zip(mine, ys, strict=True)
             for row in dots[e.method, policy][:MOST_DOTS]
         ]
         xs, rows, inner = zip(*small, strict=True) if small else ([], [], [])
-        axes.scatter(xs, rows, 8, color=inner, linewidths=0.5, edgecolors=[(colour, 0.7)])
+        axes.scatter(xs, rows, 8, color=inner, linewidths=0.5, edgecolors=to_rgba(colour, 0.7))
         spans(axes, [((e.score_low, y), (e.score_high, y)) for e, y in zip(mine, ys, strict=True)], colour)
         for hollow in (False, True):
             some = [(e, y) for e, y in zip(mine, ys, strict=True) if e.is_unsolved == hollow]

@@ -68,7 +68,7 @@ def table(report: Report, kind: str, env: str | None = None) -> str:
     boards = _boards(report, env)
     if kind == "csv":
         return as_csv(frame_of([entry for board in boards for entry in board.entries], ENTRY_FIELDS))
-    tables = [Table(board.name, visible("scores"), board.entries) for board in boards]
+    tables = [Table(board.heading, visible("scores"), board.entries) for board in boards]
     if kind == "tex":
         return "% \\usepackage{booktabs}\n" + "\n".join(one.as_latex() for one in tables)
     return "\n".join(f"## {one.name}\n\n{one.as_markdown()}" for one in tables)
@@ -99,7 +99,7 @@ def _leaderboard_md(report: Report) -> str:
     if across.table.items or across.notes:
         parts.append(f"## Across environments\n\n{_listed(across.notes)}\n{across.table.as_markdown()}")
     for board in report.shown:
-        parts.append(f"## {board.name}{f': {facts.NO_RESULT}, {board.flag}' if board.flag else ''}\n")
+        parts.append(f"## {board.heading}\n")
         tables = [
             Table("scores", visible("scores"), board.entries),
             Table("rewards", visible("rewards"), board.scored("pi_R")),

@@ -83,6 +83,11 @@ class Board:
         return self.entries[0].env
 
     @property
+    def heading(self) -> str:
+        """Its name, and why it is no result."""
+        return f"{self.name}: {facts.NO_RESULT}, {self.flag}" if self.flag else self.name
+
+    @property
     def is_nominal(self) -> bool:
         """True where the dynamics are the environment's own."""
         return self.entries[0].dynamics == NOMINAL

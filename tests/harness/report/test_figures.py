@@ -118,6 +118,9 @@ def test_tables_for_papers_have_the_boards_scores() -> None:
     assert md.startswith("## cartpole\n\n| Method | Policy | Score [90 %] |")
     assert text.count("\ncartpole,") == sum(entry.env == "cartpole" for entry in report.entries)
     assert table(report, "tex").count(r"\begin{tabular}") == len(ENVS)
+    smoke = replace(REQUEST, conditions=replace(REQUEST.conditions, budget="smoke"))
+    for kind in ("tex", "md"):
+        assert table(build(smoke, make_results()), kind).count("NOT A RESULT") == len(ENVS)
 
 
 @pytest.mark.parametrize(
