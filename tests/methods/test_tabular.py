@@ -168,6 +168,13 @@ def test_feature_expectations_weigh_steps_by_discounts_that_sum_to_1(
     np.testing.assert_allclose(feature_expectations(one, world, world.phi), expected)
 
 
+def test_shown_steps_stand_for_all_in_feature_expectations(world: Any) -> None:
+    some = Episodes((np.zeros((3, 3)),), (np.ones((3, 2)),), (True,), (np.array([1, 4, 6]),), (9,))
+    living = sum(0.9**t for t in range(9)) / sum(0.9**t for t in range(10))
+    expected = [living, living, living, 1 - living]
+    np.testing.assert_allclose(feature_expectations(some, world, world.phi), expected)
+
+
 def test_the_closest_policy_is_returned_with_the_mean_of_the_latest_rewards(
     world: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
