@@ -10,9 +10,10 @@ whose posterior is known without descent. Its width and noise have the highest e
 Deviates from the paper: its q is a network with a periodic last layer, fitted with its variance by gradient.
 Its critic is trained on the demonstrations first, while here they are half of every batch if every step is
 shown. Its reward goes on learning, by a bound on the policy's distance. Here R* is fixed, and never below 0.
-The floor pays actions that q avoids, so q is then not soft-optimal for R*. On three tables of 16 states the
-soft-optimal policy is off by 0.14 to 0.18 in total variation. With -5 instead pi* scored less on three of
-three seeds of cartpole_swingup (`results/studies/adversarial_tuning.csv`). Soft actor-critic tunes its own
+The floor pays actions that q avoids, so q is then not soft-optimal for R*. In a small table the soft-optimal
+policy is off by more than 0.15 in total variation (`tests/methods/test_csil_sqil_dagger.py`). With -5 instead
+pi* scored less on three of three seeds of cartpole_swingup, and pi_R on two
+(`results/studies/adversarial_tuning.csv`). Soft actor-critic tunes its own
 entropy weight, relative to uniform actions and not to p, so q does not solve the game that is played. In
 known models q is a table of counts, and its reward is solved exactly.
 """

@@ -9,9 +9,10 @@ nothing. Figure 4.3 needs both `keras.layers.add` and `keras.layers.merge`, so K
 defaults there: weights of `glorot_uniform`, biases of 0, batches of 32, and RMSprop with learning rate 0.001,
 rho 0.9 and epsilon 1e-8.
 
-Figure 4.4 builds one matrix of a whole batch, of B examples with one action each. It returns one number.
+Figure 4.4 builds one matrix of a whole batch, of B examples with one action each. With d_i = a_i - f(s_i) and
+l_i = L(s_i) it returns one number.
 
-    R = -(sum_i l_i^2 (sum_i d_i)^2 + sum_i d_i^2),     d_i = a_i - f(s_i),  l_i = L(s_i)
+    R = -(sum_i l_i^2 (sum_i d_i)^2 + sum_i d_i^2)
 
 That is eq. 4.3 for one example. With two actions it multiplies shapes that do not fit.
 

@@ -7,9 +7,9 @@ Payments are never negative. Under protocol `native` an end pays 0, so the agent
 (docs/termination.md). pi* is the last policy, because no reward can rank its checkpoints.
 
 Deviates from the paper: soft actor-critic learns its weight of entropy, where the paper's is fixed. More
-steps can make it worse, since own steps like the demonstrations are paid 0. On cart-pole the value of
-demonstrated steps exceeds that of the latest own ones by 1.7 after 4,000 steps, and by -0.3 after 20,000,
-with a score of 0.76 between (`results/studies/sqil_steps.csv`, one seed).
+steps can make it worse, and why is not known. On cart-pole the value of demonstrated steps exceeds that of
+the latest own ones by 1.7 after 4,000 steps, and by -0.3 after 20,000. The score is 0.76 after 16,000 and 1
+at four other checks (`results/studies/sqil_steps.csv`, one seed).
 """
 
 from dataclasses import dataclass

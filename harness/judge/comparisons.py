@@ -130,15 +130,14 @@ def stand_out(scores: Mapping[str, Scores]) -> dict[str, Difference]:
         if shared:
             all_values[method], all_options[method] = np.array(values), options
     p_values = {method: p_value(its, all_options[method]) for method, its in all_values.items()}
-    adjusted = holm(p_values) if len(p_values) > 2 else p_values
-    tests = len(p_values) if len(p_values) > 2 else 1
+    adjusted, tests = (holm(p_values), len(p_values)) if len(p_values) > 2 else (p_values, 1)
     errors = NormalDist().inv_cdf(1 - ALPHA / 2 / tests) + NormalDist().inv_cdf(POWER)
     differences = {}
     for method, p in adjusted.items():
         count = len(all_values[method])
         spread = math.sqrt(sum(float(np.square(option).mean()) for option in all_options[method]))
         largest = np.array([option.max() for option in all_options[method]])
-        can_show = len(adjusted) * p_value(largest, all_options[method]) <= ALPHA
+        can_show = tests * p_value(largest, all_options[method]) <= ALPHA
         least = errors * spread / count if can_show else math.nan
         differences[method] = Difference(float(all_values[method].mean()), p, count, least)
     return differences

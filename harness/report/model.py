@@ -84,7 +84,7 @@ class Board:
 
     @property
     def heading(self) -> str:
-        """Its name, and why it is no result."""
+        """The name, with the flag if there is one."""
         return f"{self.name}: {facts.NO_RESULT}, {self.flag}" if self.flag else self.name
 
     @property

@@ -143,11 +143,11 @@ def test_the_stored_simulation_meets_its_bars() -> None:
     assert min(found) >= 0.8
 
 
-def test_a_difference_that_nothing_could_show_is_not_detectable() -> None:
-    a, b = ({(task, 0): score for task in ("x", "y")} for score in (1.0, 0.0))
-    assert all(math.isnan(one.detectable) for one in stand_out({"a": a, "b": b}).values())
-    many = {(f"{task}", seed): 1.0 for task in range(4) for seed in range(5)}
-    assert all(one.detectable < 1 for one in stand_out({"a": many, "b": dict.fromkeys(many, 0.0)}).values())
+@pytest.mark.parametrize("pairs", range(2, 8))
+def test_a_difference_is_detectable_where_the_largest_one_would_be_significant(pairs: int) -> None:
+    a, b = ({("x", seed): score for seed in range(pairs)} for score in (1.0, 0.0))
+    for one in stand_out({"a": a, "b": b}).values():
+        assert math.isfinite(one.detectable) == one.is_significant == (pairs >= 6)
 
 
 def test_equal_pairs_change_no_p_value() -> None:
