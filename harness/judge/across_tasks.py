@@ -74,6 +74,8 @@ def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
     """
     mine = [row for row in rows if row.method not in (REFERENCE, *ASKING) and row.env not in without]
     envs = sorted({row.env for row in rows} - {*without})
+    if len(envs) < 2:
+        return []
     lines = []
     for policy in ("pi_star", "pi_R"):
         scores: dict[str, dict[tuple[str, int], float]] = {}
@@ -84,8 +86,6 @@ def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
         whole = {
             m: its for m, its in scores.items() if m not in same and len({e for e, _ in its}) == len(envs)
         }
-        if len(envs) < 2:
-            continue
         rivals = {m: its for m, its in whole.items() if is_rival(m)}
         beside, differences = pooled(rivals)
         significant = {pair: one.mean for pair, one in differences.items() if one.is_significant}

@@ -78,8 +78,8 @@ class Entry:
     worse_than: str
     """Methods and controls whose scores are significantly higher."""
     detectable: float
-    """The smallest difference to a method that always succeeds that `seeds_scored` seeds show with power 0.8.
-    Empty where they show none."""
+    """The smallest difference to a method that always succeeds that the pair with the fewest shared seeds
+    shows with power 0.8. Empty where it shows none."""
     above_best_lower_control: float
     """pi_R rows: mean score minus the best mean score of lower controls, over the seeds that all have."""
     share_of_true: float
