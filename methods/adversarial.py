@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -22,6 +22,7 @@ from torch.nn.functional import softplus
 
 from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Rng, Transitions, World
 from methods.network import ADAM, Contrast, contrast, standardiser
+from methods.ranges import Between, Count, Layers, Positive, Rate, Weight
 from methods.rewards import MeanReward
 from methods.visits import sample, seen_by_both
 
@@ -45,26 +46,26 @@ class Outcome(NamedTuple):
 class Game:
     """Hyper-parameters of adversarial methods."""
 
-    layers: tuple[int, ...] = (64, 64)
+    layers: Layers = (64, 64)
     """Hidden layers of the reward's networks."""
-    iterations: int = 20
+    iterations: Count = 20
     """Turns of each player."""
-    rl_share: float = 0.06
+    rl_share: Positive = 0.06
     """Environment steps of each turn of the agent, as a share of a solve from scratch."""
-    reward_steps: int = 100
+    reward_steps: Count = 100
     """Gradient steps of each turn of the reward."""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """Learning rate of the reward, by Adam."""
-    batch: int = 256
+    batch: Count = 256
     """Demonstrated steps in each gradient step of the discriminator, and as many of the agent's."""
-    latest: int = 3000
+    latest: Count = 3000
     """Latest steps of the agent that are sampled from. PPO remembers fewer."""
-    slope_penalty: float = 1.0
+    slope_penalty: Annotated[Weight, Between(0.01, 100)] = 1.0
     """Weight of the reward's mean squared slope between demonstrations and the agent's steps
     (`contrast_among_living`), on standardised observations."""
-    final_share: float = 0.5
+    final_share: Positive = 0.5
     """Environment steps under the mean of all rewards at the end, as a share of a solve from scratch."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes of random actions that standardise observations. Where the model is known, also episodes of
     the agent in each turn."""
 

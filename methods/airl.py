@@ -19,6 +19,7 @@ ones swing, and pi* comes from reinforcement learning on that (`methods.adversar
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from torch import Tensor, nn
 from methods.adversarial import Game, Turn
 from methods.base import Array, Episodes, Learned, Rng, StochasticPolicy, Transitions, Unsuitable, World
 from methods.network import mlp
+from methods.ranges import Between, Count, Positive, Weight
 from methods.rewards import NetworkReward
 from methods.tabular import airl as tabular
 from methods.visits import visited
@@ -38,13 +40,13 @@ class AIRL(Game):
 
     actions: bool = True
     """True if g sees actions, besides observations."""
-    entropy: float = 1.0
+    entropy: Annotated[Weight, Between(0.1, 10)] = 1.0
     """PPO's reward of a nat of its policy's entropy."""
-    most_sure: float = 1.0
+    most_sure: Annotated[Positive, Between(0.3, 3)] = 1.0
     """Bound, for each entry of actions, on their log density relative to uniform actions."""
-    known_steps: int = 1000
+    known_steps: Count = 1000
     """Steps of gradient descent where the model is known, each followed by a solve for the policy."""
-    known_rate: float = 0.1
+    known_rate: Positive = 0.1
     """Learning rate where the model is known, by Adam."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

@@ -21,6 +21,7 @@ known models q is a table of counts, and its reward is solved exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -29,6 +30,7 @@ from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, Unsuitable, World
 from methods.bc import BehaviourCloning
 from methods.network import ROWS, standardiser
+from methods.ranges import Between, Count, Level, Positive
 from methods.tabular.model import TabularReward, demonstrated
 from methods.visits import seen_by_both
 
@@ -43,17 +45,17 @@ JITTER = 1e-6  # term added to the kernel of a place with itself, because places
 class CSIL(BehaviourCloning):
     """CSIL's hyper-parameters, besides those of the clone that reinforcement learning goes on from."""
 
-    places: int = 256
+    places: Annotated[Count, Between(64, 512)] = 256
     """Demonstrated observations that stand for q."""
-    least_noise: float = 0.03
+    least_noise: Annotated[Positive, Between(0.01, 0.3)] = 0.03
     """Smallest standard deviation of q's actions."""
-    floor: float = 0.0
+    floor: Level = 0.0
     """Smallest R*. At 0 no step pays less than an end, or than a step where q is p. In the paper one can."""
-    kept: int = 20_000
+    kept: Count = 20_000
     """Demonstrated pairs that q is fitted to, at most."""
-    rl_steps: int = 40_000
+    rl_steps: Count = 40_000
     """Environment steps under R*. pi* is the best checkpoint of these."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes of random actions that standardise observations."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

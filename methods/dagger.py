@@ -16,15 +16,16 @@ import numpy as np
 
 from methods.base import Episodes, Learned, Rng, World
 from methods.bc import BehaviourCloning
+from methods.ranges import Count
 
 
 @dataclass(frozen=True)
 class DAgger(BehaviourCloning):
     """DAgger's hyper-parameters, besides those of its clones."""
 
-    rounds: int = 10
+    rounds: Count = 10
     """Clones that act, after the demonstrations."""
-    rollouts: int = 5
+    rollouts: Count = 5
     """Episodes of each clone. The expert is asked at every step."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

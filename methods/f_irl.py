@@ -24,6 +24,7 @@ from torch import nn
 from methods.adversarial import Game, Turn, contrast_among_living
 from methods.base import ABSORBING_STEPS, Array, Episodes, Learned, Rng, Transitions, World
 from methods.network import ADAM, mlp
+from methods.ranges import Count, Positive
 from methods.rewards import NetworkReward
 from methods.tabular import f_irl as tabular
 from methods.visits import sample, visitations, visited
@@ -35,9 +36,9 @@ LARGEST_LOG = 5.0  # bound of log density ratios
 class FIRL(Game):
     """f-IRL's hyper-parameters, besides the game's. `rollouts` also estimate each gradient."""
 
-    known_steps: int = 300
+    known_steps: Count = 300
     """Steps of gradient descent where the model is known."""
-    known_rate: float = 3e-2
+    known_rate: Positive = 3e-2
     """Learning rate where the model is known, by Adam."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

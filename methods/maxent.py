@@ -24,11 +24,13 @@ actions, an end pays at most the mean reward of random steps.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 
 from methods.base import Agent, Array, Episodes, Learned, Policy, Rng, World
 from methods.network import ADAM, contrast, mlp, standardiser
+from methods.ranges import Between, Count, Layers, Positive, Rate, Weight
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.stochastic import EpsilonGreedy
 from methods.tabular import maxent as tabular
@@ -39,31 +41,31 @@ from methods.visits import sample, seen_by_both, visitations
 class MaxEnt:
     """Hyper-parameters of maximum-entropy IRL."""
 
-    layers: tuple[int, ...] = (64, 64)
+    layers: Layers = (64, 64)
     """Hidden layers of the reward network."""
     actions: bool = True
     """True if the reward sees actions, besides observations. Where the model is known it never does."""
-    iterations: int = 20
+    iterations: Count = 20
     """Reward updates, each followed by reinforcement learning that goes on."""
-    rl_share: float = 0.06
+    rl_share: Positive = 0.06
     """Environment steps of each iteration, as a share of a solve from scratch."""
-    entropy: float = 1.0
+    entropy: Annotated[Weight, Between(0.1, 10)] = 1.0
     """PPO's reward of a nat of its policy's entropy, which is 1 in the likelihood."""
-    averaged: int = 20
+    averaged: Count = 20
     """Latest iterations that R* is the mean of, by default all."""
-    final_share: float = 0.5
+    final_share: Positive = 0.5
     """Environment steps under R*, as a share of a solve. pi* is the best checkpoint of these."""
-    reward_steps: int = 100
+    reward_steps: Count = 100
     """Gradient steps on the reward in each iteration."""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """Learning rate of the reward, by Adam."""
-    batch: int = 256
+    batch: Count = 256
     """Visitations sampled from the demonstrations, and as many from the rollouts."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes that estimate a policy's visitations."""
-    remembered: int = 3
+    remembered: Count = 3
     """Latest iterations whose rollouts estimate E[mu]."""
-    slope_prior: float = 1.0
+    slope_prior: Annotated[Weight, Between(0.01, 100)] = 1.0
     """Inverse variance of the Gaussian prior on the reward's slope, observations being standardised."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

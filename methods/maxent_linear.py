@@ -17,12 +17,14 @@ up to the horizon. So the reward of absorption is learned like any state's.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy import optimize
 
 from envs.models import Model
 from methods.base import Array, Episodes, Learned, Policy, Rng, World
+from methods.ranges import Between, Count, Positive, Weight
 from methods.rewards import LinearReward
 from methods.tabular.maxent import log_likelihood
 from methods.tabular.model import demonstrated
@@ -33,15 +35,15 @@ from methods.visits import with_absorbing_steps
 class MaxEntLinear:
     """Hyper-parameters of linear maximum-entropy IRL."""
 
-    iterations: int = 5
+    iterations: Count = 5
     """Reward updates, each followed by reinforcement learning."""
-    rl_share: float = 0.3
+    rl_share: Positive = 0.3
     """Environment steps of each iteration, as a share of a solve from scratch."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes that estimate a policy's mean features."""
-    prior: float = 0.5
+    prior: Annotated[Weight, Between(0.05, 5)] = 0.5
     """Inverse variance of the Gaussian prior on reward values, where the model is not known."""
-    weight_prior: float = 1e-3
+    weight_prior: Annotated[Weight, Between(1e-4, 0.1)] = 1e-3
     """Inverse variance of the Gaussian prior on weights."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

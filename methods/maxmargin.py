@@ -19,7 +19,7 @@ problem separates least from the expert by itself, the one with the smallest |mu
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cvxpy as cp
 import numpy as np
@@ -27,6 +27,7 @@ import numpy as np
 from envs.models import Model
 from methods.base import Array, Episodes, Learned, Phi, Policy, Rng, World
 from methods.fourier import FourierFeatures
+from methods.ranges import Between, Count, CountOrNone, Positive, Weight
 from methods.rewards import LinearReward
 from methods.tabular.model import state_visitations
 from methods.visits import seen_by_both
@@ -38,23 +39,23 @@ TINY = 1e-9  # smallest margin that counts, for weights that separate nothing
 class MaxMargin:
     """Hyper-parameters of maximum margin."""
 
-    iterations: int = 20
+    iterations: Count = 20
     """Times that the learner goes on under new weights, at most."""
-    rl_share: float = 0.05
+    rl_share: Positive = 0.05
     """Environment steps of each iteration, as a share of a solve from scratch."""
-    averaged: int = 20
+    averaged: Count = 20
     """Latest iterations, by default all, whose weights R* is the mean of. Each counts by its margin."""
-    final_share: float = 0.5
+    final_share: Positive = 0.5
     """Environment steps under R*, as a share of a solve from scratch."""
-    epsilon: float = 0.01
+    epsilon: Annotated[Weight, Between(1e-3, 0.1)] = 0.01
     """Largest margin t at which the loop stops, for feature expectations with discounts that sum to 1."""
     projection: bool = False
     """True for weights of the projection method, False for those of the margin problem."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes that estimate a policy's feature expectations."""
-    waves: int = 200
+    waves: Annotated[CountOrNone, Between(50, 500)] = 200
     """Random Fourier features besides the environment's, where the model is not known."""
-    width: float = 0.5
+    width: Annotated[Positive, Between(0.1, 2)] = 0.5
     """Width of their kernel in standard deviations of its inputs, times the root of the number of inputs."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from methods.base import Array, Rng
+from methods.ranges import Between, Count, Positive
 from methods.soap import Soap
 
 torch.set_num_threads(1)
@@ -220,11 +221,11 @@ def descend(
 class Regression:
     """Hyper-parameters of fits to demonstrations by SOAP."""
 
-    learning_rate: float = 1e-2
+    learning_rate: Annotated[Positive, Between(1e-3, 0.1)] = 1e-2
     """Learning rate at the start. It falls to 0."""
-    batch: int = 512
+    batch: Count = 512
     """Rows of each gradient step."""
-    steps: int = 2000
+    steps: Count = 2000
     """Gradient steps."""
 
     def minimise(

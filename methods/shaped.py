@@ -17,6 +17,7 @@ Nothing determines L beyond the demonstrations, and a large one makes life there
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from torch import Tensor
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 from methods.parts import TwoParts
+from methods.ranges import Between, Layers, Weight
 from methods.rewards import default_absorbing
 
 FIRST_L = 0.01  # factor of the last weights of L that torch draws
@@ -37,11 +39,11 @@ carry it away far from demonstrations."""
 class Shaped(TwoParts, Regression):
     """Hyper-parameters, besides those of `Regression`. The layer sizes are those of figure 4.3."""
 
-    f_layers: tuple[int, ...] = (32, 16)
+    f_layers: Layers = (32, 16)
     """Hidden layers of f."""
-    l_layers: tuple[int, ...] = (32, 32)
+    l_layers: Layers = (32, 32)
     """Hidden layers of L."""
-    weight_decay: float = 0.0
+    weight_decay: Annotated[Weight, Between(1e-6, 1e-2)] = 0.0
     """Weight of the sum of all squared weights of f and L in the loss."""
 
     def first(self, demos: Episodes, world: World, rng: Rng) -> Learned:

@@ -22,6 +22,7 @@ of another.
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from torch import Tensor
 
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, mlp, standardiser
+from methods.ranges import Between, Count, Positive, Weight
 from methods.rewards import default_absorbing
 from methods.shaped import Shaped, ShapedReward, shaped_reward
 
@@ -41,13 +43,13 @@ STABLE = 0.999  # largest eigenvalue of a discounted closed loop
 class ShapedML(Shaped):
     """Hyper-parameters, besides those of `Shaped`. L gets as many steps as f."""
 
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes of f with noise, to which the dynamics are fitted."""
-    exploration: float = 0.3
+    exploration: Annotated[Positive, Between(0.1, 1)] = 0.3
     """Standard deviation of that noise."""
-    softness: float = 0.1
+    softness: Annotated[Positive, Between(0.01, 0.9)] = 0.1
     """Standard deviation of C, below 1, in the direction in which actions matter least."""
-    prior: float = 1e-3
+    prior: Annotated[Weight, Between(1e-5, 0.1)] = 1e-3
     """Inverse variance of the Gaussian prior on the weights of costs, whose mean is 1."""
 
     def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:

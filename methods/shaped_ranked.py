@@ -29,6 +29,7 @@ from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, Rng, World
 from methods.network import ADAM, descend, mlp, standardiser
+from methods.ranges import Count, CountOrNone, Layers, Rate, Share
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
 from methods.stochastic import roughened
@@ -41,25 +42,25 @@ SEEN = 1000  # observations of each level that standardise all
 class ShapedRanked(Shaped):
     """Hyper-parameters, besides those of `Shaped`."""
 
-    levels: tuple[float, ...] = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
+    levels: tuple[Share, ...] = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
     """Shares of random actions, ascending."""
-    rollouts: int = 10
+    rollouts: Count = 10
     """Episodes of each level."""
-    comparisons: int = 2000
+    comparisons: Count = 2000
     """Comparisons of two levels."""
-    compared: int = 50
+    compared: Count = 50
     """States of each level in a comparison."""
-    layers: tuple[int, ...] = (64, 64)
+    layers: Layers = (64, 64)
     """Hidden layers of the reward's networks."""
-    networks: int = 3
+    networks: Count = 3
     """Networks that R* is the mean of."""
-    reward_steps: int = 500
+    reward_steps: Count = 500
     """Gradient steps on each network."""
-    reward_batch: int = 32
+    reward_batch: Count = 32
     """Comparisons in each gradient step."""
-    reward_rate: float = 1e-3
+    reward_rate: Rate = 1e-3
     """Learning rate of the reward."""
-    rl_rounds: int = 0
+    rl_rounds: CountOrNone = 0
     """Solves from scratch by reinforcement learning, each under the latest reward. Their states rank below
     f's in the next one."""
 

@@ -34,6 +34,7 @@ from torch import nn
 
 from methods.base import Array, Episodes, Learned, Policy, Rng, Unsuitable, World
 from methods.network import LARGEST_MEAN, Network, Regression, mlp, standardiser
+from methods.ranges import Count, CountOrNone, Layers, Positive, Rate
 from methods.rewards import default_absorbing
 from methods.shaped import FIRST_L, SHARE_OF_L, ShapedReward, shaped_reward
 
@@ -55,17 +56,17 @@ class Clipped:
 class ShapedThesis:
     """Hyper-parameters. The last eight are arms: `shaped` is all of them but the first."""
 
-    epochs: int = 10
+    epochs: Count = 10
     """Passes of RMSprop through the demonstrations."""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """Learning rate of RMSprop."""
-    epsilon: float = 1e-8
+    epsilon: Positive = 1e-8
     """Term added to the root of RMSprop's mean squared gradient."""
-    batch: int = 32
+    batch: Count = 32
     """Rows of each gradient step of RMSprop."""
-    f_layers: tuple[int, ...] = (32, 16)
+    f_layers: Layers = (32, 16)
     """Hidden layers of f."""
-    l_layers: tuple[int, ...] = (32, 32)
+    l_layers: Layers = (32, 32)
     """Hidden layers of L."""
     batch_matrix: bool = False
     """True for figure 4.4's number of a batch as R, False for the mean of eq. 4.3."""
@@ -79,7 +80,7 @@ class ShapedThesis:
     """True if errors and f are in units of the actions' standard deviation, and f begins at their mean."""
     standardised: bool = False
     """True if observations are standardised."""
-    soap_steps: int = 0
+    soap_steps: CountOrNone = 0
     """Gradient steps of SOAP, in batches of its own, in place of RMSprop's epochs. 0 for RMSprop."""
     default_end: bool = False
     """True if an end pays the default of `shaped` (`default_absorbing`), not 0."""

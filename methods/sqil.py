@@ -18,6 +18,7 @@ import numpy as np
 
 from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, Transitions, Unsuitable, World
+from methods.ranges import Count
 from methods.tabular import model as mdp
 from methods.tabular.model import TabularPolicy, demonstrated
 
@@ -26,9 +27,9 @@ from methods.tabular.model import TabularPolicy, demonstrated
 class SQIL:
     """SQIL's hyper-parameters."""
 
-    rl_steps: int = 40_000
+    rl_steps: Count = 40_000
     """Environment steps."""
-    iterations: int = 100
+    iterations: Count = 100
     """Soft policies where the model is known, each solved for with the visits of those before it."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,9 @@ from harness.registry import (
     LearnerName,
     Library,
     Record,
+    base,
     choose,
+    configured,
     keys,
     plugins,
 )
@@ -71,6 +73,9 @@ class RunRequest:
     """
 
     methods: Sequence[str] = ("all",)
+    """Names, each with hyper-parameters or without: 'gail', 'gail(layers=(128, 128))'."""
+    settings: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    """Hyper-parameters of methods, by name, for all of their rows: {'gail': {'layers': (128, 128)}}."""
     envs: Sequence[str] = ("all",)
     seeds: int | Sequence[int] | None = None
     """The number of seeds, from 0, or a list of seeds; None for one, or five at `full`."""
@@ -186,10 +191,15 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
 def _names(asked: RunRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the methods and tasks, and import those of plug-ins. Raises BadInput for unknown ones."""
     methods, envs = ",".join(asked.methods), ",".join(asked.envs)
-    for trouble in plugins.add([str(plugin) for plugin in asked.plugins], [methods, envs]):
+    words = [methods, envs, *(configured.name_of(*own) for own in asked.settings.items())]
+    for trouble in plugins.add([str(plugin) for plugin in asked.plugins], words):
         tell(f"not usable: {trouble}")
     chosen = KNOWN.chosen_envs(",".join(task_or_name(name.strip()) for name in envs.split(",")))
     named = KNOWN.chosen_methods(methods)
+    if others := asked.settings.keys() - {*map(base, named)}:
+        raise BadInput(f"settings are given of {min(others)}, which is not among the methods")
+    own = [configured.name_of(name, asked.settings.get(base(name), {})) for name in named]
+    named = KNOWN.chosen_methods(",".join(own))
     plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
     return named, chosen
 
@@ -204,7 +214,7 @@ def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[st
             yield "--experts none is for demonstrations of a file: --demos-from"
         if asked.transfer:
             yield "--transfer carries the expert over; leave out --experts none"
-        if asking := [method for method in methods if method in ASKING]:
+        if asking := [method for method in methods if base(method) in ASKING]:
             yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
     if asked.demos_from is not None and (len(envs) != 1 or asked.demonstrator != "expert"):
         yield "--demos-from is for one environment, and leaves out --demonstrator"

@@ -23,9 +23,9 @@ from harness.cell.shipped import ShippedExpert, shipped_experts
 from harness.demonstrations.arrays import from_arrays as episodes_from
 from harness.demonstrations.arrays import split, to_arrays
 from harness.records import ALL_SHOWN, UNSHOWN, Conditions, Shown
-from harness.registry import SPECS, BadInput, Demonstrator, load_method
+from harness.registry import SPECS, BadInput, Demonstrator
 from harness.registry.keys import experts_version
-from harness.registry.plugins import settings_for
+from harness.registry.plugins import method_for
 from harness.rl.learned import check_learned
 from harness.rl.seeds import demonstration_seeds, rng_for
 from harness.rl.simulator import Simulator, Trajectory
@@ -218,7 +218,7 @@ class NoExpert(FromFile):
         spec, conditions = self.spec, self.conditions
         demos, steps = self.demonstrations(ALL_SHOWN), spec.rl_steps[conditions.budget]
         world = TaskWorld(spec, conditions.protocol, conditions.rl, solve_steps=steps)
-        method = load_method(STAND_IN)(**settings_for(STAND_IN, self.env, conditions.budget))
+        method = method_for(STAND_IN, self.env, conditions.budget)
         learned = method.fit(demos, world, rng_for(self.seed, self.env, STAND_IN, "fit"))
         check_learned(learned, spec, demos)
         returns = _returns(given.stored(conditions.demonstrations), spec.gamma)

@@ -12,9 +12,9 @@ from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import CellResult, PolicyName
-from harness.registry import THESIS, load_method
+from harness.registry import THESIS, base
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
-from harness.registry.plugins import settings_for
+from harness.registry.plugins import method_for
 from harness.rl.learned import check_learned
 from harness.rl.seeds import rng_for
 from harness.rl.world import TaskWorld
@@ -152,10 +152,10 @@ def learned_by(
     """Return what a method learns with the settings of its environment and budget. `first`: the first part of
     its fit, None where that is still to be done."""
     with inputs.stage("fit"):
-        settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
-        rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_NUMBERS.get(method, method), "fit")
+        name = SAME_NUMBERS.get(base(method), base(method))
+        rng = rng_for(inputs.cell.seed, inputs.cell.env, name, "fit")
         own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
-        made = load_method(method)(**settings)
+        made = method_for(method, inputs.cell.env, inputs.conditions.budget)
         if first and isinstance(made, TwoParts):
             learned = made.go_on(first, own, world, *rng.spawn(1))
         else:

@@ -16,7 +16,7 @@ from harness.cell.phases import Phase
 from harness.cell.shared import Shared
 from harness.cell.sharing import takes_one_solve
 from harness.records import NOMINAL, REFERENCE, Cell, Conditions
-from harness.registry import ASKING
+from harness.registry import ASKING, base
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import TaskWorld
 from methods.base import Policy
@@ -78,8 +78,8 @@ class Inputs:
         return 1 if takes_one_solve(self.cell) else asked
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """Return the random numbers of this cell for one purpose."""
-        return rng_for(self.cell.seed, self.cell.env, self.cell.method, purpose)
+        """Return the random numbers of this cell for one purpose, the same for all settings of its method."""
+        return rng_for(self.cell.seed, self.cell.env, base(self.cell.method), purpose)
 
     def random_policy(self) -> Policy:
         """Return the random policy of the environment and seed, whose actions are the same in every cell."""
@@ -88,7 +88,7 @@ class Inputs:
 
     def world(self) -> TaskWorld:
         """Return a new world for a method, in which the expert answers only methods that ask it."""
-        expert = self.shared.expert.policy if self.cell.method in ASKING else None
+        expert = self.shared.expert.policy if base(self.cell.method) in ASKING else None
         return TaskWorld(
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
             told=lambda steps: self.report(Phase("fit", steps)),

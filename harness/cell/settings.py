@@ -7,7 +7,7 @@ from typing import Any
 
 from harness.cell.experts import task_for
 from harness.records import CONTROL_METHODS, CONTROLS, REFERENCE, Conditions
-from harness.registry import load_method, plugins
+from harness.registry import plugins
 from harness.registry.bounds import LONGEST_TEXT, Setting, Settings, usable
 from harness.store.codec import printable
 
@@ -23,7 +23,7 @@ def settings_of(method: str, env: str, conditions: Conditions) -> Settings:
     spec, settings = task_for(env, conditions), Settings()
     name = CONTROL_METHODS.get(method, method)
     if name not in (REFERENCE, *CONTROLS):
-        settings["method"] = _fields(load_method(name)(**plugins.settings_for(name, env, conditions.budget)))
+        settings["method"] = _fields(plugins.method_for(name, env, conditions.budget))
     settings["learner"] = {"name": "exact"}
     if spec.tabular is None:
         settings["learner"] = {"name": type(spec.rl).__name__, **_fields(spec.rl)}

@@ -22,8 +22,8 @@ from harness.registry import (
     SPECS,
     VARIANTS,
     BadInput,
+    base,
     choose,
-    load_method,
     plugins,
 )
 from harness.registry.gymnasium_tasks import task_or_name
@@ -122,12 +122,12 @@ def _checked(names: Sequence[str], contract: Any) -> int:
     for name in names:
         if name in KNOWN.entries["method"]:
             try:
-                method = load_method(name)(**plugins.settings_for(name, "", "smoke"))
+                method = plugins.method_for(name, "", "smoke")
             except Exception as error:
                 say(f"FAILED  {name}: it can be made without arguments: {in_words(error)}")
                 failed = True
                 continue
-            found = contract.methods.checks(method, name in ASKING)
+            found = contract.methods.checks(method, base(name) in ASKING)
         else:
             found = contract.tasks.checks(SPECS[name])
         for check in found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from harness.cli import values
 from harness.registry import (
@@ -20,6 +21,7 @@ from harness.registry import (
     PROTOCOLS,
     RECORDS,
     VARIANTS,
+    configured,
 )
 
 
@@ -38,6 +40,27 @@ class _Once(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
+class _Settings(argparse.Action):
+    """Settings of methods, collected by method and field."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: object = None,
+    ) -> None:
+        name, is_set, value = values.partition("=")
+        method, _, field = name.rpartition(".")
+        if not (is_set and method and field):
+            parser.error(f"{option} is given as METHOD.FIELD=VALUE, not {values[:80]!r}")
+        settings = {key: dict(own) for key, own in getattr(namespace, self.dest).items()}
+        if field in settings.setdefault(method, {}):
+            parser.error(f"{option} {name} is given twice; rows of their own are in --methods")
+        settings[method][field] = configured.value_in(value)
+        setattr(namespace, self.dest, settings)
+
+
 def add_run(add: argparse.ArgumentParser) -> None:
     """Add the options of `run`."""
     add.add_argument(
@@ -45,7 +68,15 @@ def add_run(add: argparse.ArgumentParser) -> None:
         default="all",
         metavar="all|A,B",
         help=", ".join([*METHODS, *VARIANTS, *METHOD_GROUPS])
-        + "; plugins: those of plug-ins, which 'all' does not include",
+        + "; plugins: those of plug-ins, which 'all' does not include; 'gail(layers=(128, 128))': with "
+        "hyper-parameters of your own (list METHOD --env ENV)",
+    )
+    add.add_argument(
+        "--set",
+        action=_Settings,
+        default={},
+        metavar="METHOD.FIELD=VALUE",
+        help="a hyper-parameter in all rows of a method; may be given more than once",
     )
     add.add_argument(
         "--envs",

@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
 def request_of(args: argparse.Namespace) -> RunRequest:
     """Return the request of a command line."""
     return RunRequest(
-        methods=args.methods.split(","),
+        methods=[args.methods],
+        settings=args.set,
         envs=args.envs.split(","),
         seeds=args.seeds,
         budget=args.budget,

@@ -1,4 +1,5 @@
-"""Comparison of the environment steps that plug-ins' methods and built-in ones take."""
+"""Comparison of the environment steps of plug-ins' methods, and of those with a user's settings, with
+built-in ones."""
 
 from __future__ import annotations
 
@@ -6,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from harness.records import CONTROLS, NOMINAL, REFERENCE, CellResult, Row
-from harness.registry import BUILT_IN, SPECS, load_method, plugins
-from methods.settings import settings_for
+from harness.registry import BUILT_IN, SPECS, plugins
 
 NO_NUMBERS = "It warns of steps that were taken."
 
@@ -31,14 +31,13 @@ def asked(method: Any, rl_steps: int) -> float:
 
 
 def times_as_many(method: str, env: str, budget: str) -> float:
-    """Return about how many times the steps of the built-in method of its class a plug-in's method takes.
+    """Return about how many times the steps of the built-in method of its class another method takes.
 
     By its settings; 1 for all others. The method is imported.
     """
     if not (names := plugins.like(method)):
         return 1.0
-    own = load_method(method)(**plugins.settings_for(method, env, budget))
-    usual = load_method(names[0])(**settings_for(names[0], env, budget))
+    own, usual = (plugins.method_for(name, env, budget) for name in (method, names[0]))
     steps = plugins.task(env).rl_steps[budget]
     most = asked(usual, steps)
     return asked(own, steps) / most if most else 1.0

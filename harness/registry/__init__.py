@@ -27,6 +27,7 @@ from harness.registry.names import (
     Library,
     Record,
     Unfinished,
+    base,
     choose,
 )
 
@@ -60,6 +61,7 @@ __all__ = [
     "Registry",
     "Unfinished",
     "all_specs",
+    "base",
     "choose",
     "load_method",
 ]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
+from harness.registry import configured
 from harness.registry.names import (
     BUILT_IN,
     ENVS,
@@ -21,6 +23,7 @@ from harness.registry.names import (
     VARIANTS,
     BadInput,
     Entry,
+    base,
     choose,
 )
 from harness.registry.ours import PROGRAM
@@ -150,21 +153,47 @@ class Registry:
 
     def of_plugins(self, kind: str) -> dict[str, Entry]:
         """Return the entries that are not this program's own."""
-        return {name: entry for name, entry in self.entries[kind].items() if name not in BUILT_IN[kind]}
+        own = BUILT_IN[kind]
+        return {name: entry for name, entry in self.entries[kind].items() if _plain(kind, name) not in own}
 
     def chosen_methods(self, text: str) -> tuple[str, ...]:
-        """Return the methods in a text with commas between. Raises BadInput as `choose` does."""
-        theirs = tuple(self.of_plugins("method"))
-        return choose("method", text, METHODS, (*VARIANTS, *theirs), {**METHOD_GROUPS, "plugins": theirs})
+        """Return the methods in a text with commas between, and make known those with settings.
+
+        Raises BadInput as `choose` and `configure` do.
+        """
+        known = self.entries["method"]
+        names = [name if base(name) in known else base(name) for name in configured.names_in(text)]
+        mine = tuple(dict.fromkeys(name for name in names if self.configure(name)))
+        theirs = tuple(name for name in self.of_plugins("method") if base(name) == name)
+        groups = {**METHOD_GROUPS, "plugins": theirs}
+        return choose("method", ",".join(names), METHODS, (*VARIANTS, *theirs, *mine), groups)
 
     def chosen_envs(self, text: str) -> tuple[str, ...]:
         """Return the tasks in a text with commas between. Raises BadInput as `choose` does."""
         theirs = tuple(self.of_plugins("env"))
         return choose("env", text, ENVS, theirs, {**GROUPS, "plugins": theirs})
 
+    def configure(self, name: str) -> bool:
+        """Make known a method with settings of the user's, and return whether the name is of one.
+
+        Raises BadInput for settings that a built-in method cannot have. Those of a plug-in's are checked
+        where that is imported.
+        """
+        method, known = base(name), self.entries["method"]
+        if method == name or method not in known:
+            return False
+        if name not in known:
+            entry, settings = known[method], configured.settings_in(name)
+            if method in BUILT_IN["method"] or entry.module in sys.modules:
+                configured.typed(method, self.imported(entry), settings)
+            said = ", ".join(f"{field}={value}" for field, value in settings.items())
+            known[name] = entry._replace(summary=f"{method} with {said}")
+        return True
+
     def register(self, kind: str, name: object, entry: Entry) -> None:
         """Add a plug-in's method or task. Raises BadInput for a name that is taken or cannot be used."""
-        if not isinstance(name, str) or not NAME.fullmatch(name) or "__" in name:
+        usable = isinstance(name, str) and NAME.fullmatch(name) and "__" not in name
+        if not isinstance(name, str) or not usable or _plain(kind, name) != name:
             raise BadInput(f"{name!r:.80} is no name of {kind}s: up to 60 letters, digits, - and single _")
         taken = name in BUILT_IN[kind] or name in {
             "all",
@@ -210,8 +239,12 @@ class Registry:
         return thing[key] if key else thing
 
     def thing(self, kind: str, name: str) -> Any:
-        """Return a method's class or a task's `EnvSpec`."""
+        """Return a method's class, or instance, or a task's `EnvSpec`."""
         return self.imported(self.entries["method"][name]) if kind == "method" else self.specs[name]
+
+
+def _plain(kind: str, name: str) -> str:
+    return base(name) if kind == "method" else name
 
 
 def _executed(name: str, file: str) -> ModuleType:
@@ -236,9 +269,11 @@ def all_specs() -> list[EnvSpec]:
     return [SPECS[name] for name in ENVS]
 
 
-def load_method(name: str) -> type[Method]:
-    """Return a method's dataclass, imported now. Raises BadInput for an unknown name."""
+def load_method(name: str) -> Callable[..., Method]:
+    """Return a method's dataclass, imported now, or a function that returns a plug-in's instance with other
+    settings. Raises BadInput for an unknown name."""
     if name not in KNOWN.entries["method"]:
         KNOWN.chosen_methods(name)
         raise BadInput(f"{name!r} is not one method")
-    return cast("type[Method]", KNOWN.thing("method", name))
+    thing = KNOWN.thing("method", name)
+    return thing if isinstance(thing, type) else partial(replace, thing)

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from harness.process import environment
 from harness.registry import gymnasium_tasks, ours
@@ -34,7 +34,9 @@ Wanted = tuple[str, str, Entry]
 """Kind, name and entry of an installed package's method or task."""
 
 
-def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
+def in_a_process(
+    named: Sequence[Plugin], wanted: Sequence[Wanted], configured: Sequence[str] = ()
+) -> list[Offer]:
     """Return `look`, called in a process of its own in the environment of cells.
 
     Raises BadInput for a plug-in that is broken, and for one that ends its process or hangs.
@@ -48,7 +50,7 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
     with tempfile.TemporaryDirectory() as folder:
         file, code = Path(folder) / "answer", None
         try:
-            request = msgspec.json.encode((sys.path, named, wanted)).decode()
+            request = msgspec.json.encode((sys.path, named, wanted, configured)).decode()
             process = subprocess.Popen(
                 [*command, request, str(file)],
                 env=environment.of_cells(False),
@@ -79,11 +81,12 @@ def in_a_process(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offe
 def answer(request: str, file: str) -> NoReturn:
     """Write what plug-ins offer into a new file, or why they cannot be used, and end this process.
 
-    `request`: JSON of the path of modules, plug-ins, and entries of installed packages.
+    `request`: JSON of the path of modules, and of what `look` takes.
     """
     import msgspec
 
-    path, named, wanted = msgspec.json.decode(request, type=tuple[list[str], list[Plugin], list[Wanted]])
+    asked = tuple[list[str], list[Plugin], list[Wanted], list[str]]
+    path, *what = msgspec.json.decode(request, type=asked)
     sys.path[:] = path
     ours.first()
     from harness.engines.containment import adopt_orphans, bound_memory, kill_descendants
@@ -93,7 +96,7 @@ def answer(request: str, file: str) -> NoReturn:
     offers, message = list[Offer](), ""
     try:
         bound_memory()
-        offers = look(named, wanted)
+        offers = look(*what)
     except BadInput as error:
         message = str(error)
     except BaseException as error:
@@ -106,8 +109,11 @@ def answer(request: str, file: str) -> NoReturn:
     os._exit(0)  # whatever else was started here
 
 
-def look(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
-    """Import plug-ins, and return what they offer. Raises BadInput for what is broken."""
+def look(named: Sequence[Plugin], wanted: Sequence[Wanted], configured: Sequence[str]) -> list[Offer]:
+    """Import plug-ins, and return what they offer. Raises BadInput for what is broken.
+
+    `wanted`: of installed packages. `configured`: names of methods with settings, which are checked.
+    """
     offers = []
     for one in named:
         KNOWN.add(one)
@@ -117,6 +123,8 @@ def look(named: Sequence[Plugin], wanted: Sequence[Wanted]) -> list[Offer]:
             KNOWN.register(kind, name, entry)
             check(kind, name, KNOWN.thing(kind, name))
             offers.append(offer(kind, name, entry))
+    for name in configured:
+        KNOWN.configure(name)
     for one_offer in offers:
         if one_offer.kind == "env":
             try_out(one_offer.name)
@@ -162,12 +170,15 @@ def offer(kind: str, name: str, entry: Entry, sources: Sources | None = None) ->
     )
 
 
-def _like(method: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _like(thing: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the built-in methods that a method derives from, and the fields that it shares with them.
 
-    Fields that the classes between declare anew are its own.
+    Fields that the classes between declare anew are its own, and those in which an instance has no default.
     """
-    own = set[str]()
+    own, method = set[str](), thing
+    if not isinstance(thing, type):
+        method, usual = type(thing), type(thing)()
+        own = {one.name for one in dataclasses.fields(thing) if _differ(thing, usual, one.name)}
     for base in method.__mro__:
         place = f"{base.__module__}:{base.__qualname__}"
         like = tuple(name for name, entry in (METHODS | VARIANTS).items() if entry.target == place)
@@ -178,6 +189,10 @@ def _like(method: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return (), ()
 
 
+def _differ(one: object, other: object, field: str) -> bool:
+    return repr(getattr(one, field)) != repr(getattr(other, field))
+
+
 def check(kind: str, name: object, thing: object) -> None:
     """Raise BadInput, or what the class raises, unless the object can be a method, or a task of that name."""
     from envs import EnvSpec
@@ -186,12 +201,13 @@ def check(kind: str, name: object, thing: object) -> None:
         if not (isinstance(thing, EnvSpec) and thing.name == name):
             raise BadInput(f"the env {name} must be an EnvSpec of that name, not {thing!r:.60}", READ)
         return
-    if not (isinstance(thing, type) and callable(getattr(thing, "fit", None))):
+    if not callable(getattr(thing, "fit", None)):
         raise BadInput(f"the method {name} must be a class with a method fit, not {thing!r:.60}", READ)
-    thing()  # Each hyper-parameter has a default.
-    if not dataclasses.is_dataclass(thing):
+    made = thing if isinstance(thing, type) else type(thing)
+    made()  # Each hyper-parameter has a default.
+    if not dataclasses.is_dataclass(made):
         message = "must be a dataclass, whose fields are its hyper-parameters"
-        raise BadInput(f"the method {name}: {thing.__name__} {message}", READ)
+        raise BadInput(f"the method {name}: {made.__name__} {message}", READ)
 
 
 def try_out(env: str) -> None:

@@ -207,8 +207,15 @@ GROUPS = {
 METHOD_GROUPS = {"thesis": (*THESIS,)}
 """Names that stand for several methods."""
 
+SETTING = "+"
+"""The character before each setting in the name of a method that has some."""
 BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
 """Names of this program's own methods and tasks."""
+
+
+def base(method: str) -> str:
+    """Return the name of a method without its settings."""
+    return method.partition(SETTING)[0]
 
 
 def plain(text: str) -> str:

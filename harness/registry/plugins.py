@@ -19,16 +19,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from harness.process import environment
-from harness.registry import gymnasium_tasks, loading
+from harness.registry import configured, gymnasium_tasks, loading
 from harness.registry.gymnasium_tasks import task_or_name
-from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin, id_of
+from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin, id_of, load_method
 from harness.registry.loading import READ
-from harness.registry.names import BUILT_IN, BadInput, Entry
+from harness.registry.names import BUILT_IN, BadInput, Entry, base
 from harness.registry.sources import Sources
 from methods import settings
 
 if TYPE_CHECKING:
     from envs import EnvSpec
+    from methods.base import Method
 
 ENTRY_POINTS = {"method": "irl_bench.methods", "env": "irl_bench.envs"}
 
@@ -47,13 +48,15 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
             raise BadInput(f"two plug-ins are called {Path(one.name).name}; rename one")
         new[one.module] = one
     points, problems = _installed()
-    words = {word.strip() for text in asked for word in text.split(",")}
+    names = {name for text in asked for name in configured.names_in(text)}
+    words = {*map(base, names)}
+    theirs = sorted(name for name in names if base(name) not in (name, *BUILT_IN["method"]))
     wanted = [
         (kind, name, entry)
         for kind, name, entry in points
         if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in KNOWN.offers
     ]
-    offers = loading.in_a_process([*new.values()], wanted) if new or wanted else []
+    offers = loading.in_a_process([*new.values()], wanted, theirs) if new or wanted else []
     for one in new.values():
         KNOWN.add(one)
     for offer in offers:
@@ -127,6 +130,8 @@ def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str
             KNOWN.register(kind, name, entry)
     for env in envs:
         task_or_name(env)
+    for method in methods:
+        KNOWN.configure(method)
     load(methods, envs)
 
 
@@ -215,21 +220,33 @@ def sources(kind: str, name: str) -> Sources:
 
 
 def settings_for(method: str, env: str, budget: str) -> dict[str, Any]:
-    """Return the hyper-parameters that a method gets in a task at a budget.
+    """Return the hyper-parameters that a method gets in a task at a budget: those in its name, and others.
 
     A plug-in's method gets those of the built-in methods whose class it has or derives from, except for the
     fields that it sets itself.
     """
     if method not in KNOWN.of_plugins("method"):
-        return settings.settings_for(method, env, budget)
-    offer = _offer_of("method", method)
-    agreed = settings.agreed(offer.like, env, budget)
-    return {name: value for name, value in agreed.items() if name in offer.takes}
+        usual = settings.settings_for(base(method), env, budget)
+    else:
+        offer = _offer_of("method", method)
+        agreed = settings.agreed(offer.like, env, budget)
+        usual = {name: value for name, value in agreed.items() if name in offer.takes}
+    return usual | configured.settings_in(method)
+
+
+def method_for(method: str, env: str, budget: str) -> Method:
+    """Return a method as it is in a task at a budget. Raises BadInput as `load_method` and `typed` do."""
+    make, thing = load_method(method), KNOWN.thing("method", method)
+    own = configured.typed(base(method), thing, configured.settings_in(method))
+    return make(**(settings_for(method, env, budget) | own))
 
 
 def like(method: str) -> tuple[str, ...]:
-    """Return the built-in methods whose class a plug-in's method has or derives from; none for others."""
-    return _offer_of("method", method).like if method in KNOWN.of_plugins("method") else ()
+    """Return the built-in methods whose class a plug-in's method has or derives from, the method without its
+    settings where it has some, and none for others."""
+    if method in KNOWN.of_plugins("method"):
+        return _offer_of("method", method).like
+    return () if base(method) == method else (base(method),)
 
 
 def task(env: str) -> Offer | EnvSpec:

@@ -21,7 +21,7 @@ from harness.judge.across_tasks import NO_BETTER
 from harness.judge.leaderboard import Entry
 from harness.judge.rows import ASKS
 from harness.judge.statistics import SUCCESS
-from harness.registry import BUILT_IN
+from harness.registry import BUILT_IN, base
 from harness.report.columns import score, visible
 from harness.report.facts import NO_RESULT
 from harness.report.model import Board, Report, some
@@ -49,7 +49,7 @@ def closing(report: Report, directory: Path) -> list[str]:
     places.append(f"tables: irl-bench report --print {where}")
     if any(result.recordings for result in report.results):
         places.append(f"recordings: irl-bench view {where}")
-    plugins = [method for method in report.request.methods if method not in BUILT_IN["method"]]
+    plugins = [method for method in report.request.methods if base(method) not in BUILT_IN["method"]]
     lines = {
         "cells": "; ".join([*_counts(report, directory), *_cautions(report)]),
         **{name: _best(report, policy) for policy, name in NAMES.items()},

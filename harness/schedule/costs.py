@@ -10,6 +10,7 @@ import json
 import statistics
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ from harness.cell.sharing import takes_one_solve
 from harness.engines.jobs import Job
 from harness.process.environment import cache_folder
 from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Conditions
-from harness.registry import plugins
+from harness.registry import base, plugins
 from harness.store.files import read, write_atomic
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
@@ -91,10 +92,12 @@ class Costs:
 
     def _parts(self, job: Job) -> tuple[float, float]:
         """Return the seconds besides RL and of one RL solve, or a guess."""
-        cell, name = job.cells[0], name_of(job)
-        for by_name in (self._measured, self._shipped):
-            if name in by_name:
-                return by_name[name], by_name.get(name + SOLVE, 0.0)
+        cell = job.cells[0]
+        plain = replace(job, cells=(replace(cell, method=base(cell.method)),))
+        for name in (name_of(job), name_of(plain)):
+            for by_name in (self._measured, self._shipped):
+                if name in by_name:
+                    return by_name[name], by_name.get(name + SOLVE, 0.0)
         for usual in self._usual:
             if cell.env in usual and not job.shared:
                 return usual[cell.env]

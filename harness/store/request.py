@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Cell, Conditions, Shown
-from harness.registry import KNOWN, BadInput
+from harness.registry import KNOWN, BadInput, base
 from harness.registry.bounds import MOST_SEEDS, Name, Names, Seed
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import GYMNASIUM_NAME
@@ -86,8 +86,10 @@ def grown(path: Path, old: Request | None, asked: Request) -> Request:
         request_in(encode(union))
     except ValueError as error:
         raise BadInput(f"{path} cannot hold so much: {error}") from error
-    known = {*KNOWN.entries["method"], *KNOWN.entries["env"]}
     names = (*old.methods, *old.envs) if old else ()
+    for name in names:
+        KNOWN.configure(name)
+    known = {*KNOWN.entries["method"], *KNOWN.entries["env"]}
     if strangers := [name for name in names if task_or_name(name) not in known]:
         raise BadInput(
             f"{path} holds cells of {strangers[0]}, which is of a plug-in: name that too with --plugin, "
@@ -134,7 +136,7 @@ def command_of(request: Request, beside: bool = False) -> str:
     baseline."""
     c = request.conditions
     known = {*BUILT_IN["method"], *BUILT_IN["env"]}
-    others = [name for name in (*request.methods, *request.envs) if name not in known]
+    others = [name for name in (*map(base, request.methods), *request.envs) if name not in known]
     plugged = any(not name.startswith(GYMNASIUM_NAME) for name in others)
     dynamics = dict.fromkeys(variant.partition(".")[2] for variant in request.variants)
     words = ["irl-bench run", "--methods", ",".join(request.methods), "--envs", ",".join(request.envs)]
