@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -83,11 +84,8 @@ def compute(prepared: Prepared, watch: Watch = progress_for) -> Reported:
 
     Raises BadInput where the directory cannot be used, and Unfinished where no cell has ended.
     """
-    if prepared.demonstrations:
-        summary = prepared.request.conditions.demonstrations
-        store_demonstrations(summary, prepared.demonstrations.episodes, prepared.demonstrations.rewards)
     ended = None
-    with open_for_run(prepared.directory, prepared.request, prepared.engine.variables) as run:
+    with _opened(prepared) as run:
         if prepared.beside:
             run.keep_beside(prepared.beside)
         try:
@@ -97,6 +95,25 @@ def compute(prepared: Prepared, watch: Watch = progress_for) -> Reported:
             if not results:
                 raise
         return report(run, results, ended=ended)
+
+
+def cells(prepared: Prepared, watch: Watch = progress_for) -> dict[Cell, CellResult]:
+    """Compute the missing cells, store each as it ends, and return all of the directory, without a report.
+
+    Raises BadInput where the directory cannot be used, and Unfinished where the run ended early.
+    """
+    with _opened(prepared) as run:
+        return _computed(prepared, run, watch)
+
+
+@contextmanager
+def _opened(prepared: Prepared) -> Iterator[Store]:
+    """Hold the run's directory until the context ends, with the demonstrations of its file in the cache."""
+    if prepared.demonstrations:
+        summary = prepared.request.conditions.demonstrations
+        store_demonstrations(summary, prepared.demonstrations.episodes, prepared.demonstrations.rewards)
+    with open_for_run(prepared.directory, prepared.request, prepared.engine.variables) as run:
+        yield run
 
 
 def _computed(prepared: Prepared, run: Store, watch: Watch) -> dict[Cell, CellResult]:

@@ -35,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"%(prog)s {values.installed_version()}")
     commands = top.add_subparsers(dest="command", required=True)
     options.add_run(commands.add_parser("run", help="compute scores, and report them"))
+    options.add_tune(commands.add_parser("tune", help="search methods' hyper-parameters, on tuning seeds"))
     _add_for_runs(commands)
     _add_demos(commands)
     _add_comparisons(commands)

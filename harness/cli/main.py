@@ -22,7 +22,7 @@ from harness.registry.names import plain
 
 NO_MEMORY = ("failed to map segment", "Cannot allocate memory")
 """Parts of messages of errors that mean it."""
-COMPUTING = ("run", "reproduce", "report", "check", "bench", "experts")
+COMPUTING = ("run", "tune", "reproduce", "report", "check", "bench", "experts")
 LEAST_TO_COMPUTE, LEAST_TO_READ = 4_500_000, 1_500_000
 """KB of address space: `run` took 4.2 million on two cores, `demos` 1.2 million."""
 LEAST_DATA = 500_000
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ignore_stops()
         again = plain(shlex.join([*_program(), *argv]))
         kept = f"what is finished is kept. To go on, run the same again:\n  {again}{_how_to_report(argv)}"
-        resumes = argv[0] in ("run", "reproduce") or argv[:2] == ["experts", "train"]
+        resumes = argv[0] in ("run", "tune", "reproduce") or argv[:2] == ["experts", "train"]
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
 
@@ -129,6 +129,7 @@ def _do(args: argparse.Namespace) -> int:
         from harness.cli import files, runs
     commands = {
         "run": lambda: runs.run(args),
+        "tune": lambda: runs.tune(args),
         "reproduce": lambda: runs.reproduce(args),
         "report": lambda: runs.report(args.directory, args.print),
         "demos": lambda: files.demos(args),

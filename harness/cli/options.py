@@ -159,6 +159,33 @@ def add_run(add: argparse.ArgumentParser) -> None:
     add_how_cells_run(add)
 
 
+def add_tune(add: argparse.ArgumentParser) -> None:
+    """Add the options of `tune`."""
+    add.add_argument("--methods", required=True, metavar="A,B", help="each gets as many trials")
+    add.add_argument("--envs", required=True, metavar="A,B", help="a trial's score is a mean over them")
+    add_plugins(add)
+    add.add_argument("--trials", type=values.count, required=True, metavar="N", help="of each method")
+    add.add_argument(
+        "--storage",
+        type=values.folder,
+        required=True,
+        metavar="FILE",
+        help="of Optuna; new, or of a search that goes on",
+    )
+    add.add_argument("--sampler", choices=("tpe", "random"), default="tpe", help="what proposes settings")
+    add.add_argument(
+        "--seeds",
+        type=values.seeds,
+        metavar="A,B-C",
+        default=(100, 101),
+        help="tuning seeds, from 100 to 199, each with an expert that is trained for it (default 100-101)",
+    )
+    add.add_argument("--budget", default="quick", choices=BUDGETS)
+    add.add_argument("--demos", type=values.demos, metavar="N[,N]", default=(0,), help="as of `run`")
+    add.add_argument("--no-retrain", action="store_true", help="search by pi* alone, not pi_R too")
+    add_how_cells_run(add, runs=False)
+
+
 def add_bounds(parser: argparse.ArgumentParser) -> None:
     """Add the option for the units of actions in a file."""
     parser.add_argument(
@@ -182,8 +209,8 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_how_cells_run(parser: argparse.ArgumentParser) -> None:
-    """Add the options of all commands that compute cells."""
+def add_how_cells_run(parser: argparse.ArgumentParser, runs: bool = True) -> None:
+    """Add the options of all commands that compute cells. `runs`: those of runs that people look at, too."""
     add = parser.add_argument
     add("--workers", type=values.count, metavar="N", help="processes at a time (default: the cores)")
     add(
@@ -200,6 +227,8 @@ def add_how_cells_run(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="libraries choose their instructions: a little faster, and other numbers on other processors",
     )
+    if not runs:
+        return
     add(
         "--record",
         default="both",

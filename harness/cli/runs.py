@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import threading
 from dataclasses import replace
 from functools import partial
@@ -87,6 +88,28 @@ def _computed(prepared: Prepared, for_programs: bool) -> Reported:
             tell(f"tracebacks are in {prepared.directory / LOG}; --retry-failed tries again")
         messages.show(reported, programs=programs)
     return reported
+
+
+def tune(args: argparse.Namespace) -> int:
+    """Search the hyper-parameters of methods, and print the best of each."""
+    from harness.api import tuning
+
+    handle_signals()
+    asked = RunRequest(
+        methods=[args.methods],
+        envs=args.envs.split(","),
+        plugins=args.plugin,
+        seeds=args.seeds,
+        budget=args.budget,
+        demos=args.demos,
+        retrain=not args.no_retrain,
+        fast=args.fast,
+    )
+    found = tuning.tune(asked, args.trials, args.storage, args.sampler, engine_of(args))
+    say("")
+    for line in tuning.best_of(found):
+        say(line)
+    return int(any(math.isnan(one.score) for trials in found.values() for one in trials))
 
 
 def reproduce(args: argparse.Namespace) -> int:

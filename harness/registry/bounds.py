@@ -23,7 +23,7 @@ LARGEST = 1e100
 """Largest usable number: sums and squares up to it are finite. Larger ones count as unknown, as NaN does."""
 Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=120)]
 """A method's or environment's name, which is part of files' names."""
-Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=200)]
+Names = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=2000)]
 FileName = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9_.+-]*\Z", max_length=255)]
 Seconds = Annotated[float, Meta(ge=0)]
 Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=LONGEST_TEXT)]

@@ -12,11 +12,13 @@ import difflib
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from harness.registry.names import SETTING, BadInput, base
+from methods.ranges import Between, OneOf
 
 VALUE, ITEM = "-", "x"
 """Characters before a value, and between the numbers of a tuple."""
@@ -26,6 +28,14 @@ CALL = re.compile(r"([^()]*)\((.*)\)", re.DOTALL)
 LONGEST = 120
 """Characters of a method's name."""
 ELSE = "name an instance with such settings in the METHODS of a plug-in (docs/plugins.md)"
+
+
+@dataclass(frozen=True)
+class Search:
+    """The values of a setting that are searched: the ends of a range on a logarithmic scale, or words."""
+
+    kind: Literal["int", "float", "choice"]
+    values: tuple[float | str, ...]
 
 
 def names_in(text: str) -> list[str]:
@@ -133,3 +143,17 @@ def typed(method: str, thing: object, settings: Mapping[str, object]) -> dict[st
         except TypeError as error:  # a type of the plug-in's own
             raise BadInput(f"{method}.{name} cannot be set here; {ELSE}") from error
     return values
+
+
+def searched(thing: object) -> dict[str, Search]:
+    """Return the settings of a method that are searched. `thing`: its dataclass, or an instance."""
+    hints = get_type_hints(thing if isinstance(thing, type) else type(thing), include_extras=True)
+    found = dict[str, Search]()
+    for name, hint in hints.items():
+        kind, *notes = get_args(hint) if get_origin(hint) is Annotated else [hint]
+        for note in notes:
+            if isinstance(note, Between):
+                found[name] = Search("int" if kind is int else "float", (note.low, note.high))
+            elif isinstance(note, OneOf):
+                found[name] = Search("choice", tuple(str(_word(value)) for value in note.values))
+    return found

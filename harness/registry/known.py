@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
 from harness.registry import configured
+from harness.registry.configured import Search
 from harness.registry.names import (
     BUILT_IN,
     ENVS,
@@ -63,7 +64,7 @@ class Offer:
     """Facts about a plug-in's method or task, without the object.
 
     `like`: the built-in methods whose class a method has, or derives from.
-    `takes`: the hyper-parameters that it takes from their settings.
+    `takes`: the hyper-parameters that it takes from their settings. `searched`: those that `tune` searches.
     `variants`, `discrete`, `rl_steps`, `ddpg_steps`, `solves`: fields of a task's `EnvSpec`.
     `sources`: those of its module, and of the modules and packages in which Gymnasium finds a task.
     """
@@ -80,6 +81,7 @@ class Offer:
     rl_steps: dict[str, int] = field(default_factory=dict)
     ddpg_steps: dict[str, int] = field(default_factory=dict)
     solves: dict[str, int] = field(default_factory=dict)
+    searched: dict[str, Search] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from harness.process import environment
-from harness.registry import gymnasium_tasks, ours
+from harness.registry import configured, gymnasium_tasks, ours
 from harness.registry.known import KNOWN, Offer, Plugin
 from harness.registry.names import METHODS, VARIANTS, BadInput, Entry, plain
 from harness.registry.sources import Sources, sources_of
@@ -35,7 +35,7 @@ Wanted = tuple[str, str, Entry]
 
 
 def in_a_process(
-    named: Sequence[Plugin], wanted: Sequence[Wanted], configured: Sequence[str] = ()
+    named: Sequence[Plugin], wanted: Sequence[Wanted], with_settings: Sequence[str] = ()
 ) -> list[Offer]:
     """Return `look`, called in a process of its own in the environment of cells.
 
@@ -50,7 +50,7 @@ def in_a_process(
     with tempfile.TemporaryDirectory() as folder:
         file, code = Path(folder) / "answer", None
         try:
-            request = msgspec.json.encode((sys.path, named, wanted, configured)).decode()
+            request = msgspec.json.encode((sys.path, named, wanted, with_settings)).decode()
             process = subprocess.Popen(
                 [*command, request, str(file)],
                 env=environment.of_cells(False),
@@ -109,10 +109,10 @@ def answer(request: str, file: str) -> NoReturn:
     os._exit(0)  # whatever else was started here
 
 
-def look(named: Sequence[Plugin], wanted: Sequence[Wanted], configured: Sequence[str]) -> list[Offer]:
+def look(named: Sequence[Plugin], wanted: Sequence[Wanted], with_settings: Sequence[str]) -> list[Offer]:
     """Import plug-ins, and return what they offer. Raises BadInput for what is broken.
 
-    `wanted`: of installed packages. `configured`: names of methods with settings, which are checked.
+    `wanted`: of installed packages. `with_settings`: names of methods with settings, which are checked.
     """
     offers = []
     for one in named:
@@ -123,7 +123,7 @@ def look(named: Sequence[Plugin], wanted: Sequence[Wanted], configured: Sequence
             KNOWN.register(kind, name, entry)
             check(kind, name, KNOWN.thing(kind, name))
             offers.append(offer(kind, name, entry))
-    for name in configured:
+    for name in with_settings:
         KNOWN.configure(name)
     for one_offer in offers:
         if one_offer.kind == "env":
@@ -154,7 +154,8 @@ def offer(kind: str, name: str, entry: Entry, sources: Sources | None = None) ->
     """Return the facts about a method or task, which is imported. sources: of its module, where known."""
     thing, facts = KNOWN.thing(kind, name), (kind, name, entry.target, entry.summary)
     if kind == "method":
-        return Offer(*facts, sources or sources_of(entry.module), *_like(thing))
+        own = configured.searched(thing)
+        return Offer(*facts, sources or sources_of(entry.module), *_like(thing), searched=own)
     steps, ddpg, solves = (
         {budget: int(count) for budget, count in table.items()}
         for table in (thing.rl_steps, thing.ddpg_steps, thing.solves)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness.process import environment
 from harness.registry import configured, gymnasium_tasks, loading
+from harness.registry.configured import Search
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin, id_of, load_method
 from harness.registry.loading import READ
@@ -239,6 +240,13 @@ def method_for(method: str, env: str, budget: str) -> Method:
     make, thing = load_method(method), KNOWN.thing("method", method)
     own = configured.typed(base(method), thing, configured.settings_in(method))
     return make(**(settings_for(method, env, budget) | own))
+
+
+def searched(method: str) -> dict[str, Search]:
+    """Return the settings of a method that `tune` searches."""
+    if method in KNOWN.of_plugins("method"):
+        return _offer_of("method", method).searched
+    return configured.searched(KNOWN.thing("method", method))
 
 
 def like(method: str) -> tuple[str, ...]:
