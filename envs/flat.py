@@ -57,8 +57,8 @@ def _entries(space: spaces.Space[Any], name: str) -> Iterator[tuple[str, bool]]:
         case _:
             kind = "images" if isinstance(space, spaces.Box) else type(space).__name__
             raise ValueError(
-                f"observations must be numbers or choices, not {kind}, {space}; make a vector of them by wrap= "
-                "of from_gymnasium"
+                f"observations must be numbers or choices, not {kind}, {space}; make them vectors by "
+                "wrap= of from_gymnasium"
             )
 
 
