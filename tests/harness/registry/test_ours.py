@@ -51,5 +51,16 @@ def test_a_script_has_its_own_packages_and_a_run_this_programs(folder: Path, fir
 def test_the_command_line_takes_no_package_of_the_current_folder(folder: Path) -> None:
     path = os.pathsep.join([".", *filter(None, [os.environ.get("PYTHONPATH")])])
     code = "import irl_bench, sys; sys.argv[0] = 'irl-bench'; sys.exit(irl_bench.start())"
-    words = "run --methods bc --envs gridworld --budget smoke --no-retrain --record none".split()
+    words = [
+        "run",
+        "--methods",
+        "bc",
+        "--envs",
+        "gridworld",
+        "--budget",
+        "smoke",
+        "--no-retrain",
+        "--record",
+        "none",
+    ]
     assert "2 cells to run" in run(folder, "-c", code, *words, PYTHONPATH=path)
