@@ -99,6 +99,8 @@ def _begin() -> None:
     try:
         from harness.registry import ours
     except ImportError as error:
+        if sys.platform == "win32":
+            raise
         file = getattr(sys.modules.get("harness"), "__file__", None)
         raise ImportError(f"{file} hides this program's package 'harness': rename it") from error
     finally:

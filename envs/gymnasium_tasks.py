@@ -86,7 +86,7 @@ def _own_limit(env: gym.Env[Any, Any]) -> int:
     with a time limit and all others."""
     config = getattr(env.unwrapped, "config", None)
     if time_limit(env) is None and isinstance(config, Mapping):
-        return math.ceil(config.get("duration", 0) * config.get("policy_frequency", 0))
+        return math.ceil((config.get("duration") or 0) * (config.get("policy_frequency") or 0))
     return 0
 
 

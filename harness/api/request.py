@@ -116,6 +116,8 @@ class RunRequest:
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise BadInput(f"{name} must be one of {', '.join(choices)}, not {value!r:.40}")
+        if not isinstance(self.env_kwargs, Mapping):
+            raise BadInput(f"env_kwargs must be a dict of arguments by name, not {self.env_kwargs!r:.40}")
         _whole("solves", self.solves, 0)
         _whole("subsample", self.subsample, 1)
         if not [_whole("demos", number, 0) for number in self.demos]:

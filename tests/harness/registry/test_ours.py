@@ -64,3 +64,13 @@ def test_the_command_line_takes_no_package_of_the_current_folder(folder: Path) -
         "none",
     ]
     assert "2 cells to run" in run(folder, "-c", code, *words, PYTHONPATH=path)
+
+
+@pytest.mark.parametrize("words", [["-m", "harness"], ["-c", "import irl_bench"]])
+def test_windows_is_refused_in_a_line_with_the_way_out(tmp_path: Path, words: list[str]) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.platform = 'win32'\n")
+    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])])
+    env = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run([sys.executable, *words], env=env, capture_output=True, text=True, check=False)
+    assert done.returncode
+    assert "irl-bench needs Linux or macOS; on Windows run it in WSL" in done.stderr.splitlines()[-1]
