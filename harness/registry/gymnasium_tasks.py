@@ -55,7 +55,7 @@ def task_or_name(name: str, env_kwargs: str | None = None) -> str:
     if not env_id or not NAME.fullmatch(name) or "__" in name:
         raise BadInput(f"{env_id[:80]!r} is no id of Gymnasium that can be used: letters, digits, - and _")
     if module:
-        KNOWN.registered[env_id] = module
+        KNOWN.registered.setdefault(env_id, module)
     kwargs = KNOWN.env_kwargs if env_kwargs is None else env_kwargs
     entry = Entry(f"{GYMNASIUM_MODULE}:{env_id} {kwargs}".strip(), f"Gymnasium's {env_id}")
     if KNOWN.entries["env"].get(name) != entry:
@@ -149,13 +149,13 @@ def sources_of_id(env_id: str) -> Sources:
 
 
 def registered_by(module: str, before: Collection[str]) -> list[str]:
-    """Return the ids that a module has registered: those that are not among `before`, and those of its own
-    classes."""
+    """Return the ids of others' tasks that a module has registered: those that are not among `before`, and
+    those of its own classes."""
     import gymnasium
 
-    top = module.partition(".")[0]
-    own = (env_id for env_id in [*gymnasium.registry] if _top(env_id) == top)
-    return [*dict.fromkeys([*gymnasium.registry.keys() - before, *own])]
+    own = module.partition(".")[0]
+    tops = {env_id: _top(env_id) for env_id in gymnasium.registry}
+    return [one for one, top in tops.items() if top == own or (one not in before and top not in ours.PROGRAM)]
 
 
 def _top(env_id: str) -> str:

@@ -51,10 +51,10 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
     points, problems = _installed()
     wanted = [
         (kind, name, entry)
-        for kind, name, entry in [*points, *_by_id(words)]
-        if (id_of(entry) or (words & {name, "plugins"} and name not in BUILT_IN[kind]))
-        and entry.target not in KNOWN.offers
+        for kind, name, entry in points
+        if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in KNOWN.offers
     ]
+    wanted += _by_id(words)
     offers = loading.in_a_process([*new.values()], wanted) if new or wanted else []
     for one in new.values():
         KNOWN.add(one)
@@ -73,8 +73,10 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
 
 def _by_id(words: Iterable[str]) -> list[loading.Wanted]:
     """Return the tasks that are named by their id in Gymnasium."""
-    names = [task_or_name(word) for word in sorted(words)]
-    return [("env", name, KNOWN.entries["env"][name]) for name in names if name.startswith(GYMNASIUM_NAME)]
+    names = [name for name in map(task_or_name, sorted(words)) if name.startswith(GYMNASIUM_NAME)]
+    for name in names:
+        KNOWN.specs.pop(name, None)
+    return [("env", name, KNOWN.entries["env"][name]) for name in names]
 
 
 def give(kwargs: Mapping[str, Any], variables: Sequence[str]) -> None:
@@ -142,7 +144,9 @@ def in_cells(
     known: the plug-ins that define its method and task. env_kwargs, variables: as `Conditions` has them.
     Raises BadInput as `add` does.
     """
-    KNOWN.env_kwargs, KNOWN.variables = env_kwargs, json.loads(variables or "{}")
+    KNOWN.env_kwargs = env_kwargs
+    KNOWN.variables.clear()
+    KNOWN.variables.update(json.loads(variables or "{}"))
     os.environ.update(KNOWN.variables)
     for one in known:
         KNOWN.add(one)
