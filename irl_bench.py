@@ -99,11 +99,14 @@ def _begin() -> None:
     try:
         from harness.registry import ours
     except ImportError as error:
+        if sys.platform == "win32":
+            raise
         file = getattr(sys.modules.get("harness"), "__file__", None)
         raise ImportError(f"{file} hides this program's package 'harness': rename it") from error
     finally:
         sys.path.remove(here)
-    ours.first()
+    with ours.meanwhile():  # from now on the rest is found, too
+        pass
 
 
 def _register_tasks() -> None:
@@ -129,7 +132,10 @@ def __getattr__(name: str) -> object:
     """Import a name when it is first asked for. Torch alone takes a second."""
     if name not in WHERE:
         raise AttributeError(f"module 'irl_bench' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(WHERE[name]), name)
+    from harness.registry import ours
+
+    with ours.meanwhile():
+        return getattr(importlib.import_module(WHERE[name]), name)
 
 
 def __dir__() -> list[str]:

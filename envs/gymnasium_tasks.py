@@ -1,7 +1,8 @@
 """Specs of Gymnasium's environments, derived from the environments themselves."""
 
+import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,62 +13,88 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
 from envs.checks import INSTANCES, check_numbers, flags, named, real
+from envs.flat import entries
 from envs.learners import DQN
-from envs.scaled import scaled, time_limit, wrappers
-from envs.spec import EnvSpec
+from envs.scaled import combinations, standard, time_limit, wrappers
+from envs.spec import EnvSpec, Quantity
 
 RANDOM_STEPS = 1000  # steps of random actions that estimate a typical size of observations
+NO_LIMIT = "--env-kwargs max_episode_steps=200, or kwargs={'max_episode_steps': 200} of from_gymnasium"
 
 
 def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
-    """Return the spec of a Gymnasium environment, derived from the environment: sizes, horizon, whether
-    actions are choices, and typical observations under random actions.
+    """Return the spec of a Gymnasium environment, derived from the environment: sizes, names, horizon,
+    whether actions are choices, and typical observations under random actions.
 
-    Continuous actions are scaled to [-1, 1], and Gymnasium's own MuJoCo tasks get a batch. `fields`: fields
-    of `EnvSpec` that replace derived ones. Raises ValueError unless observations are flat, actions are
-    choices or bounded real numbers, values are finite, and all instances have one time limit.
+    `fields`: fields of `EnvSpec` that replace derived ones. `wrap` is applied first, and all is derived from
+    what it returns. Observations are made vectors (`envs.flat`), actions are scaled to [-1, 1] or made
+    choices (`envs.scaled`), and Gymnasium's own MuJoCo tasks get a batch. Raises ValueError where that is
+    impossible, and unless values are finite and all instances have one time limit.
     """
-    kwargs = fields.get("kwargs", {})
-    env, *others = (gym.make(env_id, **kwargs) for _ in range(INSTANCES))
-    obs, limit = env.observation_space, time_limit(env)
-    if not isinstance(obs, spaces.Box) or obs.shape is None or len(obs.shape) != 1:
-        raise ValueError(f"{env_id}: observations must be a flat box, not {obs}")
-    if limit is None:
-        raise ValueError(f"{env_id}: it has no time limit")
+    wrap, kwargs = fields.pop("wrap", None), dict(fields.pop("kwargs", {}))
+    bare = gym.make(env_id, **kwargs)
+    if own := _own_limit(bare):
+        kwargs["max_episode_steps"] = own
+    wrapped = partial(standard, wrap=wrap) if wrap else standard
+    try:
+        space = (wrap(bare) if wrap else bare).observation_space
+        names = entries(space)
+        env, *others = (wrapped(gym.make(env_id, **kwargs)) for _ in range(INSTANCES))
+    except ValueError as error:
+        raise ValueError(f"{env_id}: {error}") from error
+    if (limit := time_limit(env)) is None:
+        raise ValueError(f"{env_id}: it has no time limit; give one: {NO_LIMIT}")
     if other := [steps for steps in map(time_limit, others) if steps != limit]:
         raise ValueError(f"{env_id}: its time limit is {limit} in one instance and {other[0]} in another")
-    derived = _of_actions(env, env_id, fields) | {
-        "obs_size": obs.shape[0],
-        "obs_scale": _typical(_random_observations(scaled(env), env_id)),
+    derived = _of_actions(env) | {
+        "obs_size": len(names),
+        "obs_names": _named([name for name, _ in names]),
         "horizon": limit,
         "summary": f"Gymnasium's {env_id}",
+        "wrap": wrapped,
+        "kwargs": kwargs,
     }
+    if "obs_scale" not in fields:
+        typical = _typical(_random_observations(env, env_id))
+        derived["obs_scale"] = tuple(1.0 if flag else x for x, (_, flag) in zip(typical, names, strict=True))
+    if wrap is None and not derived.get("discrete") and _is_gymnasiums_mujoco(bare):
+        from envs.mujoco_batch import MujocoBatch
+
+        derived["batch"] = partial(MujocoBatch, env_id, fields.get("why_ended", EnvSpec.why_ended), **kwargs)
     return EnvSpec(name, env_id, **(derived | fields))
 
 
-def _of_actions(env: gym.Env[Any, Any], env_id: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields that depend on actions. Raises ValueError unless these are choices or bounded reals."""
-    act = env.action_space
-    if isinstance(act, spaces.Discrete):
-        return {"act_size": int(act.n), "discrete": True, "rl": DQN()}
-    if isinstance(act, spaces.Box) and act.dtype.kind != "f":
-        raise ValueError(f"{env_id}: actions must be choices or real numbers, not whole ones, {act}")
-    if not (isinstance(act, spaces.Box) and len(act.shape) == 1 and act.is_bounded()):
-        raise ValueError(f"{env_id}: actions must be choices or a bounded box, not {act}")
-    derived: dict[str, Any] = {"act_size": act.shape[0], "wrap": scaled}
-    usual = {TimeLimit, OrderEnforcing, PassiveEnvChecker}  # of `gym.make`
-    bare = "wrap" not in fields and {type(wrapper) for wrapper in wrappers(env)} <= usual
-    if bare and _is_gymnasiums_mujoco(env):
-        from envs.mujoco_batch import MujocoBatch
-
-        ending = fields.get("why_ended", EnvSpec.why_ended)
-        derived["batch"] = partial(MujocoBatch, env_id, ending, **fields.get("kwargs", {}))
+def _of_actions(env: gym.Env[Any, Any]) -> dict[str, Any]:
+    """Return fields that depend on actions."""
+    act, native = env.action_space, env.get_wrapper_attr("env").action_space
+    if not isinstance(act, spaces.Discrete):
+        return {"act_size": act.shape[0]}  # type: ignore[index]
+    derived = {"act_size": int(act.n), "discrete": True, "rl": DQN()}
+    if not isinstance(native, spaces.Discrete):
+        values = [",".join(map(str, one.ravel().tolist())) for one in combinations(native)]
+        derived["act_names"] = _named([f"act {value}" for value in values])
     return derived
+
+
+def _named(names: Sequence[str]) -> tuple[Quantity, ...] | None:
+    """Return names of entries, None where two are the same."""
+    return tuple(map(Quantity, names)) if len({*names}) == len(names) else None
+
+
+def _own_limit(env: gym.Env[Any, Any]) -> int:
+    """Return the steps after which a task of highway-env truncates its episodes by its own code, 0 for tasks
+    with a time limit and all others."""
+    config = getattr(env.unwrapped, "config", None)
+    if time_limit(env) is None and isinstance(config, Mapping):
+        return math.ceil((config.get("duration") or 0) * (config.get("policy_frequency") or 0))
+    return 0
 
 
 def _is_gymnasiums_mujoco(env: gym.Env[Any, Any]) -> bool:
     """Return whether Gymnasium's own code alone makes and steps a MuJoCo task. Another class may change the
     model, or keep state that copies would share."""
+    if not {type(wrapper) for wrapper in wrappers(env)} <= {TimeLimit, OrderEnforcing, PassiveEnvChecker}:
+        return False
     entry = env.spec.entry_point if env.spec else None
     module = entry if isinstance(entry, str) else entry.__module__ if isinstance(entry, type) else ""
     own = "gymnasium.envs.mujoco."

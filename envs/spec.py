@@ -13,9 +13,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from envs.flat import flat
 from envs.learners import DDPG, DQN, PPO, SAC, TD3, Learner
 from envs.models import Tabular
-from envs.scaled import scaled, time_limit
+from envs.scaled import is_real, scaled, time_limit
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -88,8 +89,9 @@ class Shipped(NamedTuple):
 class EnvSpec:
     """One task: the environment, and all that the benchmark must know about it.
 
-    The environment has flat float observations, terminates as its authors meant it to, and truncates at
-    `horizon` at the latest. Actions are in [-1, 1]^A or, in a discrete one, choices from 0 to A-1. Everywhere
+    The environment terminates as its authors meant it to, and truncates at `horizon` at the latest.
+    Observations are made vectors, and whole actions choices. Actions are in [-1, 1]^A or, in a discrete one,
+    choices from 0 to A-1. Everywhere
     else choices are (B, A) too, and the largest entry acts. Raises ValueError where a field contradicts
     another or the environment.
     """
@@ -192,11 +194,13 @@ class EnvSpec:
     def make(self) -> gym.Env:
         """Return a new instance. Raises ValueError where it contradicts the spec."""
         env = self.wrap(gym.make(self.env_id, **self.kwargs))
-        if isinstance(env.action_space, spaces.Discrete) and env.action_space.start != 0:
-            env = scaled(env)
+        try:
+            env, act = flat(env), env.action_space
+            if not (is_real(act) or (isinstance(act, spaces.Discrete) and act.start == 0)):
+                env = scaled(env)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from error
         obs, act = env.observation_space, env.action_space
-        if isinstance(act, spaces.Box) and act.dtype.kind != "f":
-            raise ValueError(f"{self.name}: actions must be choices or real numbers, not whole ones, {act}")
         actions = (
             isinstance(act, spaces.Discrete) and act.n == self.act_size
             if self.discrete

@@ -39,8 +39,7 @@ from harness.registry.names import Demonstrator, Experts, LearnerName, Library, 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]
 
-PROGRAM_NAME = "irl-bench"
-REFERENCE = "reference"
+PROGRAM_NAME, REFERENCE = "irl-bench", "reference"
 """The method of the expert's and the random policy's rows."""
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
@@ -68,11 +67,9 @@ class Conditions:
     deterministic: bool = True
     """True where libraries may not choose their instructions by the processor."""
     experts: Experts = "shipped"
-    """Demonstrators: shipped experts, or one trained for each seed. With 'none', a score of 1 is the return
-    of the demonstrations."""
+    """Demonstrators: shipped experts, or one trained for each seed; 'none': demonstrations score 1."""
     record: Record = "both"
-    """Recorded evaluation episodes of seed 0's policies: the median and the worst, one of those, all or none.
-    Older runs have 'first'."""
+    """Recorded evaluation episodes of seed 0's policies. Older runs have 'first'."""
     retrain: bool = True
     """True where there are pi_R, and so controls, beside pi_star."""
     demonstrations: Text = ""
@@ -81,6 +78,10 @@ class Conditions:
     """The learner of all RL: each task's own, or DDPG."""
     solves: Annotated[int, Meta(ge=0, le=MOST_SOLVES)] = 0
     """Independent solves of a learned reward; 0: the task's number at the budget."""
+    env_kwargs: LongText = ""
+    """Arguments of tasks that are known by their id in Gymnasium, as JSON, if any."""
+    env_vars: LongText = ""
+    """Variables of the environment that plug-ins get, with their values, as JSON, if any."""
 
     def in_words(self, name: str) -> str:
         """Return a field's value as text for people."""
@@ -112,8 +113,7 @@ ALL_SHOWN = Shown()
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One unit of work: a method, control or the reference, in an env under a seed, with what it is shown and
-    the dynamics in which its result is used."""
+    """One unit of work: a method, control or the reference, in an env under a seed, shown demonstrations."""
 
     env: Name
     method: Name

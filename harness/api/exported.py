@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from envs.checks import number
 from harness.records import NOMINAL, REFERENCE, CellResult, PolicyName
-from harness.registry import KNOWN, SPECS, BadInput, choose, plugins
-from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry import KNOWN, SPECS, BadInput, Entry, choose, ours, plugins
+from harness.registry.gymnasium_tasks import as_json, kwargs_of, task_or_name
+from harness.registry.known import id_of
 from harness.rl.stored import from_arrays, to_arrays
 from harness.store.artifacts import NOT_KEPT
 from harness.store.cache import Kept, as_bytes, from_bytes
@@ -115,6 +116,7 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         return obs, paid, terminated, truncated, {**info, "true_reward": number(true)}
 
 
+@ours.meanwhile()
 def export(
     directory: Path | str,
     env: str,
@@ -129,7 +131,9 @@ def export(
     `policy`: 'pi_star', 'pi_R', or 'expert' of the method 'reference'. Raises BadInput where the run has no
     such cell, or kept nothing of it.
     """
-    directory, env = Path(directory), task_or_name(env)
+    directory = Path(directory)
+    with open_to_verify(directory) as run:
+        env = task_or_name(env, run.request.conditions.env_kwargs)
     result, learned = _learned(directory, env, method, seed)
     cell, reward = result.cell, learned.get("reward")
     if learned.get(policy) is None:
@@ -174,6 +178,7 @@ def _learned(directory: Path, env: str, method: str, seed: int) -> tuple[CellRes
         return result, run.read_learned(result)
 
 
+@ours.meanwhile()
 def load_learned(folder: Path | str) -> Exported:
     """Return what `export` wrote. Raises BadInput where that is damaged, or of a task that is not known."""
     folder = Path(folder)
@@ -183,7 +188,7 @@ def load_learned(folder: Path | str) -> Exported:
             raise ValueError(f"{FACTS} is not as it was written")
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r:.20}, this version reads {FORMAT}")
-        env = task_or_name(str(facts["env"]))
+        env = task_or_name(str(facts["env"]), str(facts.get("env_kwargs", "")))
         if isinstance(facts["env"], str) and env not in KNOWN.entries["env"]:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
         spec = SPECS[env]
@@ -206,9 +211,13 @@ def _part(folder: Path, part: str, facts: Mapping[str, Any]) -> Any:
     return from_arrays(from_bytes(data).arrays, facts[part])
 
 
-def make(env: str) -> gym.Env[Any, Any]:
-    """Return the environment that policies of the task are for. Raises BadInput for an unknown one."""
-    env = task_or_name(env)
+@ours.meanwhile()
+def make(env: str, **kwargs: Any) -> gym.Env[Any, Any]:
+    """Return the environment that policies of the task are for. kwargs: arguments of a task 'gym:ID', as of
+    `--env-kwargs`. Raises BadInput for an unknown one."""
+    env = task_or_name(env, as_json(kwargs))
+    if kwargs and not id_of(KNOWN.entries["env"].get(env, Entry("", ""))):
+        raise BadInput(f"arguments are of tasks gym:ID, not of {env!r:.80}")
     if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {env!r:.80}")
     plugins.load([], [env])
@@ -222,6 +231,7 @@ def _facts(result: CellResult, policy: str, reward: Reward | None) -> dict[str, 
     facts = {
         "format": FORMAT,
         "env": cell.env,
+        "env_kwargs": kwargs_of(KNOWN.entries["env"][cell.env]),
         "gymnasium_id": spec.env_id,
         "cell": asdict(cell),
         "learned": policy,

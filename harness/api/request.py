@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,8 +37,7 @@ from harness.registry import (
     plugins,
 )
 from harness.registry.bounds import MOST_SEEDS
-from harness.registry.gymnasium_tasks import task_or_name
-from harness.registry.known import GYMNASIUM_NAME
+from harness.registry.gymnasium_tasks import check_kwargs, task_or_name
 from harness.schedule.progress import tell
 from harness.store.request import Request
 from methods.base import Array
@@ -55,7 +55,7 @@ CHOICES = {
     "record": RECORDS,
 }
 ITEMS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("methods", "envs", "transfer"), (str,)),
+    **dict.fromkeys(("methods", "envs", "transfer", "env_vars"), (str,)),
     **dict.fromkeys(("plugins", "baseline"), (str, Path)),
     "demos": (object,),
 }
@@ -101,6 +101,10 @@ class RunRequest:
     record: Record = "both"
     plugins: Sequence[Path | str] = ()
     """Files or modules with methods and tasks."""
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the tasks, all of which are named as 'gym:ID'."""
+    env_vars: Sequence[str] = ()
+    """Names of variables of the environment that plug-ins get. Their values are stored with the run."""
     baseline: Sequence[Path | str] = ()
     """Runs, or folders of runs, that are shown beside this one."""
     fast: bool = False
@@ -117,6 +121,8 @@ class RunRequest:
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise BadInput(f"{name} must be one of {', '.join(choices)}, not {value!r:.40}")
+        if not isinstance(self.env_kwargs, Mapping):
+            raise BadInput(f"env_kwargs must be a dict of arguments by name, not {self.env_kwargs!r:.40}")
         _whole("solves", self.solves, 0)
         _whole("subsample", self.subsample, 1)
         if not [_whole("demos", number, 0) for number in self.demos]:
@@ -166,6 +172,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
     The plug-ins become known. `fixes_instructions`: whether the engine can fix the processor's instructions.
     Raises BadInput for unknown names, broken plug-ins, and values that contradict each other.
     """
+    plugins.give(asked.env_kwargs, asked.env_vars)
     methods, envs = _names(asked)
     for contradiction in _contradictions(asked, methods, envs):
         raise BadInput(contradiction)
@@ -181,6 +188,8 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
         demonstrations=str(demonstrations) if demonstrations else "",
         learner=asked.learner,
         solves=asked.solves,
+        env_kwargs=KNOWN.env_kwargs,
+        env_vars=json.dumps(KNOWN.variables, sort_keys=True) if KNOWN.variables else "",
     )
     demos = sorted({operator.index(number) for number in asked.demos})
     shown = tuple(Shown(number, asked.subsample, asked.demonstrator) for number in demos)
@@ -200,7 +209,7 @@ def _names(asked: RunRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
         raise BadInput(f"settings are given of {min(others)}, which is not among the methods")
     own = [configured.name_of(name, asked.settings.get(base(name), {})) for name in named]
     named = KNOWN.chosen_methods(",".join(own))
-    plugins.load([], [env for env in chosen if env.startswith(GYMNASIUM_NAME)])
+    check_kwargs(chosen)
     return named, chosen
 
 

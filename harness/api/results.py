@@ -13,7 +13,7 @@ import pandas as pd
 
 from harness.judge.leaderboard import Entry
 from harness.records import CellResult, Row
-from harness.registry import BadInput
+from harness.registry import BadInput, ours
 from harness.report.tables import read_csv
 from harness.store.database import FILE
 from harness.store.files import opened
@@ -52,6 +52,7 @@ class Results:
         return f"Results({str(self.directory)!r}: {sizes}; scores, leaderboard and curves are frames)"
 
 
+@ours.meanwhile()
 def load(directory: Path | str) -> Results:
     """Return the results in a run's directory, or the tables in a folder without a run.
 

@@ -55,6 +55,7 @@ class Reported:
         return not (self.damaged or self.ended)
 
 
+@ours.meanwhile()
 def run(
     asked: RunRequest, engine: Engine = ISOLATED, store: Path | str = DEFAULT, retry_failed: bool = False
 ) -> Results:
@@ -65,7 +66,6 @@ def run(
     Plug-ins are known in this call only, unless `add_plugins` named them.
     Raises BadInput for a request that cannot be computed, and Unfinished where the run ended early.
     """
-    ours.first()
     with KNOWN.for_now():
         reported = compute(prepare(asked, engine, Path(store), retry_failed))
     if reported.ended:
@@ -73,9 +73,9 @@ def run(
     return load(store)
 
 
+@ours.meanwhile()
 def add_plugins(named: Sequence[Path | str]) -> None:
     """Make plug-ins known, files or modules, until this process ends. Raises BadInput for a broken one."""
-    ours.first()
     plugins.add([str(name) for name in named])
 
 

@@ -97,6 +97,7 @@ def _add_demos(commands: argparse._SubParsersAction[_Parser]) -> None:
             options.add_bounds(add)
         add.add_argument("--env", required=True)
         options.add_plugins(add)
+        options.add_given(add)
         if name == "export":
             add.add_argument("--seed", type=values.seed, default=0, metavar="K")
             add.add_argument("--demos", type=values.count, default=100, metavar="N", help="default 100")
@@ -118,6 +119,7 @@ def _add_comparisons(commands: argparse._SubParsersAction[_Parser]) -> None:
     add = commands.add_parser("check", help="whether methods and environments keep the contract")
     add.add_argument("names", nargs="+", metavar="NAME", help="methods and environments, as `run` takes them")
     options.add_plugins(add)
+    options.add_given(add)
     add = commands.add_parser("bench", help="what things cost, as ratios")
     add.add_argument(
         "part",
@@ -132,6 +134,7 @@ def _add_comparisons(commands: argparse._SubParsersAction[_Parser]) -> None:
     add.add_argument("--env", metavar="ENV", help="the task in which a method's settings are listed")
     add.add_argument("--budget", choices=BUDGETS, default="full", help="the budget of those; default full")
     options.add_plugins(add)
+    options.add_given(add)
 
 
 def _add_experts(commands: argparse._SubParsersAction[_Parser]) -> None:
@@ -150,6 +153,7 @@ def _add_experts(commands: argparse._SubParsersAction[_Parser]) -> None:
             help="default: results/experts to train, the shipped ones to check",
         )
         options.add_plugins(add)
+        options.add_given(add)
         if name == "train":
             add.add_argument("--workers", type=values.count, metavar="N", help="processes at a time")
             of_others = "of experts for tasks of others, which are kept in the cache"

@@ -26,13 +26,14 @@ from harness.registry import (
     choose,
     plugins,
 )
-from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.gymnasium_tasks import check_kwargs, task_or_name
 from harness.registry.loading import in_words
 from harness.registry.names import plain
 
 
 def list_names(named: Sequence[str]) -> int:
     """Print the methods and tasks that there are."""
+    check_kwargs([])
     troubles = plugins.add(named)
     tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
     sections = {
@@ -43,6 +44,8 @@ def list_names(named: Sequence[str]) -> int:
     for kind in KNOWN.entries:
         if table := KNOWN.of_plugins(kind):
             sections[f"{kind}s of plug-ins"] = {name: entry.summary for name, entry in table.items()}
+    registered = {f"gym:{env_id}": f"registered by {module}" for env_id, module in KNOWN.registered.items()}
+    sections |= {"tasks that plug-ins register with Gymnasium": registered} if registered else {}
     dynamics = {
         name: ", ".join(entry.variants) for name, entry in KNOWN.entries["env"].items() if entry.variants
     }
@@ -63,6 +66,7 @@ def list_settings(args: argparse.Namespace) -> int:
         raise BadInput("settings are of a method in an environment: irl-bench list METHOD --env ENV")
     plugins.add(args.plugin, [args.method, args.env])
     env = task_or_name(args.env)
+    check_kwargs([env])
     for kind, name in (("method", args.method), ("env", env)):
         if choose(kind, name, KNOWN.entries[kind]) != (name,):
             raise BadInput(f"one {kind} is needed, not {name!r:.80}")
@@ -107,6 +111,7 @@ def check(names: Sequence[str], named: Sequence[str]) -> int:
     for name in names:
         if choose("method or env", name, (*methods, *envs)) != (name,):
             raise BadInput(f"give methods and envs one by one, with spaces between, not {name!r:.80}")
+    check_kwargs([name for name in names if name in envs])
     with as_in_cells():
         plugins.load([name for name in names if name in methods], [name for name in names if name in envs])
         with importing():
@@ -190,6 +195,7 @@ def experts(args: argparse.Namespace) -> int:
     plugins.add(args.plugin, args.envs)
     asked = [task_or_name(name.strip()) for name in ",".join(args.envs).split(",")]
     envs = KNOWN.chosen_envs(",".join(asked))
+    check_kwargs(envs)
     if theirs := [env for env in envs if env in KNOWN.of_plugins("env")]:
         if args.what == "check" or len(theirs) < len(envs):
             raise BadInput(

@@ -17,7 +17,7 @@ from harness.cli.values import installed_version
 from harness.process.signals import stop_cleanly
 from harness.records import CellResult, Conditions
 from harness.registry import KNOWN, SPECS, BadInput, Demonstrator, choose, keys, plugins
-from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.gymnasium_tasks import check_kwargs, task_or_name
 from harness.schedule.progress import say, tell
 from harness.store import baseline
 from harness.store.files import new_folder, write_atomic
@@ -85,6 +85,7 @@ def _one_env(args: argparse.Namespace) -> str:
     env = task_or_name(args.env)
     if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {args.env!r:.80}")
+    check_kwargs([env])
     plugins.load([], [env])
     return env
 

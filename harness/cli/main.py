@@ -101,6 +101,10 @@ def _dispatch(argv: list[str]) -> int:
     except SystemExit:  # --help, the only other way out of a parser whose error() raises
         return 0
     with KNOWN.for_now():
+        if getattr(args, "env_kwargs", None) or getattr(args, "env_var", None):
+            from harness.registry import plugins
+
+            plugins.give(dict(args.env_kwargs), args.env_var)
         return _do(args)
 
 

@@ -85,6 +85,7 @@ def add_run(add: argparse.ArgumentParser) -> None:
         help=", ".join([*ENVS, *GROUPS]) + "; gym:ID, a task of Gymnasium; plugins: those of plug-ins",
     )
     add_plugins(add)
+    add_given(add)
     add.add_argument(
         "--seeds",
         type=values.seeds,
@@ -206,6 +207,27 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="FILE.py|MODULE",
         help="methods and environments of your own (docs/plugins.md); may be given more than once",
+    )
+
+
+def add_given(parser: argparse.ArgumentParser) -> None:
+    """Add the options for arguments of tasks, and for variables of plug-ins."""
+    parser.add_argument(
+        "--env-kwargs",
+        type=values.named_value,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="an argument of every task gym:ID, as JSON or as text, such as max_episode_steps=200; may be "
+        "given more than once",
+    )
+    parser.add_argument(
+        "--env-var",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a variable of the environment that a plug-in reads, stored with its value; may be given more "
+        "than once",
     )
 
 

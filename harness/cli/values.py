@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from pathlib import Path
+from typing import Any
 
 MOST = 1000
 """Largest count that --seeds, --solves and --workers take; seeds lie below it."""
@@ -46,6 +48,17 @@ def bounds(text: str) -> tuple[float, float]:
     if not (-LONGEST <= low < high <= LONGEST and high - low >= NARROWEST):
         raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a lower number and a higher one")
     return low, high
+
+
+def named_value(text: str) -> tuple[str, Any]:
+    """Return the name and the value of 'NAME=VALUE'. The value is JSON, or else the text itself."""
+    name, equals, value = text.partition("=")
+    if not name.isidentifier() or not equals:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 def seed(text: str) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from harness.engines.scratch import scratch_folder
 from harness.process.environment import of_cells
-from harness.registry import BadInput
+from harness.registry import KNOWN, BadInput
 from harness.registry.keys import program
 from harness.store.cache import compiled_once
 
@@ -30,7 +30,8 @@ def cell_variables(scratch: Path, deterministic: bool) -> dict[str, str]:
     deterministic: with the same instructions on every processor."""
     temporary = scratch / "tmp"
     temporary.mkdir()
-    return {**of_cells(deterministic), "TMPDIR": str(temporary), **compiled_once(scratch / "compiled")}
+    passed = of_cells(deterministic) | KNOWN.variables
+    return {**passed, "TMPDIR": str(temporary), **compiled_once(scratch / "compiled")}
 
 
 @contextmanager

@@ -103,6 +103,11 @@ def of_user() -> dict[str, str]:
     return {name: os.environ[name] for name in sorted(theirs)}
 
 
+def is_set_for_cells(name: str) -> bool:
+    """Return whether cells have a variable of this name, or libraries must not."""
+    return _is_numeric(name) or name in PASSED or name in TEXT or name.startswith(PASSED_PREFIXES)
+
+
 def of_cells(deterministic: bool) -> dict[str, str]:
     """Return the environment of processes that compute cells."""
     passed = {
@@ -120,7 +125,6 @@ def hint(error: BaseException | None) -> str:
         seen.append(error)
         trace = traceback.extract_tb(error.__traceback__)
         if isinstance(error, KeyError) and trace and trace[-1].filename == _LOOKING_UP:
-            names = ", ".join([*(f"{prefix}*" for prefix in PASSED_PREFIXES), *sorted(PASSED)])
-            return f"; of the environment's variables cells have only {names} (docs/plugins.md)"
+            return f"; cells get few variables: add --env-var {error.args[0]} (docs/plugins.md)"
         error = error.__cause__ or error.__context__
     return ""

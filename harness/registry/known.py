@@ -106,7 +106,7 @@ class Loaded:
 
 def id_of(entry: Entry) -> str:
     """Return the id in Gymnasium of a task that is known by it, '' for all others."""
-    return entry.target.partition(":")[2] if entry.module == GYMNASIUM_MODULE else ""
+    return entry.target.partition(":")[2].partition(" ")[0] if entry.module == GYMNASIUM_MODULE else ""
 
 
 class Specs(dict[str, "EnvSpec"]):
@@ -117,8 +117,8 @@ class Specs(dict[str, "EnvSpec"]):
 
     def __missing__(self, name: str) -> EnvSpec:
         entry = self._registry.entries["env"][name]
-        if env_id := id_of(entry):
-            self[name] = importlib.import_module(GYMNASIUM_MODULE).derived(env_id, name)
+        if id_of(entry):
+            self[name] = importlib.import_module(GYMNASIUM_MODULE).derived(entry, name)
         else:
             self[name] = cast("EnvSpec", self._registry.imported(entry))
         return self[name]
@@ -130,6 +130,9 @@ class Registry:
     `entries`: by kind ('method' or 'env') and name. `specs`: tasks by name.
     `plugins`: those that were named, by module. `offers`: facts that another process reported, by target.
     `loaded`: plug-ins' modules that this process imported.
+    `registered`: plug-ins' modules, by the ids in Gymnasium that they register.
+    `env_kwargs`: arguments, as JSON, of tasks that are known by their id; '' for none.
+    `variables`: variables of the environment that the user passes to plug-ins.
     """
 
     def __init__(self) -> None:
@@ -138,18 +141,23 @@ class Registry:
         self.plugins: dict[str, Plugin] = {}
         self.offers: dict[str, Offer] = {}
         self.loaded: list[Loaded] = []
+        self.registered: dict[str, str] = {}
+        self.env_kwargs = ""
+        self.variables: dict[str, str] = {}
 
     @contextmanager
     def for_now(self) -> Iterator[None]:
         """Forget, as the context ends, the plug-ins that were added in it; imported modules stay so."""
         tables: list[dict[str, Any]] = [*self.entries.values(), self.plugins, self.offers]
-        before = [dict(table) for table in tables]
+        tables += [self.registered, self.variables]
+        before, kwargs = [dict(table) for table in tables], self.env_kwargs
         try:
             yield
         finally:
             for table, entries in zip(tables, before, strict=True):
                 table.clear()
                 table.update(entries)
+            self.env_kwargs = kwargs
             for name in self.specs.keys() - self.entries["env"].keys():
                 del self.specs[name]
 
@@ -205,7 +213,7 @@ class Registry:
             *GROUPS,
             *METHOD_GROUPS,
         }
-        if taken or name.startswith(("control_", GYMNASIUM_NAME)):
+        if taken or name.startswith("control_") or (name.startswith(GYMNASIUM_NAME) and not id_of(entry)):
             raise BadInput(f"no plug-in may name its {kind} {name!r}: the name is this program's")
         known = self.entries[kind].setdefault(name, entry)
         if known.target != entry.target:
@@ -250,7 +258,12 @@ def _plain(kind: str, name: str) -> str:
 
 
 def _executed(name: str, file: str) -> ModuleType:
-    """Return a new module made of a file. Python's own import could take stale bytecode for its content."""
+    """Return a new module made of a file, whose folder can be imported from, after all others.
+
+    Python's own import could take stale bytecode for its content.
+    """
+    if (folder := str(Path(file).parent)) not in sys.path:
+        sys.path.append(folder)
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = file
     try:

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from harness.process import environment
 from harness.registry import configured, gymnasium_tasks, ours
-from harness.registry.known import KNOWN, Offer, Plugin
+from harness.registry.known import KNOWN, Offer, Plugin, id_of
 from harness.registry.names import METHODS, VARIANTS, BadInput, Entry, plain
 from harness.registry.sources import Sources, sources_of
 from methods import settings
@@ -28,6 +28,13 @@ TABLES = {"method": "METHODS", "env": "ENVS"}
 """Names of the tables of methods and of tasks in a plug-in's module."""
 READ = "plugins"
 """The page about plug-ins."""
+HINTS = {
+    "ModuleNotFoundError": "a plug-in can import what lies in its own folder, and what is installed",
+    "NotFound: ": "name the module that registers the task: gym:MODULE:ID, or --plugin",
+    "gymnasium[box2d]": "or pip install 'irl-bench[box2d]'",
+    "unexpected keyword argument": "--env-kwargs are arguments of the task's class, and of gymnasium.make",
+}
+"""Ways out, by a part of an error's text."""
 LONGEST = 300
 """Seconds that all plug-ins of one request may take to load."""
 Wanted = tuple[str, str, Entry]
@@ -37,7 +44,8 @@ Wanted = tuple[str, str, Entry]
 def in_a_process(
     named: Sequence[Plugin], wanted: Sequence[Wanted], with_settings: Sequence[str] = ()
 ) -> list[Offer]:
-    """Return `look`, called in a process of its own in the environment of cells.
+    """Return `look`, called in a process of its own in the environment of cells. What plug-ins register with
+    Gymnasium is known then.
 
     Raises BadInput for a plug-in that is broken, and for one that ends its process or hangs.
     """
@@ -53,7 +61,7 @@ def in_a_process(
             request = msgspec.json.encode((sys.path, named, wanted, with_settings)).decode()
             process = subprocess.Popen(
                 [*command, request, str(file)],
-                env=environment.of_cells(False),
+                env=environment.of_cells(False) | KNOWN.variables,
                 stdin=subprocess.DEVNULL,
                 stdout=2,
                 start_new_session=True,
@@ -72,9 +80,10 @@ def in_a_process(
         names = ", ".join([*(one.name for one in named), *(name for _, name, _ in wanted)])
         ended = f"ended its process while it was loaded ({code})"
         raise BadInput(f"{names} {f'was not loaded within {LONGEST:g} s' if code is None else ended}", READ)
-    offers, message = msgspec.json.decode(content, type=tuple[list[Offer], str])
+    offers, registered, message = msgspec.json.decode(content, type=tuple[list[Offer], dict[str, str], str])
     if message:
         raise BadInput(message)
+    KNOWN.registered |= registered
     return offers
 
 
@@ -101,7 +110,7 @@ def answer(request: str, file: str) -> NoReturn:
         message = str(error)
     except BaseException as error:
         message = f"a plug-in cannot be loaded: {in_words(error)}"
-    Path(f"{file}.new").write_bytes(msgspec.json.encode((offers, message)))
+    Path(f"{file}.new").write_bytes(msgspec.json.encode((offers, KNOWN.registered, message)))
     Path(f"{file}.new").rename(file)
     with suppress(Exception):
         sys.stdout.flush()
@@ -135,9 +144,15 @@ def offered(plugin: Plugin) -> list[Offer]:
     """Import a plug-in, register what it names, and return that. Raises BadInput where it is broken."""
     offers = []
     with troubles(f"the plug-in {plugin.name} cannot be loaded"):
+        from gymnasium import registry
+
+        before = {*registry}
         module, sources = KNOWN.module(plugin.module), sources_of(plugin.module)
-        if not any(hasattr(module, table) for table in TABLES.values()):
-            raise BadInput(f"the plug-in {plugin.name} says neither METHODS nor ENVS", READ)
+        ids = gymnasium_tasks.registered_by(plugin.module, before)
+        KNOWN.registered |= dict.fromkeys(ids, plugin.module)
+        if not ids and not any(hasattr(module, table) for table in TABLES.values()):
+            nothing = "says neither METHODS nor ENVS, and registers no task with Gymnasium"
+            raise BadInput(f"the plug-in {plugin.name} {nothing}", READ)
         for kind, table in TABLES.items():
             things = getattr(module, table, {})
             if not isinstance(things, Mapping):
@@ -154,15 +169,16 @@ def offer(kind: str, name: str, entry: Entry, sources: Sources | None = None) ->
     """Return the facts about a method or task, which is imported. sources: of its module, where known."""
     thing, facts = KNOWN.thing(kind, name), (kind, name, entry.target, entry.summary)
     if kind == "method":
-        own = configured.searched(thing)
-        return Offer(*facts, sources or sources_of(entry.module), *_like(thing), searched=own)
+        theirs, searched = sources or sources_of(entry.module), configured.searched(thing)
+        return Offer(*facts, theirs, *_like(thing), searched=searched)
     steps, ddpg, solves = (
         {budget: int(count) for budget, count in table.items()}
         for table in (thing.rl_steps, thing.ddpg_steps, thing.solves)
     )
+    own = gymnasium_tasks.sources_of_id(env_id) if (env_id := id_of(entry)) else None
     return Offer(
         *facts,
-        gymnasium_tasks.sources_of_task(thing.env_id, entry.module),
+        own or gymnasium_tasks.sources_of_task(thing.env_id, entry.module),
         variants=tuple(thing.variants),
         discrete=bool(thing.discrete),
         rl_steps=steps,
@@ -241,6 +257,7 @@ def _hint(error: BaseException) -> str:
     name = str(getattr(error, "name", None) or "").partition(".")[0]
     if isinstance(error, ImportError) and name in ours.PROGRAM:
         return f"; {name!r} is this program's package: give yours another name"
-    if isinstance(error, ModuleNotFoundError):
-        return "; a plug-in of several files is named as a module that Python can import"
+    for sign, hint in HINTS.items():
+        if sign in in_words(error):
+            return f"; {hint}"
     return environment.hint(error)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import json
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,17 @@ from typing import TYPE_CHECKING, Any
 from harness.process import environment
 from harness.registry import configured, gymnasium_tasks, loading
 from harness.registry.configured import Search
-from harness.registry.gymnasium_tasks import task_or_name
-from harness.registry.known import FILE_MODULE, KNOWN, SPECS, Offer, Plugin, id_of, load_method
+from harness.registry.gymnasium_tasks import as_json, module_in, task_or_name
+from harness.registry.known import (
+    FILE_MODULE,
+    GYMNASIUM_NAME,
+    KNOWN,
+    SPECS,
+    Offer,
+    Plugin,
+    id_of,
+    load_method,
+)
 from harness.registry.loading import READ
 from harness.registry.names import BUILT_IN, BadInput, Entry, base
 from harness.registry.sources import Sources
@@ -43,20 +53,21 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
     too. Raises BadInput for what is broken.
     """
     new = dict[str, Plugin]()
-    for one in map(plugin, named):
+    names = {name for text in asked for name in configured.names_in(text)}
+    words = names | {*map(base, names)}
+    theirs = sorted(name for name in names if base(name) not in (name, *BUILT_IN["method"]))
+    for one in map(plugin, [*named, *filter(None, map(module_in, sorted(words)))]):
         other = new.get(one.module) or KNOWN.plugins.get(one.module)
         if other and other.place != one.place:
             raise BadInput(f"two plug-ins are called {Path(one.name).name}; rename one")
         new[one.module] = one
     points, problems = _installed()
-    names = {name for text in asked for name in configured.names_in(text)}
-    words = {*map(base, names)}
-    theirs = sorted(name for name in names if base(name) not in (name, *BUILT_IN["method"]))
     wanted = [
         (kind, name, entry)
         for kind, name, entry in points
         if words & {name, "plugins"} and name not in BUILT_IN[kind] and entry.target not in KNOWN.offers
     ]
+    wanted += _by_id(words)
     offers = loading.in_a_process([*new.values()], wanted, theirs) if new or wanted else []
     for one in new.values():
         KNOWN.add(one)
@@ -71,6 +82,28 @@ def add(named: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
         except BadInput as error:
             problems.append(f"{entry.summary.removeprefix('of the package ')}: {error}")
     return problems
+
+
+def _by_id(words: Iterable[str]) -> list[loading.Wanted]:
+    """Return the tasks that are named by their id in Gymnasium."""
+    names = [name for name in map(task_or_name, sorted(words)) if name.startswith(GYMNASIUM_NAME)]
+    for name in names:
+        KNOWN.specs.pop(name, None)
+    return [("env", name, KNOWN.entries["env"][name]) for name in names]
+
+
+def give(kwargs: Mapping[str, Any], variables: Sequence[str]) -> None:
+    """Set the arguments of tasks that are known by their id, and variables that plug-ins get, by name.
+
+    Raises BadInput as `as_json`, and for variables that are not set, or that cells have already.
+    """
+    KNOWN.env_kwargs = as_json(kwargs)
+    for name in variables:
+        if environment.is_set_for_cells(name):
+            raise BadInput(f"cells have {name} already, or set it themselves: leave out --env-var {name}")
+        if name not in os.environ:
+            raise BadInput(f"--env-var {name}: the environment has no such variable")
+    KNOWN.variables |= {name: os.environ[name] for name in variables}
 
 
 def plugin(name: str) -> Plugin:
@@ -116,11 +149,18 @@ def load(methods: Sequence[str], envs: Sequence[str]) -> None:
                         KNOWN.module(module, is_plugin=False)
 
 
-def in_cells(known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str]) -> None:
+def in_cells(
+    known: Sequence[Plugin], methods: Sequence[str], envs: Sequence[str], env_kwargs: str, variables: str
+) -> None:
     """Make known, in a process of cells, what a job needs, and import that.
 
-    known: the plug-ins that define its method and task. Raises BadInput as `add` does.
+    known: the plug-ins that define its method and task. env_kwargs, variables: as `Conditions` has them.
+    Raises BadInput as `add` does.
     """
+    KNOWN.env_kwargs = env_kwargs
+    KNOWN.variables.clear()
+    KNOWN.variables.update(json.loads(variables or "{}"))
+    os.environ.update(KNOWN.variables)
     for one in known:
         KNOWN.add(one)
         if not one.is_file and one.place and one.place not in sys.path:
@@ -140,7 +180,8 @@ def modules(methods: Sequence[str], envs: Sequence[str]) -> set[str]:
     """Return the modules that define those of these that are plug-ins'."""
     asked = {"method": methods, "env": envs}
     entries = [KNOWN.of_plugins(kind).get(name) for kind, names in asked.items() for name in names]
-    return {entry.module for entry in entries if entry and not id_of(entry)}
+    found = (KNOWN.registered.get(id_of(e), "") if id_of(e) else e.module for e in entries if e)
+    return {*filter(None, found)}
 
 
 def needed(methods: Sequence[str], envs: Sequence[str]) -> tuple[Plugin, ...]:
@@ -193,6 +234,8 @@ def packed(folder: Path) -> dict[Plugin, Plugin]:
         source = Path(one.place)
         if not one.is_file:
             source /= one.name.partition(".")[0]
+        if one.is_file:
+            _copy_helpers(source.parent, folder / at)
         if source.is_dir():
             shutil.copytree(source, folder / at / source.name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
@@ -200,6 +243,15 @@ def packed(folder: Path) -> dict[Plugin, Plugin]:
             shutil.copy(source, folder / at)
         copies[one] = Plugin(one.name, str(at / source.name if one.is_file else at))
     return copies
+
+
+def _copy_helpers(place: Path, to: Path) -> None:
+    """Copy the files beside a plug-in of one file that numbers come from."""
+    for digest in {digest for offer in KNOWN.offers.values() for digest in offer.sources.digests}:
+        name, _, _ = digest.rpartition(" ")
+        if name and (place / name).is_file():
+            (to / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(place / name, to / name)
 
 
 def unpacked(plugins: Sequence[Plugin]) -> tuple[Plugin, ...]:
@@ -212,11 +264,11 @@ def sources(kind: str, name: str) -> Sources:
 
     They are as another process reported them, or as they are now.
     """
-    if env_id := id_of(KNOWN.entries[kind][name]):
-        own, more = gymnasium_tasks.sources_of_task(env_id), [gymnasium_tasks.registered(env_id)]
-    else:
-        own = _offer_of(kind, name).sources
-        more = [f"{variable}={value}" for variable, value in environment.of_user().items()]
+    entry = KNOWN.entries[kind][name]
+    env_id = "" if entry.target in KNOWN.offers else id_of(entry)
+    own = gymnasium_tasks.sources_of_id(env_id) if env_id else _offer_of(kind, name).sources
+    variables = environment.of_user() | KNOWN.variables
+    more = [f"{variable}={value}" for variable, value in variables.items()]
     return Sources([*own.digests, *more], own.program)
 
 
@@ -259,8 +311,7 @@ def like(method: str) -> tuple[str, ...]:
 
 def task(env: str) -> Offer | EnvSpec:
     """Return what is known of a task. A plug-in's task is not imported: the facts are an `Offer`."""
-    entry = KNOWN.of_plugins("env").get(env)
-    return _offer_of("env", env) if entry and not id_of(entry) else SPECS[env]
+    return _offer_of("env", env) if env in KNOWN.of_plugins("env") else SPECS[env]
 
 
 def _offer_of(kind: str, name: str) -> Offer:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,6 +147,10 @@ def command_of(request: Request, beside: bool = False) -> str:
     words += ["--rl", c.rl]
     words += ["--learner", c.learner] if c.learner != "own" else []
     words += ["--solves", str(c.solves)] if c.solves else []
+    for name, value in json.loads(c.env_kwargs or "{}").items():
+        words += ["--env-kwargs", shlex.quote(f"{name}={json.dumps(value)}")]
+    for name in json.loads(c.env_vars or "{}"):
+        words += ["--env-var", name]
     words += ["--experts", c.experts, "--record", c.record]
     words += ["--transfer", ",".join(dynamics)] if dynamics else []
     words += ["--demos-from", "FILE"] if c.demonstrations else []

@@ -35,11 +35,11 @@ class Odd(gym.Env):
 gym.register("irl_bench_tests/{name}-v0", Odd, max_episode_steps=20, disable_env_checker={quiet})
 ENVS = {{"odd": {spec}}}
 """
-FLOAT, WHOLE = "Box(-1, 1, (2,))", "Box(0, 5, (2,), np.int32)"
+FLOAT, WHOLE = "Box(-1, 1, (2,))", "Box(0, 9, (2,), np.int32)"
 NAN = "float('nan') if self.steps == 7 else np.ones(1)"
 WRITTEN = "EnvSpec('odd', 'irl_bench_tests/{name}-v0', 2, 2, (1.0, 1.0), 20)"
 DERIVED = "from_gymnasium('irl_bench_tests/{name}-v0', 'odd')"
-REASONS = {"not whole ones": (WHOLE, "1.0"), "gives nan as reward of step 7": (FLOAT, NAN)}
+REASONS = {"100 combinations": (WHOLE, "1.0"), "gives nan as reward of step 7": (FLOAT, NAN)}
 
 
 @pytest.fixture(autouse=True)

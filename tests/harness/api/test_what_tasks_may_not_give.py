@@ -28,17 +28,16 @@ def steady(env: Odd) -> np.ndarray:
 
 NAN = np.array([0, np.nan], np.float32)
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "whole actions": ({"act": spaces.Box(0, 5, (2,), np.int32)}, r"real numbers, not whole ones, Box\(0, 5"),
-    "bytes": ({"act": spaces.Box(0, 255, (2,), np.uint8)}, "not whole ones"),
-    "no bounds": ({"act": spaces.Box(-np.inf, np.inf, (2,))}, "a bounded box, not"),
-    "one bound": ({"act": spaces.Box(np.array([0, -np.inf]), 1, dtype=np.float64)}, "a bounded box, not"),
-    "a matrix": ({"act": spaces.Box(-1, 1, (2, 2))}, "a bounded box, not"),
-    "a number": ({"act": spaces.Box(-1, 1, ())}, "a bounded box, not"),
+    "whole actions": ({"act": spaces.Box(0, 9, (2,), np.int32)}, "have 100 combinations, more than the 64"),
+    "bytes": ({"act": spaces.Box(0, 255, (2,), np.uint8)}, "have 65,536 combinations"),
+    "no bounds": ({"act": spaces.Box(-np.inf, np.inf, (2,))}, "actions must have bounds"),
+    "one bound": ({"act": spaces.Box(np.array([0, -np.inf]), 1, dtype=np.float64)}, "must have bounds"),
     "no action": (
         {"act": spaces.Box(-1, 1, (0,))},
         "sizes, horizon, steps, solves and episodes must be positive",
     ),
-    "many choices": ({"act": spaces.MultiDiscrete([2, 3])}, "a bounded box, not"),
+    "many choices": ({"act": spaces.MultiDiscrete([9, 8])}, "have 72 combinations"),
+    "parts": ({"act": spaces.Dict({"gas": spaces.Discrete(2)})}, "choices or bounded numbers, not Dict"),
     "no limit": ({"limit": None}, "no time limit"),
     "NaN at first": ({"observe": at(0, NAN, steady)}, "gives nan as observation 1 after step 0"),
     "NaN later": ({"observe": at(7, NAN, steady)}, "gives nan as observation 1 after step 7"),

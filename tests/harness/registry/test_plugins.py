@@ -131,7 +131,7 @@ def test_a_plugin_that_cannot_be_loaded_is_one_line_and_nothing_is_written(
     [
         ("--envs", "gym:NoSuchTask-v0", "NameNotFound"),
         ("--envs", "gym:Pendulum", "Pendulum names no version of the task"),
-        ("--envs", "gym:Blackjack-v1", "observations must be a flat box"),
+        ("--envs", "gym:Blackjack-v1", "no time limit; give one: --env-kwargs max_episode_steps=200"),
         ("--plugin", "nowhere.py", "there is no plug-in"),
         ("--plugin", "no_such_module", "cannot be loaded"),
         ("--plugin", "mine.txt", "does not end in .py"),
