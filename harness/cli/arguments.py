@@ -93,8 +93,8 @@ def _add_demos(commands: argparse._SubParsersAction[_Parser]) -> None:
         add = what.add_parser(name, help=does)
         if name != "export":
             add.add_argument("path", type=Path, metavar="PATH")
-            options.add_bounds(add)
-        add.add_argument("--env", required=True)
+            options.add_reading(add)
+        add.add_argument("--env", required=name != "inspect")
         options.add_plugins(add)
         if name == "export":
             add.add_argument("--seed", type=values.seed, default=0, metavar="K")

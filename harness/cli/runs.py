@@ -58,6 +58,8 @@ def request_of(args: argparse.Namespace) -> RunRequest:
         demonstrator=args.demonstrator,
         demos_from=args.demos_from,
         action_bounds=args.action_bounds,
+        last_observation=args.last_observation,
+        obs_keys=args.obs_keys,
         transfer=args.transfer.split(",") if args.transfer is not None else (),
         retrain=not args.no_retrain,
         record=args.record,

@@ -48,6 +48,10 @@ def bounds(text: str) -> tuple[float, float]:
     return low, high
 
 
+def names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def seed(text: str) -> int:
     return whole(text, MOST - 1, least=0)
 

@@ -22,6 +22,7 @@ LearnerName = Literal["own", "ddpg"]
 Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]
 Demonstrator = Literal["expert", "medium", "noisy"]
+LastObservation = Literal["repeat", "drop"]
 EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
@@ -32,6 +33,8 @@ EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
+LAST_OBSERVATIONS: tuple[LastObservation, ...] = ("repeat", "drop")
+"""Treatments of files without an episode's last observation (`harness.demonstrations.recording.Reading`)."""
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """Treatments of an episode's end (`harness.rl.solving`). The last two are parts of the first."""
 
