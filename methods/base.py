@@ -294,7 +294,7 @@ class Learned:
 
 
 class Method(Protocol):
-    """A frozen dataclass whose fields are hyper-parameters."""
+    """A frozen dataclass whose fields are hyper-parameters, `needs_actions = False` in one of states."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Learn from demonstrations in a world without its reward."""

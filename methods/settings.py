@@ -9,7 +9,7 @@ MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
 ITERATIVE = (*MAXMARGIN, *MAXENT)
 """Methods in which reinforcement learning goes on between updates of the reward."""
-GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
+GAMES = ("gail", "gail_mean", "gail_mean_state", "gaifo", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is f of the thesis's model."""

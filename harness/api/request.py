@@ -246,6 +246,8 @@ def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
     episodes = len(demonstrations.episodes)
     if asked.experts == "none" and demonstrations.returns is None:
         raise BadInput(f"{path} tells no rewards, so nothing would score 1; leave out --experts none")
+    if asked.experts == "none" and not demonstrations.episodes.has_actions:
+        raise BadInput(f"{path} has no actions to clone in the expert's place; leave out --experts none")
     if asked.experts == "none" and demonstrations.cut:
         raise BadInput(
             f"{demonstrations.cut} of the {episodes} episodes of {path} neither terminated nor "

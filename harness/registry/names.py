@@ -90,6 +90,9 @@ METHODS = {
     "gail_mean_state": Entry(
         "methods.gail:GAIL", "gail of states alone, the mean of the latest discriminators as reward"
     ),
+    "gaifo": Entry(
+        "methods.gaifo:GAIfO", "GAIL from observation, of a state and the next one (Torabi et al. 2018)"
+    ),
     "airl_state": Entry(
         "methods.airl:AIRL", "adversarial IRL, with a reward of states alone (Fu et al. 2018)"
     ),
