@@ -94,8 +94,8 @@ class RunRequest:
     action_bounds: Sequence[tuple[float, float]] | None = None
     """The lowest and highest action in that file: one pair, or a pair for each component."""
     last_observation: LastObservation | None = None
-    """What to do where an episode there has as many observations as actions: 'repeat' the last one, or 'drop'
-    the last action."""
+    """The treatment of episodes with as many observations as actions: 'repeat' the last one, or 'drop' the
+    last action."""
     obs_keys: Sequence[str] = ()
     """Names of the file's observations, in the task's order."""
     transfer: Sequence[str] = ()

@@ -127,7 +127,7 @@ def joined(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
 def completed(arrays: dict[str, NDArray[Any]], how: LastObservation | None) -> dict[str, NDArray[Any]]:
     """Return arrays whose episodes end with an observation, of ones that end with an action.
 
-    how: as of `Reading`; None leaves them as they are, or drops the action where actions are not known.
+    how: as of `Reading`. None leaves arrays as they are. Where actions are not known, it is 'drop'.
     Arrays that need no change, or that `Recording` refuses, are returned as they are.
     """
     obs, act, lengths = (arrays[name] for name in ("obs", "act", "lengths"))

@@ -1,4 +1,4 @@
-"""What the forms share: files within a size, JSON that is checked, Arrow tables, and observations by key."""
+"""Parts that the forms share: files within a size, JSON that is checked, Arrow tables, and observations by key."""
 
 from __future__ import annotations
 

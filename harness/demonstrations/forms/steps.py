@@ -69,10 +69,9 @@ def recording(
 ) -> Recording:
     """Return the episodes of N steps.
 
-    obs: (N, O), before each step. columns: actions (N, A) or choices (N,), and rewards (N,), where they are
-    known. ends: ascending numbers of steps at which an episode has ended; the last step always ends one.
-    terminal: (N,) true where a step terminated its episode, which counts at ends alone. after: observations
-    after each step, (N, O), where they are known.
+    obs: (N, O), before each step. after: the same after each step, where they are known. columns: actions
+    (N, A) or choices (N,), and rewards (N,), where they are known. ends: the number of steps before each end
+    of an episode, but for the last one. terminal: (N,) true where an episode that ends there has terminated.
     """
     if form != "LeRobot":
         without_keys(form, how)
