@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -117,7 +117,7 @@ class Episodes:
     [-1, 1]; a choice is 1 and the others are 0; (T, 0) where actions are not known. `terminated`: the
     episodes that were not truncated. `times`: None if every step is shown. Otherwise the N times of the steps
     shown, from 0, ascending, for each episode; then `obs` is (N, O) and `act` (N, A). `steps`: T of each
-    episode, None if every step is shown.
+    episode, None if every step is shown. `preferences`: (P, 2) numbers of two episodes, the better one last.
     Raises ValueError for no episode, no step, wrong shapes, NaN, and actions out of range.
     """
 
@@ -126,6 +126,7 @@ class Episodes:
     terminated: tuple[bool, ...]
     times: tuple[NDArray[np.int64], ...] | None = None
     steps: tuple[int, ...] | None = None
+    preferences: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.obs) == len(self.act) == len(self.terminated) > 0:
@@ -183,13 +184,12 @@ class Episodes:
         """Return every `count`-th step of each episode, from a random one of its first `count`. A shorter
         episode keeps one step."""
         lengths = tuple(self.lengths.tolist())
-        starts = [int(rng.integers(min(count, steps))) for steps in lengths]
-        times = tuple(np.arange(start, T, count) for start, T in zip(starts, lengths, strict=True))
+        times = tuple(np.arange(int(rng.integers(min(count, T))), T, count) for T in lengths)
         obs, act = (
             tuple(rows[at].copy() for rows, at in zip(column, times, strict=True))
             for column in (self.obs, self.act)
         )
-        return Episodes(obs, act, self.terminated, times, lengths)
+        return replace(self, obs=obs, act=act, times=times, steps=lengths)
 
 
 Kind = Literal["own", "stochastic", "soft"]

@@ -59,7 +59,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
     (("shaped_ranked",), ("swingup", "cartpole_swingup"), ("quick", "full"), {"rl_rounds": 2}),
     (("shaped_ranked",), ("halfcheetah",), ("quick", "full"), {"rl_rounds": 4}),
-    (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
+    (("shaped_ranked", "trex"), ANY, ("smoke",), SMOKE_RANKS),
 ]
 """Methods, environments and budgets (`ANY` for all), and their hyper-parameters. Later rows win."""
 

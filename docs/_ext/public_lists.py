@@ -30,7 +30,7 @@ PLAIN = {
     "dynamics": "The task's own (`nominal`), or a variant.",
     "demos": "Demonstrations that are shown; 0: the budget's number.",
     "every": "Distance between shown steps.",
-    "demonstrator": "`expert`, `medium` or `noisy`.",
+    "demonstrator": "`expert`, `medium`, `noisy` or `ranked`.",
     "status": "`ok`, `skipped` or `failed`.",
     "episodes": "Evaluation episodes.",
     "seeds": "Seeds of the line.",

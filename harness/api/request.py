@@ -98,6 +98,8 @@ class RunRequest:
     last action."""
     obs_keys: Sequence[str] = ()
     """Names of the file's observations, in the task's order."""
+    preferences: Path | str | None = None
+    """A CSV file of preferences between those demonstrations, with the columns first, second and better."""
     transfer: Sequence[str] = ()
     """Variants of the tasks in which what was learned is used, too; 'all' for every variant."""
     retrain: bool = True
@@ -222,11 +224,11 @@ def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[st
             yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
     if asked.files and (len(envs) != 1 or asked.demonstrator != "expert"):
         yield "--demos-from is for one environment, and leaves out --demonstrator"
-    of_file = (asked.action_bounds, asked.last_observation, asked.obs_keys)
-    for option, value in zip(("action-bounds", "last-observation", "obs-keys"), of_file, strict=True):
-        if value and not asked.files:
-            yield f"--{option} is for demonstrations of a file: --demos-from"
-    if asked.demonstrator == "medium":
+    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
+    for option in of_file:
+        if getattr(asked, option) and not asked.files:
+            yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
+    if asked.demonstrator in ("medium", "ranked"):
         if asked.experts == "trained":
             yield "medium demonstrators are shipped ones; leave out --experts trained"
         if lacking := [env for env in envs if not keys.expert_files(env)]:
@@ -240,8 +242,9 @@ def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
     from harness.demonstrations.reading import read_all
     from harness.demonstrations.recording import Reading
 
+    preferred = None if asked.preferences is None else Path(str(asked.preferences))
     how = Reading(asked.last_observation, tuple(asked.obs_keys))
-    demonstrations = read_all(asked.files, SPECS[envs[0]], asked.bounds, how)
+    demonstrations = read_all(asked.files, SPECS[envs[0]], asked.bounds, how, preferred)
     path = ", ".join(map(str, asked.files))
     episodes = len(demonstrations.episodes)
     if asked.experts == "none" and demonstrations.returns is None:

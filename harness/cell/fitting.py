@@ -12,7 +12,7 @@ from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import CellResult, PolicyName
-from harness.registry import THESIS, load_method
+from harness.registry import RANKED, THESIS, load_method
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import settings_for
 from harness.rl.learned import check_learned, check_suitable
@@ -158,7 +158,9 @@ def learned_by(
     with inputs.stage("fit"):
         settings = settings_for(method, inputs.cell.env, inputs.conditions.budget)
         rng = rng_for(inputs.cell.seed, inputs.cell.env, SAME_NUMBERS.get(method, method), "fit")
-        own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
+        ranks = demos.preferences if method in RANKED else None
+        obs, act = (tuple(map(np.array, column)) for column in (demos.obs, demos.act))
+        own = replace(demos, obs=obs, act=act, preferences=ranks)
         made = load_method(method)(**settings)
         check_suitable(made, demos)
         if first and isinstance(made, TwoParts):

@@ -88,10 +88,18 @@ def add_run(add: argparse.ArgumentParser) -> None:
     )
     add_reading(add)
     add.add_argument(
+        "--preferences",
+        type=values.folder,
+        metavar="FILE.csv",
+        help="preferences between demonstrations of a file, for trex: columns first, second and better, "
+        "numbers of episodes from 0 (default: by the file's rewards)",
+    )
+    add.add_argument(
         "--demonstrator",
         default="expert",
         choices=DEMONSTRATORS,
-        help="who is shown: the expert, a worse one, or the expert with noise on its actions",
+        help="who is shown: the expert, a worse one, the expert with noise on its actions, or a third each, "
+        "ranked by return for trex",
     )
     add.add_argument(
         "--transfer",

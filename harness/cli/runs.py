@@ -60,6 +60,7 @@ def request_of(args: argparse.Namespace) -> RunRequest:
         action_bounds=args.action_bounds,
         last_observation=args.last_observation,
         obs_keys=args.obs_keys,
+        preferences=args.preferences,
         transfer=args.transfer.split(",") if args.transfer is not None else (),
         retrain=not args.no_retrain,
         record=args.record,

@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from harness.demonstrations import apart
+from harness.demonstrations import apart, preferences
 from harness.demonstrations.arrays import from_arrays, split, to_arrays
 from harness.demonstrations.forms.npz import ACT_BOUNDS
 from harness.demonstrations.recording import AS_IT_IS, Bounds, Reading, Recording
@@ -40,6 +40,7 @@ class Demonstrations:
     cut there, though the file calls them terminal. `cut`: number of those that neither terminated nor last
     until the horizon. `units`: units of actions in the file, None where it has none. `clipped`: number of
     actions that rounding had put outside of these. `files`: names of the files, where several are merged.
+    `preferences`: digest of those of a file.
     """
 
     episodes: Episodes
@@ -50,6 +51,7 @@ class Demonstrations:
     units: Units | None = None
     clipped: int = 0
     files: tuple[str, ...] = ()
+    preferences: str = ""
 
     @property
     def returns(self) -> Array | None:
@@ -73,7 +75,8 @@ class Demonstrations:
             paid = f", return {self.returns.mean():.6g} by rewards {digest}"
         episodes, steps = len(self.episodes), int(self.episodes.lengths.sum())
         of_files = f" of {', '.join(self.files)}"[:MOST_OF_NAMES] if self.files else ""
-        return f"{self.digest}: {episodes} episodes, {steps} steps{paid}{of_files}"
+        preferred = f", preferences {self.preferences}" if self.preferences else ""
+        return f"{self.digest}: {episodes} episodes, {steps} steps{paid}{preferred}{of_files}"
 
 
 def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None, how: Reading = AS_IT_IS) -> Demonstrations:
@@ -91,14 +94,28 @@ def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None, how: Reading =
 
 
 def read_all(
-    paths: Sequence[Path], spec: EnvSpec, bounds: Bounds | None = None, how: Reading = AS_IT_IS
+    paths: Sequence[Path],
+    spec: EnvSpec,
+    bounds: Bounds | None = None,
+    how: Reading = AS_IT_IS,
+    preferred: Path | None = None,
 ) -> Demonstrations:
+    """Return the demonstrations of one file, or of several, with preferences: those of the file `preferred`,
+    or of higher returns where rewards are known. Raises BadInput as `merged` and `preferences.in_file` do."""
+    found = merged(paths, spec, bounds, how)
+    pairs, digest = None if found.returns is None else preferences.by_returns(found.returns), ""
+    if preferred is not None:
+        pairs = preferences.in_file(preferred, len(found.episodes))
+        digest = hashlib.sha256(pairs.tobytes()).hexdigest()[:8]
+    return replace(found, episodes=replace(found.episodes, preferences=pairs), preferences=digest)
+
+
+def merged(paths: Sequence[Path], spec: EnvSpec, bounds: Bounds | None, how: Reading) -> Demonstrations:
     """Return the demonstrations of one file, or of several, one after the other. Rewards are known where all
     files have them. Raises BadInput as `read` does, and where some files alone have actions."""
-    first, *more = (read(path, spec, bounds, how) for path in paths)
-    if not more:
-        return first
-    every = [first, *more]
+    every = [read(path, spec, bounds, how) for path in paths]
+    if len(every) == 1:
+        return every[0]
     if len({one.episodes.has_actions for one in every}) > 1:
         raise BadInput("some of these files have actions, and others have none", "demonstrations")
     columns = [(one.episodes.obs, one.episodes.act, one.episodes.terminated) for one in every]

@@ -21,7 +21,7 @@ Library = Literal["sbx", "sb3"]
 LearnerName = Literal["own", "ddpg"]
 Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]
-Demonstrator = Literal["expert", "medium", "noisy"]
+Demonstrator = Literal["expert", "medium", "noisy", "ranked"]
 LastObservation = Literal["repeat", "drop"]
 EngineName = Literal["isolated", "inline", "ray"]
 
@@ -32,7 +32,7 @@ LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
-DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
+DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy", "ranked")
 LAST_OBSERVATIONS: tuple[LastObservation, ...] = ("repeat", "drop")
 """Treatments of files without an episode's last observation (`harness.demonstrations.recording.Reading`)."""
 PROTOCOLS = ("absorbing", "native", "state", "offset")
@@ -119,6 +119,7 @@ VARIANTS = {
     "dagger": Entry(
         "methods.dagger:DAgger", "DAgger (Ross et al. 2011); asks the expert, so a ceiling and no rival"
     ),
+    "trex": Entry("methods.trex:TREX", "T-REX (Brown et al. 2019); sees ranked demonstrations, so no rival"),
     "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
     "maxent_state": Entry("methods.maxent:MaxEnt", "maxent, with a reward of states alone"),
     "maxent_linear": Entry(
@@ -131,6 +132,8 @@ VARIANTS = {
 """Methods that run when they are named, and are not part of 'all'."""
 ASKING = ("dagger",)
 """Methods that ask the expert for its actions: a ceiling for the others."""
+RANKED = ("trex",)
+"""Methods that see preferences between demonstrations."""
 ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",

@@ -1,4 +1,4 @@
-"""Parts that the forms share: files within a size, JSON that is checked, Arrow tables, and observations by key."""
+"""Parts of several forms: files within a size, checked JSON, Arrow tables, and observations by key."""
 
 from __future__ import annotations
 

@@ -134,6 +134,7 @@ def _knows(method: Method, asks: bool) -> None:
     def fit() -> tuple[Learned, Episodes]:
         world = TaskWorld(spec, "absorbing", "sb3", expert if asks else None, budget="smoke")
         demos = world.rollout(expert, 4, np.random.default_rng(1))
+        demos = dataclasses.replace(demos, preferences=np.array([[0, 1], [1, 2]]))
         return method.fit(demos, world, np.random.default_rng(0)), demos
 
     (one, demos), (other, _) = fit(), fit()
