@@ -143,8 +143,9 @@ class RunRequest:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files of demonstrations, if any."""
-        given = self.demos_from or ()
-        return tuple(Path(str(path)) for path in ([given] if isinstance(given, str | Path) else given))
+        given = () if self.demos_from is None else self.demos_from
+        several = isinstance(given, Sequence) and not isinstance(given, str)
+        return tuple(Path(str(path)) for path in (given if several else [given]))
 
     @property
     def bounds(self) -> Array | None:
