@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -98,10 +98,9 @@ class Transitions:
     @classmethod
     def of(cls, episodes: Episodes) -> Transitions:
         """Return every step of whole episodes, without any in the absorbing state."""
-        obs, act = episodes.pairs()
+        obs, act, after = episodes.transitions()
         ended = np.zeros(len(act), bool)
         ended[episodes.lengths.cumsum() - 1] = episodes.terminated
-        after = np.concatenate([rows[1:] for rows in episodes.obs])
         return cls.own(obs, act, after, np.zeros(len(act), bool), ended)
 
 
@@ -115,9 +114,10 @@ class Episodes:
     """Episodes without rewards: demonstrations, or rollouts in a `World`. Arrays are read-only.
 
     `obs`: (T+1, O) for each episode, the last row being where it ended. `act`: (T, A) for each episode, in
-    [-1, 1]; a choice is 1 and the others are 0. `terminated`: the episodes that were not truncated. `times`:
-    None if every step is shown. Otherwise the N times of the steps shown, from 0, ascending, for each
-    episode; then `obs` is (N, O) and `act` (N, A). `steps`: T of each episode, None if every step is shown.
+    [-1, 1]; a choice is 1 and the others are 0; (T, 0) where actions are not known. `terminated`: the
+    episodes that were not truncated. `times`: None if every step is shown. Otherwise the N times of the steps
+    shown, from 0, ascending, for each episode; then `obs` is (N, O) and `act` (N, A). `steps`: T of each
+    episode, None if every step is shown. `preferences`: (P, 2) numbers of two episodes, the better one last.
     Raises ValueError for no episode, no step, wrong shapes, NaN, and actions out of range.
     """
 
@@ -126,6 +126,7 @@ class Episodes:
     terminated: tuple[bool, ...]
     times: tuple[NDArray[np.int64], ...] | None = None
     steps: tuple[int, ...] | None = None
+    preferences: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.obs) == len(self.act) == len(self.terminated) > 0:
@@ -142,7 +143,7 @@ class Episodes:
                 raise ValueError(f"episode {i}: its sizes differ from those of episode 0")
             if not (np.isfinite(obs).all() and np.isfinite(act).all()):
                 raise ValueError(f"episode {i}: obs and act must be finite")
-            if np.abs(act).max() > 1:
+            if np.abs(act).max(initial=0) > 1:
                 raise ValueError(f"episode {i}: actions must lie in [-1, 1]")
             obs.flags.writeable = act.flags.writeable = False
 
@@ -153,6 +154,11 @@ class Episodes:
     def whole(self) -> bool:
         """True if every step is shown."""
         return self.times is None
+
+    @property
+    def has_actions(self) -> bool:
+        """True if actions are known."""
+        return self.act[0].shape[1] > 0
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -166,26 +172,24 @@ class Episodes:
 
     def transitions(self) -> tuple[Array, Array, Array]:
         """Return steps with their next observations, where both are shown: (N, O), (N, A) and (N, O)."""
-        before, actions, after = [], [], []
+        steps = []
         for i, (obs, act) in enumerate(zip(self.obs, self.act, strict=True)):
             times = np.arange(len(obs)) if self.times is None else self.times[i]
             followed = np.flatnonzero(np.diff(times) == 1)
-            before.append(obs[followed])
-            actions.append(act[followed])
-            after.append(obs[followed + 1])
-        return np.concatenate(before), np.concatenate(actions), np.concatenate(after)
+            steps.append((obs[followed], act[followed], obs[followed + 1]))
+        before, actions, after = map(np.concatenate, zip(*steps, strict=True))
+        return before, actions, after
 
     def every(self, count: int, rng: Rng) -> Episodes:
         """Return every `count`-th step of each episode, from a random one of its first `count`. A shorter
         episode keeps one step."""
         lengths = tuple(self.lengths.tolist())
-        starts = [int(rng.integers(min(count, steps))) for steps in lengths]
-        times = tuple(np.arange(start, T, count) for start, T in zip(starts, lengths, strict=True))
+        times = tuple(np.arange(int(rng.integers(min(count, T))), T, count) for T in lengths)
         obs, act = (
             tuple(rows[at].copy() for rows, at in zip(column, times, strict=True))
             for column in (self.obs, self.act)
         )
-        return Episodes(obs, act, self.terminated, times, lengths)
+        return replace(self, obs=obs, act=act, times=times, steps=lengths)
 
 
 Kind = Literal["own", "stochastic", "soft"]
@@ -290,7 +294,7 @@ class Learned:
 
 
 class Method(Protocol):
-    """A frozen dataclass whose fields are hyper-parameters."""
+    """A frozen dataclass whose fields are hyper-parameters, `needs_actions = False` in one of states."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Learn from demonstrations in a world without its reward."""

@@ -16,6 +16,7 @@ the model is known the gradient is exact (`methods.tabular.f_irl`).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -36,6 +37,8 @@ LARGEST_LOG = 5.0  # bound of log density ratios
 class FIRL(Game):
     """f-IRL's hyper-parameters, besides the game's. `rollouts` also estimate each gradient."""
 
+    needs_actions: ClassVar[bool] = False
+    """True if demonstrations must have actions."""
     known_steps: Count = 300
     """Steps of gradient descent where the model is known."""
     known_rate: Positive = 3e-2

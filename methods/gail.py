@@ -33,6 +33,11 @@ class GAIL(TwoParts, Game):
     mean: bool = False
     """True if R* is the mean of all logits, False if it is the last one."""
 
+    @property
+    def needs_actions(self) -> bool:
+        """True if demonstrations must have actions."""
+        return self.actions
+
     def first(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Play the game."""
         mean, std, generator = self.standard(demos, world, rng)

@@ -68,6 +68,11 @@ class MaxEnt:
     slope_prior: Annotated[Weight, Between(0.01, 100)] = 1.0
     """Inverse variance of the Gaussian prior on the reward's slope, observations being standardised."""
 
+    @property
+    def needs_actions(self) -> bool:
+        """True if demonstrations must have actions."""
+        return self.actions
+
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Alternate reward ascent and reinforcement learning on the reward."""
         if world.model is not None:

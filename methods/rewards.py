@@ -58,34 +58,44 @@ class StateReward:
 @dataclass(frozen=True)
 class NetworkReward:
     """A network of (observation, action, absorbing indicator), times `size`. Without `actions` it is one of
-    (observation, absorbing indicator)."""
+    (observation, absorbing indicator), and with `next_obs` the next observation follows the observation."""
 
     network: Network
     size: float
     absorbing: float
     actions: bool = True
+    next_obs: bool = False
 
     @classmethod
     def of(
-        cls, layers: nn.Module, mean: Array, std: Array, *, bound: float | None = None, actions: bool = True
+        cls,
+        layers: nn.Module,
+        mean: Array,
+        std: Array,
+        *,
+        bound: float | None = None,
+        actions: bool = True,
+        next_obs: bool = False,
     ) -> NetworkReward:
         """Return the reward of torch layers on standardised observations (`mean`, `std`), actions and the
         indicator. `bound`: factor of the layers' tanh, None for their output as it is."""
+        if next_obs:
+            mean, std = np.tile(mean, 2), np.tile(std, 2)
         linear = [m for m in layers.modules() if isinstance(m, nn.Linear)]
         rest = linear[0].in_features - len(mean)
         shift, scale = np.append(mean, np.zeros(rest)), np.append(std, np.ones(rest))
         network = Network.from_torch(layers, shift, scale, tanh=bound is not None)
         absorbed, size = np.append(mean, np.zeros(rest)), 1.0 if bound is None else bound
         absorbed[-1] = 1
-        return cls(network, size, size * float(network(absorbed[None])[0, 0]), actions)
+        return cls(network, size, size * float(network(absorbed[None])[0, 0]), actions, next_obs)
 
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
-        return self.size * self.network(self.inputs(obs, act))[:, 0]
+        return self.size * self.network(self.inputs(obs, act, next_obs))[:, 0]
 
-    def inputs(self, obs: Array, act: Array) -> Array:
+    def inputs(self, obs: Array, act: Array, next_obs: Array) -> Array:
         """Return the network's input for living steps."""
-        columns = [obs, act] if self.actions else [obs]
-        return np.concatenate([*columns, np.zeros((len(obs), 1))], axis=1)
+        seen = ((obs, True), (next_obs, self.next_obs), (act, self.actions), (np.zeros((len(obs), 1)), True))
+        return np.concatenate([column for column, is_seen in seen if is_seen], axis=1)
 
     @cached_property
     def compiled(self) -> Reward:
@@ -124,7 +134,7 @@ class MeanReward:
     def compiled(self) -> Reward:
         """The reward in float32 if all parts are networks that differ in numbers alone, else itself."""
         networks = tuple(reward for reward in self.rewards if type(reward) is NetworkReward)
-        forms = {(reward.actions, *reward.network.form) for reward in networks}
+        forms = {(reward.actions, reward.next_obs, *reward.network.form) for reward in networks}
         stack = type(self) is MeanReward and len(networks) == len(self.rewards) and len(forms) == 1
         return CompiledReward(networks) if stack else self
 
@@ -148,7 +158,7 @@ class CompiledReward:
     def __call__(self, obs: Array, act: Array, next_obs: Array, /) -> Array:
         if 2 * len(obs) < COMPILED_ROWS:
             return np.asarray(np.mean([reward(obs, act, next_obs) for reward in self.rewards], axis=0))
-        x, first = self.rewards[0].inputs(obs, act), self.rewards[0].network
+        x, first = self.rewards[0].inputs(obs, act, next_obs), self.rewards[0].network
         padded = np.zeros((-(-len(x) // COMPILED_ROWS), COMPILED_ROWS, x.shape[1]), np.float32)
         padded.reshape(-1, x.shape[1])[: len(x)] = (x - first.mean) / first.std
         parts = [np.asarray(_mean(*self._stacked, rows, first.tanh)) for rows in padded]
@@ -179,9 +189,9 @@ def default_absorbing(reward: Reward, demos: Episodes, random_actions: RandomAct
     from neither staying alive nor dying.
 
     It is the mean reward of demonstrated states with uniform actions, or of the demonstrated pairs if all
-    demonstrations terminate.
+    demonstrations terminate and have actions.
     """
     obs, act = demos.pairs()
-    if not all(demos.terminated):
+    if not (all(demos.terminated) and demos.has_actions):
         act = random_actions(len(act), rng)
     return float(reward(obs, act, obs).mean())

@@ -9,7 +9,7 @@ MAXMARGIN = ("maxmargin", "maxmargin_projection")
 MAXENT = ("maxent", "maxent_state")
 ITERATIVE = (*MAXMARGIN, *MAXENT)
 """Methods in which reinforcement learning goes on between updates of the reward."""
-GAMES = ("gail", "gail_mean", "gail_mean_state", "airl", "airl_state", "f_irl")
+GAMES = ("gail", "gail_mean", "gail_mean_state", "gaifo", "airl", "airl_state", "f_irl")
 """Methods in which a discriminator plays against an agent."""
 SHAPED = ("shaped", "shaped_decay", "shaped_ml", "shaped_ranked")
 """Methods whose policy is f of the thesis's model."""
@@ -59,7 +59,7 @@ SETTINGS: list[tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str
     (("shaped_ml",), ANY, ("smoke",), {"rollouts": 3}),
     (("shaped_ranked",), ("swingup", "cartpole_swingup"), ("quick", "full"), {"rl_rounds": 2}),
     (("shaped_ranked",), ("halfcheetah",), ("quick", "full"), {"rl_rounds": 4}),
-    (("shaped_ranked",), ANY, ("smoke",), SMOKE_RANKS),
+    (("shaped_ranked", "trex"), ANY, ("smoke",), SMOKE_RANKS),
 ]
 """Methods, environments and budgets (`ANY` for all), and their hyper-parameters. Later rows win."""
 

@@ -61,7 +61,8 @@ def test_the_page_of_faults_lists_every_test_that_injects_one(extension: Any) ->
 
 def test_every_column_option_and_event_has_a_meaning(extension: Any) -> None:
     public, commands = extension("public_lists"), extension("command_lists")
-    for table in (public.scores(), public.leaderboard(), public.names(), public.files(), commands.events()):
+    lists = (public.scores, public.leaderboard, public.names, public.files, public.forms, commands.events)
+    for table in (one() for one in lists):
         rows = [line.split(" | ") for line in table.splitlines()[2:]]
         assert len(rows) > 5
         assert all(len(row[-1].strip(" |")) > 3 for row in rows), table

@@ -1,4 +1,4 @@
-"""The lists of docs/public_names.md and docs/settings.md, made of the code."""
+"""The lists of docs/public_names.md, docs/settings.md and docs/demonstrations.md, made of the code."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from plain_docstrings import inline, paragraphs
 
 import harness.records
 import irl_bench
+from harness.demonstrations.forms import LISTED
 from harness.judge.leaderboard import Entry
 from harness.records import Row
 from harness.registry import ENVS, METHODS, VARIANTS, load_method
@@ -29,7 +30,7 @@ PLAIN = {
     "dynamics": "The task's own (`nominal`), or a variant.",
     "demos": "Demonstrations that are shown; 0: the budget's number.",
     "every": "Distance between shown steps.",
-    "demonstrator": "`expert`, `medium` or `noisy`.",
+    "demonstrator": "`expert`, `medium`, `noisy` or `ranked`.",
     "status": "`ok`, `skipped` or `failed`.",
     "episodes": "Evaluation episodes.",
     "seeds": "Seeds of the line.",
@@ -86,6 +87,13 @@ def files() -> str:
     """Return a table of the files of a run's directory."""
     lines = re.findall(r"^DIR/(\S.*?)\s{2,}(.+)$", harness.records.__doc__ or "", re.MULTILINE)
     return table(["File", "Content"], [(f"`{name}`", inline(text)) for name, text in lines])
+
+
+def forms() -> str:
+    """Return a table of the forms of files of demonstrations."""
+    return table(
+        ["Form", "Recognised by", "Endings", "Bounds of its actions"], [tuple(one) for one in LISTED]
+    )
 
 
 def hyper_parameters() -> str:

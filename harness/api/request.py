@@ -19,6 +19,7 @@ from harness.registry import (
     DEMONSTRATORS,
     EXPERTS,
     KNOWN,
+    LAST_OBSERVATIONS,
     LEARNERS,
     LIBRARIES,
     PROTOCOLS,
@@ -27,6 +28,7 @@ from harness.registry import (
     BadInput,
     Demonstrator,
     Experts,
+    LastObservation,
     LearnerName,
     Library,
     Record,
@@ -53,9 +55,10 @@ CHOICES = {
     "experts": EXPERTS,
     "demonstrator": DEMONSTRATORS,
     "record": RECORDS,
+    "last_observation": (None, *LAST_OBSERVATIONS),
 }
 ITEMS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("methods", "envs", "transfer", "env_vars"), (str,)),
+    **dict.fromkeys(("methods", "envs", "transfer", "env_vars", "obs_keys"), (str,)),
     **dict.fromkeys(("plugins", "baseline"), (str, Path)),
     "demos": (object,),
 }
@@ -91,10 +94,17 @@ class RunRequest:
     subsample: int = 1
     """The distance between shown steps."""
     demonstrator: Demonstrator = "expert"
-    demos_from: Path | str | None = None
-    """A file of demonstrations, instead of the demonstrator's."""
+    demos_from: Path | str | Sequence[Path | str] | None = None
+    """A file of demonstrations, or several, instead of the demonstrator's."""
     action_bounds: Sequence[tuple[float, float]] | None = None
     """The lowest and highest action in that file: one pair, or a pair for each component."""
+    last_observation: LastObservation | None = None
+    """The treatment of episodes with as many observations as actions: 'repeat' the last one, or 'drop' the
+    last action."""
+    obs_keys: Sequence[str] = ()
+    """Names of the file's observations, in the task's order."""
+    preferences: Path | str | None = None
+    """A CSV file of preferences between those demonstrations, with the columns first, second and better."""
     transfer: Sequence[str] = ()
     """Variants of the tasks in which what was learned is used, too; 'all' for every variant."""
     retrain: bool = True
@@ -120,7 +130,7 @@ class RunRequest:
                     raise BadInput(f"{name} cannot hold {item!r:.80}; {PLUGIN_HINT}", page="plugins")
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
-                raise BadInput(f"{name} must be one of {', '.join(choices)}, not {value!r:.40}")
+                raise BadInput(f"{name} must be one of {', '.join(map(str, choices))}, not {value!r:.40}")
         if not isinstance(self.env_kwargs, Mapping):
             raise BadInput(f"env_kwargs must be a dict of arguments by name, not {self.env_kwargs!r:.40}")
         _whole("solves", self.solves, 0)
@@ -140,6 +150,13 @@ class RunRequest:
         if not len(self.seeds):
             raise BadInput("seeds must have a number")
         return tuple(sorted({_whole("seeds", seed, 0, MOST_SEEDS - 1) for seed in self.seeds}))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of demonstrations, if any."""
+        given = () if self.demos_from is None else self.demos_from
+        several = isinstance(given, Sequence) and not isinstance(given, str)
+        return tuple(Path(str(path)) for path in (given if several else [given]))
 
     @property
     def bounds(self) -> Array | None:
@@ -176,7 +193,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
     methods, envs = _names(asked)
     for contradiction in _contradictions(asked, methods, envs):
         raise BadInput(contradiction)
-    demonstrations = _demonstrations(asked, envs) if asked.demos_from is not None else None
+    demonstrations = _demonstrations(asked, envs) if asked.files else None
     conditions = Conditions(
         budget=asked.budget,
         protocol=asked.protocol,
@@ -219,17 +236,19 @@ def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[st
     if asked.learner == "ddpg" and (discrete := [env for env in envs if plugins.task(env).discrete]):
         yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
     if asked.experts == "none":
-        if asked.demos_from is None:
+        if not asked.files:
             yield "--experts none is for demonstrations of a file: --demos-from"
         if asked.transfer:
             yield "--transfer carries the expert over; leave out --experts none"
         if asking := [method for method in methods if base(method) in ASKING]:
             yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
-    if asked.demos_from is not None and (len(envs) != 1 or asked.demonstrator != "expert"):
+    if asked.files and (len(envs) != 1 or asked.demonstrator != "expert"):
         yield "--demos-from is for one environment, and leaves out --demonstrator"
-    if asked.action_bounds and asked.demos_from is None:
-        yield "--action-bounds are of demonstrations of a file: --demos-from"
-    if asked.demonstrator == "medium":
+    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
+    for option in of_file:
+        if getattr(asked, option) and not asked.files:
+            yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
+    if asked.demonstrator in ("medium", "ranked"):
         if asked.experts == "trained":
             yield "medium demonstrators are shipped ones; leave out --experts trained"
         if lacking := [env for env in envs if not keys.expert_files(env)]:
@@ -240,13 +259,18 @@ def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[st
 
 def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
     """Return the demonstrations of a file. Raises BadInput for those that cannot be shown."""
-    from harness.demonstrations.reading import read
+    from harness.demonstrations.reading import read_all
+    from harness.demonstrations.recording import Reading
 
-    path = Path(str(asked.demos_from))
-    demonstrations = read(path, SPECS[envs[0]], asked.bounds)
+    preferred = None if asked.preferences is None else Path(str(asked.preferences))
+    how = Reading(asked.last_observation, tuple(asked.obs_keys))
+    demonstrations = read_all(asked.files, SPECS[envs[0]], asked.bounds, how, preferred)
+    path = ", ".join(map(str, asked.files))
     episodes = len(demonstrations.episodes)
     if asked.experts == "none" and demonstrations.returns is None:
         raise BadInput(f"{path} tells no rewards, so nothing would score 1; leave out --experts none")
+    if asked.experts == "none" and not demonstrations.episodes.has_actions:
+        raise BadInput(f"{path} has no actions to clone in the expert's place; leave out --experts none")
     if asked.experts == "none" and demonstrations.cut:
         raise BadInput(
             f"{demonstrations.cut} of the {episodes} episodes of {path} neither terminated nor "

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from harness.cell import given
 from harness.cell.shipped import ShippedExpert, shipped_experts
+from harness.demonstrations import preferences
 from harness.demonstrations.arrays import from_arrays as episodes_from
 from harness.demonstrations.arrays import split, to_arrays
 from harness.records import ALL_SHOWN, UNSHOWN, Conditions, Shown
@@ -122,14 +123,21 @@ class Played(Source):
         shown = replace(shown, demos=shown.demos or self.spec.demo_episodes[self.conditions.budget])
 
         def draw() -> Kept:
-            demos = without_rewards(self.play(shown.demos, shown.demonstrator))
+            played = self.play(shown.demos, shown.demonstrator)
+            demos = without_rewards(played)
+            if shown.demonstrator == "ranked":
+                returns = [float(one.rewards.sum()) for one in played]
+                demos = replace(demos, preferences=preferences.by_returns(returns))
             return Kept(to_arrays(self.thinned(demos, shown)), {})
 
         return episodes_from(self.kept("demonstrations", astuple(shown), draw).arrays)
 
     def play(self, demos: int, kind: Demonstrator) -> list[Trajectory]:
-        """Return the first episodes of a demonstrator, with their true rewards. Raises BadInput for a
-        medium one that was not shipped."""
+        """Return the first episodes of a demonstrator, with their true rewards; of 'ranked', a third by
+        each other one. Raises BadInput for a medium one that was not shipped."""
+        if kind == "ranked":
+            kinds: tuple[Demonstrator, ...] = ("expert", "noisy", "medium")
+            return [one for each in kinds for one in self.play(-(-demos // 3), each)][:demos]
         policy = self.medium() if kind == "medium" else self.expert.policy
         if kind == "noisy":
             policy = disturbed(policy, self.spec, NOISE, rng_for(self.seed, self.env, "noise"))
@@ -204,8 +212,7 @@ class FromFile(Source):
         if shown.demos:
             order = rng_for(self.seed, self.env, "demonstrations given").permutation(count)
             numbers = np.sort(order[: shown.demos])
-            columns = (episodes.obs, episodes.act, episodes.terminated)
-            episodes = Episodes(*(tuple(column[i] for i in numbers) for column in columns))
+            episodes = preferences.chosen(episodes, numbers)
         return self.thinned(episodes, shown)
 
 

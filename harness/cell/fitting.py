@@ -12,10 +12,10 @@ from harness.cell.inputs import Inputs
 from harness.judge.controls import control_reward
 from harness.judge.evaluation import totals
 from harness.records import CellResult, PolicyName
-from harness.registry import THESIS, base
+from harness.registry import RANKED, THESIS, base
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS, Curve, thinned
 from harness.registry.plugins import method_for
-from harness.rl.learned import check_learned
+from harness.rl.learned import check_learned, check_suitable
 from harness.rl.seeds import rng_for
 from harness.rl.world import TaskWorld
 from harness.store.codec import printable
@@ -83,12 +83,12 @@ def _fit_now(inputs: Inputs) -> Fitted:
     try:
         learned = learned_by(inputs, inputs.cell.method, demos, world, first)
     except Unsuitable as error:
-        reason = printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
+        reason = _reason(error)
         return Fitted(Candidate("pi_star", None, columns={"reason": reason}), None, reason)
     if inputs.is_transfer:  # the cell in the task's own dynamics has the columns of the fit
         return Fitted(Candidate("pi_star", learned.policy, learned.reward), learned.reward)
     columns = {"pairs": _pairs(demos)}
-    if learned.reward is not None and demos.whole:
+    if learned.reward is not None and demos.whole and demos.has_actions:
         paid = totals(fast(learned.reward), list(zip(demos.obs, demos.act, strict=True)))
         columns["own_return_shown"] = float(paid.mean())
     star = _star(inputs, learned, world)
@@ -136,8 +136,12 @@ def _curve(values: Sequence[float]) -> Curve:
     return [(float(x), float(y)) for x, y in thinned(list(enumerate(values, 1)), MOST_POINTS)]
 
 
+def _reason(error: Unsuitable) -> str:
+    return printable(" ".join(str(error).split()))[:LONGEST_TEXT] or type(error).__name__
+
+
 def _pairs(demos: Episodes) -> float:
-    return sum(map(len, demos.act))
+    return sum(map(len, demos.act)) if demos.has_actions else 0
 
 
 def demonstrations(inputs: Inputs) -> Episodes:
@@ -154,8 +158,11 @@ def learned_by(
     with inputs.stage("fit"):
         name = SAME_NUMBERS.get(base(method), base(method))
         rng = rng_for(inputs.cell.seed, inputs.cell.env, name, "fit")
-        own = replace(demos, obs=tuple(map(np.array, demos.obs)), act=tuple(map(np.array, demos.act)))
+        ranks = demos.preferences if base(method) in RANKED else None
+        obs, act = (tuple(map(np.array, column)) for column in (demos.obs, demos.act))
+        own = replace(demos, obs=obs, act=act, preferences=ranks)
         made = method_for(method, inputs.cell.env, inputs.conditions.budget)
+        check_suitable(made, demos)
         if first and isinstance(made, TwoParts):
             learned = made.go_on(first, own, world, *rng.spawn(1))
         else:
@@ -165,7 +172,7 @@ def learned_by(
 
 
 def fit_control(inputs: Inputs) -> Fitted:
-    """Return the reward of a control, None for the true one."""
+    """Return the reward of a control, None for the true one. It is skipped where its method is."""
     learned, control = inputs.shared.learned, inputs.cell.method
     if (reward := learned.get("reward")) is not None:  # bc has none
         return Fitted(None, reward)
@@ -181,5 +188,8 @@ def fit_control(inputs: Inputs) -> Fitted:
             return Learned(learned["pi_star"], None)
         return learned_by(inputs, method, demos, inputs.world())
 
-    reward = control_reward(control, shown, fitted, inputs.spec.random_actions, inputs.rng("control"))
+    try:
+        reward = control_reward(control, shown, fitted, inputs.spec.random_actions, inputs.rng("control"))
+    except Unsuitable as error:
+        return Fitted(None, None, _reason(error))
     return Fitted(None, reward, columns=columns)

@@ -94,8 +94,8 @@ def _add_demos(commands: argparse._SubParsersAction[_Parser]) -> None:
         add = what.add_parser(name, help=does)
         if name != "export":
             add.add_argument("path", type=Path, metavar="PATH")
-            options.add_bounds(add)
-        add.add_argument("--env", required=True)
+            options.add_reading(add)
+        add.add_argument("--env", required=name != "inspect")
         options.add_plugins(add)
         options.add_given(add)
         if name == "export":

@@ -27,16 +27,26 @@ from harness.store.request import Request
 
 def demos(args: argparse.Namespace) -> int:
     """Write, read or describe demonstrations."""
-    from harness.demonstrations.description import described
+    from harness.demonstrations import apart
+    from harness.demonstrations.description import described, described_without_task
     from harness.demonstrations.reading import read, write
+    from harness.demonstrations.recording import Reading
 
+    if args.env is None:
+        try:
+            recording = apart.recording_in(args.path, Reading(args.last_observation, args.obs_keys))
+        except (ValueError, MemoryError) as error:
+            raise BadInput(f"{args.path}: no demonstrations: {error}", "demonstrations") from error
+        for line in described_without_task(recording):
+            say(line)
+        return 0
     spec = SPECS[_one_env(args)]
     if args.what == "export":
         export_demonstrations(args.to, spec.name, args.seed, args.demos, args.demonstrator)
         say(f"{args.to}: {read(args.to, spec)}")
         return 0
     bounds = None if args.action_bounds is None else np.array(args.action_bounds, np.float64).T
-    demonstrations = read(args.path, spec, bounds)
+    demonstrations = read(args.path, spec, bounds, Reading(args.last_observation, args.obs_keys))
     if args.what == "import":
         write(args.to, demonstrations.episodes, demonstrations.rewards)
         say(f"{args.to}: {demonstrations}")

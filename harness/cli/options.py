@@ -14,6 +14,7 @@ from harness.registry import (
     ENVS,
     EXPERTS,
     GROUPS,
+    LAST_OBSERVATIONS,
     LEARNERS,
     LIBRARIES,
     METHOD_GROUPS,
@@ -23,21 +24,6 @@ from harness.registry import (
     VARIANTS,
     configured,
 )
-
-
-class _Once(argparse.Action):
-    """An option that may not be given twice: of two, one would be ignored."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: object,
-        option: object = None,
-    ) -> None:
-        if getattr(namespace, self.dest) is not None:
-            parser.error(f"{option} is given twice; one file is read")
-        setattr(namespace, self.dest, values)
 
 
 class _Settings(argparse.Action):
@@ -127,16 +113,25 @@ def add_run(add: argparse.ArgumentParser) -> None:
     add.add_argument(
         "--demos-from",
         type=values.folder,
-        action=_Once,
+        action="append",
         metavar="PATH",
-        help="demonstrations of a file instead of the experts' (docs/demonstrations.md)",
+        help="demonstrations of a file instead of the experts' (docs/demonstrations.md); given again, "
+        "those of all files",
     )
-    add_bounds(add)
+    add_reading(add)
+    add.add_argument(
+        "--preferences",
+        type=values.folder,
+        metavar="FILE.csv",
+        help="preferences between demonstrations of a file, for trex: columns first, second and better, "
+        "numbers of episodes from 0 (default: by the file's rewards)",
+    )
     add.add_argument(
         "--demonstrator",
         default="expert",
         choices=DEMONSTRATORS,
-        help="who is shown: the expert, a worse one, or the expert with noise on its actions",
+        help="who is shown: the expert, a worse one, the expert with noise on its actions, or a third each, "
+        "ranked by return for trex",
     )
     add.add_argument(
         "--transfer",
@@ -187,8 +182,8 @@ def add_tune(add: argparse.ArgumentParser) -> None:
     add_how_cells_run(add, runs=False)
 
 
-def add_bounds(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the units of actions in a file."""
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """Add the options for what a file of demonstrations does not say."""
     parser.add_argument(
         "--action-bounds",
         type=values.bounds,
@@ -196,6 +191,19 @@ def add_bounds(parser: argparse.ArgumentParser) -> None:
         metavar="LOW,HIGH|scaled",
         help="lowest and highest action in that file, such as =-2,2: one pair, or one for each component, in "
         "order; scaled: they are in [-1, 1] (default: as the file says, or else the task's own)",
+    )
+    parser.add_argument(
+        "--last-observation",
+        choices=LAST_OBSERVATIONS,
+        help="where a file has as many observations as actions: repeat the last one of each episode, or drop "
+        "its last action, and count it as cut",
+    )
+    parser.add_argument(
+        "--obs-keys",
+        type=values.names,
+        default=(),
+        metavar="A,B",
+        help="names of the file's observations, in the task's order",
     )
 
 

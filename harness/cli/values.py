@@ -61,6 +61,10 @@ def named_value(text: str) -> tuple[str, Any]:
         return name, value
 
 
+def names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def seed(text: str) -> int:
     return whole(text, MOST - 1, least=0)
 

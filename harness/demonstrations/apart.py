@@ -11,12 +11,13 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from harness.demonstrations import forms
-from harness.demonstrations.recording import Recording
+from harness.demonstrations.recording import AS_IT_IS, Reading, Recording
 from harness.registry import BadInput
 from harness.store.codec import printable
 
@@ -26,9 +27,9 @@ SECONDS = 600
 """Seconds that it may take."""
 PROGRAM = """
 import sys
-sys.path[:] = sys.argv[3:]
+sys.path[:] = sys.argv[4:]
 from harness.demonstrations import apart
-apart.answer(*sys.argv[1:3])
+apart.answer(*sys.argv[1:4])
 """
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 """Variables by which libraries take memory as it is needed."""
@@ -36,9 +37,10 @@ FACTS, BOUNDS = "facts", "bounds"
 """Members of the answer beside the recording's arrays."""
 
 
-def recording_in(path: Path) -> Recording:
+def recording_in(path: Path, how: Reading = AS_IT_IS) -> Recording:
     """Return what `recording_here` does. Raises as it does, and ValueError where its process ended."""
-    command = [sys.executable, "-I", "-c", PROGRAM, str(path), str(MEMORY), *sys.path]
+    asked = [str(path), str(MEMORY), json.dumps(asdict(how))]
+    command = [sys.executable, "-I", "-c", PROGRAM, *asked, *sys.path]
     variables, nothing = os.environ | ALONE, subprocess.DEVNULL
     with tempfile.TemporaryFile() as out:
         try:
@@ -60,11 +62,11 @@ def recording_in(path: Path) -> Recording:
     return Recording(facts["form"], arrays, arrays.pop(BOUNDS, None), facts["first"], tuple(facts["unended"]))
 
 
-def recording_here(path: Path) -> Recording:
+def recording_here(path: Path, how: Reading = AS_IT_IS) -> Recording:
     """Return what the file or folder holds, read in this process. Raises BadInput where an extra is missing,
     and ValueError, in a line, for whatever cannot be used."""
     try:
-        return forms.read(path)
+        return forms.read(path, how)
     except BadInput:
         raise
     except MemoryError as error:
@@ -77,7 +79,7 @@ def recording_here(path: Path) -> Recording:
         raise ValueError(printable(" ".join(reason.split()))[:300] or type(error).__name__) from error
 
 
-def answer(path: str, memory: str) -> None:
+def answer(path: str, memory: str, how: str) -> None:
     """Write the recording in a file, or why it cannot be read, to standard output: an `.npz`."""
     import resource
 
@@ -85,7 +87,7 @@ def answer(path: str, memory: str) -> None:
     with os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)  # libraries may print
         try:
-            recording = recording_here(Path(path))
+            recording = recording_here(Path(path), Reading(**json.loads(how)))
             arrays = recording.arrays | ({} if recording.bounds is None else {BOUNDS: recording.bounds})
             facts: dict[str, object] = {
                 name: getattr(recording, name) for name in ("form", "first", "unended")

@@ -3,7 +3,7 @@
 N episodes of T steps stand one after the other: obs (sum of T+1, O), act (sum of T, A), lengths (N,),
 terminated (N,). Rewards (sum of T,) are there where they are known. Where only some steps are shown, obs and
 act hold these alone, `shown` (N,) counts them, and `times` (sum of shown,) numbers them within their
-episodes.
+episodes. `preferences` (P, 2) are as of `methods.base.Episodes`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ def to_arrays(episodes: Episodes, rewards: Sequence[Array] | None = None) -> dic
     if episodes.times is not None:
         arrays["times"] = np.concatenate(episodes.times)
         arrays["shown"] = np.array([len(times) for times in episodes.times])
+    if episodes.preferences is not None:
+        arrays["preferences"] = episodes.preferences
     if rewards is not None:
         arrays["rewards"] = np.concatenate(rewards)
     return arrays
@@ -43,6 +45,7 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Episodes:
         tuple(bool(flag) for flag in arrays["terminated"]),
         None if times is None else split(times, shown),
         tuple(int(length) for length in lengths),
+        arrays.get("preferences"),
     )
 
 

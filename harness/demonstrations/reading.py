@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from harness.demonstrations import apart
+from harness.demonstrations import apart, preferences
 from harness.demonstrations.arrays import from_arrays, split, to_arrays
-from harness.demonstrations.forms import ACT_BOUNDS
-from harness.demonstrations.recording import Bounds, Recording
+from harness.demonstrations.forms.npz import ACT_BOUNDS
+from harness.demonstrations.recording import AS_IT_IS, Bounds, Reading, Recording
 from harness.demonstrations.units import OPTION, SCALED, SLACK, Units, units_of
 from harness.registry import BadInput
+from harness.store.codec import printable
 from harness.store.files import write_atomic
 from methods.base import Array, Episodes
 
 LARGEST_RETURN = 1e100
 """Largest sum of the sizes of an episode's rewards."""
+MOST_OF_NAMES = 200
+"""Most characters of the names of merged files."""
 
 
 @dataclass(frozen=True)
 class Demonstrations:
     """Demonstrations of a file, as a task has them.
 
-    `episodes`: actions in [-1, 1], or choices. `rewards`: (T,) an episode; None where the file has none.
-    `form`: name of the file's form. `guessed`: number of episodes that end at the horizon and count as cut
-    there, though the file calls them terminal. `cut`: number of those that neither terminated nor last until
-    the horizon. `units`: units of actions in the file.
+    `episodes`: actions in [-1, 1], or choices, or none. `rewards`: (T,) an episode; None where the file has
+    none. `form`: name of the file's form. `guessed`: number of episodes that end at the horizon and count as
+    cut there, though the file calls them terminal. `cut`: number of those that neither terminated nor last
+    until the horizon. `units`: units of actions in the file, None where it has none. `clipped`: number of
+    actions that rounding had put outside of these. `files`: names of the files, where several are merged.
+    `preferences`: digest of those of a file.
     """
 
     episodes: Episodes
@@ -44,6 +49,9 @@ class Demonstrations:
     guessed: int = 0
     cut: int = 0
     units: Units | None = None
+    clipped: int = 0
+    files: tuple[str, ...] = ()
+    preferences: str = ""
 
     @property
     def returns(self) -> Array | None:
@@ -66,10 +74,12 @@ class Demonstrations:
             digest = hashlib.sha256(np.concatenate(self.rewards).tobytes()).hexdigest()[:8]
             paid = f", return {self.returns.mean():.6g} by rewards {digest}"
         episodes, steps = len(self.episodes), int(self.episodes.lengths.sum())
-        return f"{self.digest}: {episodes} episodes, {steps} steps{paid}"
+        of_files = f" of {', '.join(self.files)}"[:MOST_OF_NAMES] if self.files else ""
+        preferred = f", preferences {self.preferences}" if self.preferences else ""
+        return f"{self.digest}: {episodes} episodes, {steps} steps{paid}{preferred}{of_files}"
 
 
-def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrations:
+def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None, how: Reading = AS_IT_IS) -> Demonstrations:
     """Return the demonstrations of a file or folder, in the units of the task.
 
     `bounds`: the lowest and the highest actions there; default: by the file, or else the task's own. An
@@ -77,10 +87,47 @@ def read(path: Path, spec: EnvSpec, bounds: Bounds | None = None) -> Demonstrati
     BadInput for any other file, and for what does not fit the task.
     """
     try:
-        return fitted(apart.recording_in(path), spec, bounds)
+        return fitted(apart.recording_in(path, how), spec, bounds)
     except (ValueError, MemoryError) as error:
         reason = str(error) or "it takes more memory than there is"
         raise BadInput(f"{path}: no demonstrations of {spec.name}: {reason}", "demonstrations") from error
+
+
+def read_all(
+    paths: Sequence[Path],
+    spec: EnvSpec,
+    bounds: Bounds | None = None,
+    how: Reading = AS_IT_IS,
+    preferred: Path | None = None,
+) -> Demonstrations:
+    """Return the demonstrations of one file, or of several, with preferences: those of the file `preferred`,
+    or of higher returns where rewards are known. Raises BadInput as `merged` and `preferences.in_file` do."""
+    found = merged(paths, spec, bounds, how)
+    pairs, digest = None if found.returns is None else preferences.by_returns(found.returns), ""
+    if preferred is not None:
+        pairs = preferences.in_file(preferred, len(found.episodes))
+        digest = hashlib.sha256(pairs.tobytes()).hexdigest()[:8]
+    return replace(found, episodes=replace(found.episodes, preferences=pairs), preferences=digest)
+
+
+def merged(paths: Sequence[Path], spec: EnvSpec, bounds: Bounds | None, how: Reading) -> Demonstrations:
+    """Return the demonstrations of one file, or of several, one after the other. Rewards are known where all
+    files have them. Raises BadInput as `read` does, and where some files alone have actions."""
+    every = [read(path, spec, bounds, how) for path in paths]
+    if len(every) == 1:
+        return every[0]
+    if len({one.episodes.has_actions for one in every}) > 1:
+        raise BadInput("some of these files have actions, and others have none", "demonstrations")
+    columns = [(one.episodes.obs, one.episodes.act, one.episodes.terminated) for one in every]
+    rewards = [one.rewards for one in every if one.rewards is not None]
+    return Demonstrations(
+        Episodes(*(sum(parts, ()) for parts in zip(*columns, strict=True))),
+        sum(rewards, ()) if len(rewards) == len(every) else None,
+        ", ".join(dict.fromkeys(one.form for one in every)),
+        *(sum(getattr(one, name) for one in every) for name in ("guessed", "cut")),
+        clipped=sum(one.clipped for one in every),
+        files=tuple(printable(path.name) for path in paths),
+    )
 
 
 def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None) -> None:
@@ -92,7 +139,10 @@ def write(path: Path, episodes: Episodes, rewards: Sequence[Array] | None = None
     if not episodes.whole:
         raise ValueError("only episodes whose every step is shown can be written")
     buffer, arrays = io.BytesIO(), to_arrays(episodes, rewards)
-    arrays[ACT_BOUNDS] = SCALED.repeat(arrays["act"].shape[1], axis=1)
+    if episodes.has_actions:
+        arrays[ACT_BOUNDS] = SCALED.repeat(arrays["act"].shape[1], axis=1)
+    else:
+        del arrays["act"]
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
     write_atomic(path, buffer.getvalue())
 
@@ -112,11 +162,17 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
     obs = _numbers(arrays["obs"], spec.obs_size, "observations")
-    units = units_of(recording, spec, env, bounds)
-    if spec.discrete:
-        act = _choices(arrays["act"], lengths, spec, units.first)
+    units, clipped = None, 0
+    if not recording.has_actions:
+        if bounds is not None:
+            raise ValueError(f"it has no actions that {OPTION} could be of")
+        act = np.zeros((len(arrays["act"]), 0))
     else:
-        act = _scaled(arrays["act"], spec, units)
+        units = units_of(recording, spec, env, bounds)
+        if spec.discrete:
+            act = _choices(arrays["act"], lengths, spec, units.first)
+        else:
+            act, clipped = _scaled(arrays["act"], spec, units)
     _check_possible(obs, lengths, spec, env.observation_space)
     full, rewards = lengths == spec.horizon, None
     if unended := [i for i in recording.unended if not full[i]]:
@@ -133,7 +189,7 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
         rewards = split(paid, lengths)
     episodes = from_arrays({"obs": obs, "act": act, "lengths": lengths, "terminated": terminated})
     cut = int((~terminated & ~full).sum())
-    return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units)
+    return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units, clipped)
 
 
 def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:
@@ -163,8 +219,9 @@ def _numbers(rows: NDArray[Any], size: int, name: str) -> Array:
     return values
 
 
-def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> Array:
-    """Return actions (T, A) of the file in [-1, 1]. Raises ValueError for some outside of its bounds."""
+def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> tuple[Array, int]:
+    """Return actions (T, A) of the file in [-1, 1], and the number of those that rounding had put outside.
+    Raises ValueError for some farther outside of its bounds."""
     act = _numbers(rows, spec.act_size, "actions")
     excess = units.excess(rows)
     if outside := int((excess > 0).any(axis=1).sum()):
@@ -174,7 +231,7 @@ def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> Array:
             f"{units}, by {excess.max():.6g} at most, in {spec.actions[entry].name}; if the environment "
             f"clipped them, clip them in the file, and only if all are in other units, give {OPTION}"
         )
-    return units.scaled(act)
+    return units.scaled(act), int((units.beyond(act) > 0).any(axis=1).sum())
 
 
 def _choices(rows: NDArray[Any], lengths: NDArray[Any], spec: EnvSpec, first: int) -> Array:

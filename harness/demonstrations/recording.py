@@ -10,16 +10,33 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.registry import BadInput
+from harness.registry import BadInput, LastObservation
 
-LARGEST = 1 << 30
-"""Most bytes of a file that is read."""
 OWN_FORM = "npz"
 """The form of this project's files."""
 NUMBERS, FLAT = "fiub", "flat rows of numbers are needed"
-ONE_MORE = "an episode has one observation more than actions, of where its last one led"
+ONE_MORE = (
+    "an episode has one observation more than actions, of where its last one led; without it, give "
+    "--last-observation repeat or drop"
+)
 Bounds = NDArray[np.float64]
 """Lowest and highest actions: (2, A), or (2, 1) where all components have the same."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Options for files that do not say by themselves how to read them.
+
+    `last_observation`: for episodes with as many observations as actions. 'repeat' repeats the last
+    observation. 'drop' leaves out the last action, so that the episode counts as cut.
+    `obs_keys`: names of the file's observations, in the order of the task's.
+    """
+
+    last_observation: LastObservation | None = None
+    obs_keys: tuple[str, ...] = ()
+
+
+AS_IT_IS = Reading()
 
 
 @dataclass(frozen=True)
@@ -27,10 +44,10 @@ class Recording:
     """Episodes as a file holds them.
 
     `form`: name of the file's form. `arrays`: as of `harness.demonstrations.arrays`, with the file's types
-    and units; choices may be whole numbers (sum of T,). `bounds`: None where an `.npz` has none, infinite
-    where another form lacks them. `first`: number of the first choice, if the file says it. `unended`:
-    episodes that neither terminated nor were cut. Raises ValueError for arrays of different episodes, and
-    for bounds whose low one is above the high one.
+    and units; choices may be whole numbers (sum of T,), and act is (sum of T, 0) where actions are not known.
+    `bounds`: None where a file has none, infinite where Minari lacks them. `first`: number of the first
+    choice, if the file says it. `unended`: episodes that neither terminated nor were cut. Raises ValueError
+    for arrays of different episodes, and for bounds whose low one is above the high one.
     """
 
     form: str
@@ -65,7 +82,12 @@ class Recording:
     @property
     def calls_all_ends_terminal(self) -> bool:
         """True where an end at the horizon may be called terminal, though it was cut there."""
-        return self.form.startswith("imitation")
+        return self.form.startswith(("imitation", "il-datasets", "robomimic", "LeRobot"))
+
+    @property
+    def has_actions(self) -> bool:
+        """True where actions are known."""
+        return self.arrays["act"].shape[1:] != (0,)
 
 
 class Episode(NamedTuple):
@@ -78,15 +100,16 @@ class Episode(NamedTuple):
 
 
 def joined(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
-    """Return episodes as `Recording.arrays`. Raises ValueError for rows of several shapes, and for an episode
-    that has not one observation more than actions."""
+    """Return episodes as `Recording.arrays`, where obs may lack the last rows of all. Raises ValueError for
+    rows of several shapes, and for an episode that has not one observation more than actions."""
     if not episodes:
         raise ValueError("it holds no episode")
+    lack_last = all(len(one.obs) == len(one.act) for one in episodes)
     for i, one in enumerate(episodes):
         if {one.obs.dtype.kind, one.act.dtype.kind} - {*NUMBERS}:
             raise ValueError(f"episode {i} observes {one.obs.dtype}, acts {one.act.dtype}; {FLAT}")
         steps = len(one.act)
-        if len(one.obs) != steps + 1:
+        if len(one.obs) != steps + 1 and not lack_last:
             hint = f" and as many actions; {ONE_MORE}" if len(one.obs) == steps else f" for {steps} actions"
             raise ValueError(f"episode {i} has {len(one.obs)} observations{hint}")
         if one.rewards is not None and len(one.rewards) != steps:
@@ -99,6 +122,27 @@ def joined(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
         "terminated": np.array([one.terminated for one in episodes]),
     }
     return arrays | ({"rewards": np.concatenate(rewards)} if len(rewards) == len(episodes) else {})
+
+
+def completed(arrays: dict[str, NDArray[Any]], how: LastObservation | None) -> dict[str, NDArray[Any]]:
+    """Return arrays whose episodes end with an observation, of ones that end with an action.
+
+    how: as of `Reading`. None leaves arrays as they are. Where actions are not known, it is 'drop'.
+    Arrays that need no change, or that `Recording` refuses, are returned as they are.
+    """
+    obs, act, lengths = (arrays[name] for name in ("obs", "act", "lengths"))
+    how = how or ("drop" if act.shape[1:] == (0,) else None)
+    ends = np.cumsum(lengths) if lengths.dtype.kind in "iu" and lengths.ndim == 1 else np.array([])
+    if how is None or len(obs) != len(act) or not len(ends) or lengths.min() < 1 or ends[-1] != len(act):
+        return arrays
+    is_last = np.zeros(len(act), bool)
+    is_last[ends.astype(np.int64) - 1] = True
+    if how == "repeat":
+        return arrays | {"obs": obs.repeat(1 + is_last, axis=0)}
+    shorter = {
+        name: arrays[name][~is_last] for name in ("act", "rewards") if len(arrays.get(name, ())) == len(act)
+    }
+    return arrays | shorter | {"lengths": lengths - 1, "terminated": np.zeros(len(lengths), bool)}
 
 
 def extra(module: str) -> Any:

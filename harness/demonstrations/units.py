@@ -38,11 +38,15 @@ class Units:
     first: int = 0
 
     def __str__(self) -> str:
-        return _text(np.array([self.low, self.high]))
+        return as_pairs(np.array([self.low, self.high]))
+
+    def beyond(self, act: NDArray[Any]) -> Array:
+        """Return (T, A): how far actions (T, A) of the file are outside."""
+        return np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
 
     def excess(self, act: NDArray[Any]) -> Array:
         """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding."""
-        beyond = np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
+        beyond = self.beyond(act)
         width, size = self.high - self.low, np.maximum(abs(self.low), abs(self.high))
         return np.where(beyond > SLACK * np.where(width > 0, width, size), beyond, 0.0)
 
@@ -112,11 +116,11 @@ def _as_asked(asked: Bounds, recorded: Bounds | None, native: Bounds | None, siz
         raise ValueError(f"{OPTION} is given {pairs} times, and its actions have {size} components")
     if pairs < size and native is not None and not _same(asked, SCALED) and np.ptp(native, axis=1).any():
         raise ValueError(
-            f"its {size} components have other bounds each, in the task {_text(native)}; give {OPTION} for "
-            "each, in this order"
+            f"its {size} components have other bounds each, in the task {as_pairs(native)}; give {OPTION} "
+            "for each, in this order"
         )
     if recorded is not None and not _same(np.where(abs(recorded) > FARTHEST, asked, recorded), asked):
-        raise ValueError(f"{OPTION} {_text(asked)} contradicts the file, which says {_text(recorded)}")
+        raise ValueError(f"{OPTION} {as_pairs(asked)} contradicts the file, which says {as_pairs(recorded)}")
     return asked
 
 
@@ -124,9 +128,9 @@ def _as_recorded(recorded: Bounds, known: list[Bounds]) -> Bounds:
     if not np.abs(recorded).max() <= FARTHEST:
         raise ValueError(f"it does not tell the bounds of its actions; give them as {OPTION}")
     if not any(_same(recorded, bounds) for bounds in known):
-        names = " or ".join(dict.fromkeys(map(_text, known)))
+        names = " or ".join(dict.fromkeys(map(as_pairs, known)))
         raise ValueError(
-            f"its actions are in {_text(recorded)}, and the task's in {names}; to scale them by their "
+            f"its actions are in {as_pairs(recorded)}, and the task's in {names}; to scale them by their "
             f"bounds, give these as {OPTION}"
         )
     return recorded
@@ -141,7 +145,7 @@ def _as_in_task(act: NDArray[Any], native: Bounds | None, public: Bounds | None)
     if public is not None and np.abs(act).max(initial=0) <= 1 + SLACK:
         low, high = public.ravel()
         raise ValueError(
-            f"its actions may be in {_text(public)}, as in the public environment, or in [-1, 1], as in "
+            f"its actions may be in {as_pairs(public)}, as in the public environment, or in [-1, 1], as in "
             f"this task; give {OPTION}={low:g},{high:g} or {OPTION}=scaled"
         )
     return native if public is None else public
@@ -170,6 +174,7 @@ def _same(one: Bounds, other: Bounds) -> bool:
     return bool(np.allclose(one, other, rtol=SLACK, atol=0))
 
 
-def _text(bounds: Bounds) -> str:
+def as_pairs(bounds: Bounds) -> str:
+    """Return bounds as text, such as '[-1, 1] x [0, 5]'."""
     pairs = [f"[{low:g}, {high:g}]" for low, high in bounds.T]
     return pairs[0] if len(set(pairs)) == 1 else " x ".join(pairs)

@@ -63,6 +63,7 @@ def untrained(demos: Episodes, random_actions: RandomActions, rng: np.random.Gen
     demonstrations."""
     mean, std = standardiser(demos.pairs()[0])
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 31)))
-    layers = mlp(len(mean) + demos.act[0].shape[1] + 1, 64, 64, 1, generator=generator)
+    act_size = random_actions(1, np.random.default_rng(0)).shape[1]
+    layers = mlp(len(mean) + act_size + 1, 64, 64, 1, generator=generator)
     reward = NetworkReward.of(layers, mean, std, bound=1.0)
     return replace(reward, absorbing=default_absorbing(reward, demos, random_actions, rng))

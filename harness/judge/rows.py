@@ -7,12 +7,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TypeVar
 
 from harness.records import ALL_SHOWN, LOWER_CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Row, Shown
-from harness.registry import ASKING
+from harness.registry import ASKING, RANKED
 from methods.parts import BEGINS_WITH
 
 T = TypeVar("T")
 
-LOWER, SURVIVAL, ASKS = "lower control", "survival control", "asks the expert"
+LOWER, SURVIVAL = "lower control", "survival control"
+ASKS, SEES_RANKS = "asks the expert", "sees ranked demonstrations"
+BESIDE = (ASKS, SEES_RANKS)
+"""Roles of methods that know more than others, and are not ranked."""
 _ROLES = {
     REFERENCE: "reference",
     "control_true": "upper control",
@@ -21,6 +24,7 @@ _ROLES = {
     "control_clone": "clone control",
     **dict.fromkeys(LOWER_CONTROLS, LOWER),
     **dict.fromkeys(ASKING, ASKS),
+    **dict.fromkeys(RANKED, SEES_RANKS),
 }
 UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
 """Roles of controls without information about the task."""

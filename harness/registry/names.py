@@ -21,7 +21,8 @@ Library = Literal["sbx", "sb3"]
 LearnerName = Literal["own", "ddpg"]
 Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]
-Demonstrator = Literal["expert", "medium", "noisy"]
+Demonstrator = Literal["expert", "medium", "noisy", "ranked"]
+LastObservation = Literal["repeat", "drop"]
 EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
@@ -31,7 +32,9 @@ LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
-DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy")
+DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy", "ranked")
+LAST_OBSERVATIONS: tuple[LastObservation, ...] = ("repeat", "drop")
+"""Treatments of files without an episode's last observation (`harness.demonstrations.recording.Reading`)."""
 PROTOCOLS = ("absorbing", "native", "state", "offset")
 """Treatments of an episode's end (`harness.rl.solving`). The last two are parts of the first."""
 
@@ -87,6 +90,9 @@ METHODS = {
     "gail_mean_state": Entry(
         "methods.gail:GAIL", "gail of states alone, the mean of the latest discriminators as reward"
     ),
+    "gaifo": Entry(
+        "methods.gaifo:GAIfO", "GAIL from observation, of a state and the next one (Torabi et al. 2018)"
+    ),
     "airl_state": Entry(
         "methods.airl:AIRL", "adversarial IRL, with a reward of states alone (Fu et al. 2018)"
     ),
@@ -113,6 +119,7 @@ VARIANTS = {
     "dagger": Entry(
         "methods.dagger:DAgger", "DAgger (Ross et al. 2011); asks the expert, so a ceiling and no rival"
     ),
+    "trex": Entry("methods.trex:TREX", "T-REX (Brown et al. 2019); sees ranked demonstrations, so no rival"),
     "shaped_decay": Entry("methods.shaped:Shaped", "shaped, with a penalty on its weights"),
     "maxent_state": Entry("methods.maxent:MaxEnt", "maxent, with a reward of states alone"),
     "maxent_linear": Entry(
@@ -125,6 +132,8 @@ VARIANTS = {
 """Methods that run when they are named, and are not part of 'all'."""
 ASKING = ("dagger",)
 """Methods that ask the expert for its actions: a ceiling for the others."""
+RANKED = ("trex",)
+"""Methods that see preferences between demonstrations."""
 ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",

@@ -10,7 +10,7 @@ from typing import Any
 from harness.judge.comparisons import ALPHA, POWER
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.rows import ASKS
+from harness.judge.rows import BESIDE
 from harness.judge.statistics import SUCCESS
 from harness.report.tables import LEVEL, Column, Kind, Value, interval, number
 
@@ -118,7 +118,7 @@ def _note(entry: Entry) -> str:
 
 
 def _remarks(entry: Entry) -> str:
-    role = {"method": "", ASKS: f"{ASKS}: not ranked"}.get(entry.role, entry.role)
+    role = {"method": "", **{one: f"{one}: not ranked" for one in BESIDE}}.get(entry.role, entry.role)
     seeds = f"{entry.seeds_ok} of {entry.seeds} seeds" if 0 < entry.seeds_ok < entry.seeds else ""
     return _joined(role, seeds, unsolved(entry), entry.note)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from harness.judge.comparisons import ALPHA
 from harness.judge.leaderboard import Entry
 from harness.judge.numbers import as_text
-from harness.judge.rows import ASKS
+from harness.judge.rows import BESIDE
 from harness.records import REFERENCE
 from harness.report.columns import INCOMPARABLE, NAMES, NO_SCORE, score, unsolved
 from harness.report.model import Board
@@ -87,7 +87,7 @@ def _ordered(boards: Sequence[Board]) -> dict[str, str]:
                 scores.setdefault((entry.method, entry.policy), []).append(entry.score_mean)
 
     def place(method: str) -> tuple[int | float | str, ...]:
-        section = {"method": 0, ASKS: 1}.get(roles[method], 2)
+        section = {"method": 0, **dict.fromkeys(BESIDE, 1)}.get(roles[method], 2)
         mine = [scores.get((method, policy), [-math.inf]) for policy in ("pi_R", "pi_star")]
         return section, *(-sum(values) / len(values) for values in mine), method
 

@@ -11,7 +11,7 @@ from harness.judge.across_tasks import Overall, indistinct, overall
 from harness.judge.comparisons import ALPHA, POWER, detectable
 from harness.judge.leaderboard import Entry, leaderboard, scored_rows
 from harness.judge.numbers import as_text
-from harness.judge.rows import ASKS, UNINFORMED, by_shown, is_on, shown_in
+from harness.judge.rows import BESIDE, UNINFORMED, by_shown, is_on, shown_in
 from harness.judge.statistics import SUCCESS
 from harness.records import NOMINAL, CellResult, Row
 from harness.report import facts
@@ -100,7 +100,7 @@ class Board:
     @property
     def has_one_seed(self) -> bool:
         """True where no method has a second seed, and so none can be ranked."""
-        return max((e.seeds_ok for e in self.entries if e.role in ("method", ASKS)), default=0) == 1
+        return max((e.seeds_ok for e in self.entries if e.role in ("method", *BESIDE)), default=0) == 1
 
     @property
     def uninformed(self) -> Entry | None:

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from harness.judge.across_tasks import NO_BETTER
 from harness.judge.leaderboard import Entry
-from harness.judge.rows import ASKS
+from harness.judge.rows import BESIDE
 from harness.judge.statistics import SUCCESS
 from harness.registry import BUILT_IN, base
 from harness.report.columns import score, visible
@@ -146,8 +146,8 @@ def _best(report: Report, policy: str) -> str:
         shows = "they cannot show any" if math.isnan(least) else f"{least:.2f} shows"
         lines.append(f"{tasks}: {some(apart) or f'no significant difference ({shows})'}")
     mine = [(board.name, e) for board in boards for e in board.entries if e.policy == policy]
-    asking = dict.fromkeys(e.method for _, e in mine if e.role == ASKS and e.seeds_ok)
-    lines += [f"{method} {ASKS} and is not ranked" for method in sorted(asking)]
+    beside = {(e.method, e.role) for _, e in mine if e.role in BESIDE and e.seeds_ok}
+    lines += [f"{method} {role} and is not ranked" for method, role in sorted(beside)]
     if unsolved := [f"{e.method} on {name} ({e.unsolved} of {e.seeds_ok})" for name, e in mine if e.unsolved]:
         lines.append(f"seeds left out, on which RL did not solve R*: {some(unsolved)}")
     return "; ".join(lines) or "no method has a score"

@@ -8,12 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from methods.base import Array, Episodes, Learned, Reward
+from methods.base import Array, Episodes, Learned, Method, Reward, Unsuitable
 
 ROWS = 5
 """Demonstrated pairs that it is tried on."""
 LARGEST = 1e100
 """The largest number that a reward may give: sums and squares of such numbers are finite."""
+
+
+def check_suitable(method: Method, demos: Episodes) -> None:
+    """Raise Unsuitable where a method needs the actions of demonstrations that have none."""
+    if getattr(method, "needs_actions", True) and not demos.has_actions:
+        raise Unsuitable("it learns from actions, and the demonstrations have none")
 
 
 def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = ROWS) -> None:
@@ -37,7 +43,7 @@ def check_learned(learned: object, spec: EnvSpec, demos: Episodes, rows: int = R
         if not isinstance(value, numbers.Real):
             raise ValueError(f"the detail {name!r} must be a number, not {value!r:.40}")
     if learned.reward is not None:
-        _check_reward(learned.reward, obs, act)
+        _check_reward(learned.reward, obs, act if demos.has_actions else chosen)
 
 
 def _check_reward(reward: Reward, obs: Array, act: Array) -> None:

@@ -58,13 +58,15 @@ class TabularReward(Table):
 
 def demonstrated(demos: Episodes, model: Model) -> Array:
     """Return mu_D (T, S, A): the share of the demonstrations that show each state and choice at each time.
-    Raises ValueError unless all demonstrations have T steps."""
+    Where actions are not known, it is the first choice's. Raises ValueError unless all demonstrations have T
+    steps."""
     if demos.lengths.min() < demos.lengths.max():
         raise ValueError("in a known model, demonstrations must be equally long")
     mu = np.zeros((demos.lengths[0], *model.P.shape[:2]))
     for i, (obs, act) in enumerate(zip(demos.obs, demos.act, strict=True)):
         times = np.arange(len(act)) if demos.times is None else demos.times[i]
-        mu[times, model.states(obs[: len(act)]), act.argmax(axis=1)] += 1 / len(demos)
+        choices = act.argmax(axis=1) if demos.has_actions else 0
+        mu[times, model.states(obs[: len(act)]), choices] += 1 / len(demos)
     return mu
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 import torch
 
 from envs.models import Tabular
+from harness.rl.exact import expected_rewards
 from methods.adversarial import Game
 from methods.airl import AIRL
 from methods.base import Array, Episodes, Transitions
 from methods.f_irl import FIRL
+from methods.gaifo import GAIfO
 from methods.gail import GAIL
 from methods.maxent import MaxEnt
 from methods.maxent_linear import MaxEntLinear
@@ -51,6 +54,31 @@ def test_the_logit_is_the_logarithm_of_the_densities_ratio(
         assert paid.mean() == pytest.approx(side * np.log(0.8 / 0.2), abs=0.15)
 
 
+def test_gaifos_logit_is_the_logarithm_of_the_ratio_of_steps_and_sees_no_action(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The agent leaves the states that are demonstrated for others. Only where it goes tells them apart."""
+    rng, count = np.random.default_rng(0), 20_000
+
+    def places(positive: float) -> Array:
+        """First entries are positive by that share."""
+        sign = np.where(rng.random(count + 1) < positive, 1, -1)
+        return np.column_stack([sign * rng.random(count + 1), rng.uniform(-1, 1, (count + 1, 2))])
+
+    alive, act = np.zeros(count, bool), rng.uniform(-1, 1, (count, 2))
+    seen = Transitions.own(places(0.8)[1:], act, places(0.2)[1:], alive, alive)
+    monkeypatch.setattr(FakeAgent, "replay", lambda self: seen)
+    shown = Episodes((places(0.8),), (act[:, :0],), (False,))
+    method = GAIfO(iterations=6, reward_steps=500, latest=count, slope_penalty=0.0)
+    reward = method.fit(shown, world, rng).reward
+    obs, after = (rng.uniform(-0.8, 0.8, (400, 3)) for _ in range(2))
+    for side in (1, -1):
+        after[:, 0] = side * rng.uniform(0.2, 0.9, 400)
+        paid = reward(obs, act[:400], after)
+        assert paid.mean() == pytest.approx(side * np.log(0.8 / 0.2), abs=0.2)
+        np.testing.assert_array_equal(paid, reward(obs, -act[:400], after))
+
+
 def test_an_end_pays_less_than_a_fall() -> None:
     """Demonstrations stay about the mean of observations, where the absorbing state's zeros are as well;
     what falls leaves it, and ends."""
@@ -66,7 +94,7 @@ def test_an_end_pays_less_than_a_fall() -> None:
     assert logits[-1] < logits[:-1].mean()
 
 
-GAMES = [GAIL(iterations=3), AIRL(iterations=3), FIRL(iterations=3)]
+GAMES = [GAIL(iterations=3), GAIfO(iterations=3), AIRL(iterations=3), FIRL(iterations=3)]
 OTHERS = [
     *(MaxMargin(iterations=1), MaxEntLinear()),
     MaxEnt(iterations=2, reward_steps=200, rollouts=20, averaged=1),
@@ -143,3 +171,27 @@ def test_the_mean_reward_makes_the_expert_the_best_and_the_last_may_not() -> Non
     assert long[:, 0].max() < 0.05
     assert long[:, 1].mean() < 0.25 * short[:, 1].mean()
     assert last[:, 0].max() > 0.5
+
+
+def test_gaifos_reward_makes_the_expert_the_best_where_each_action_leads_elsewhere() -> None:
+    """Without a demonstrated action."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        P = np.zeros((STATES, ACTIONS, STATES))
+        for state in range(STATES):
+            P[state, np.arange(ACTIONS), rng.choice(STATES, ACTIONS, replace=False)] = 1
+        start, obs = np.full(STATES, 1 / STATES), np.eye(STATES)
+        tabular = Tabular(P, start, obs, reward=1.0 * (np.arange(STATES) == 3), features=obs)
+        world = FiniteWorld(tabular, horizon=50, gamma=GAMMA)
+        demos = world.rollout(world.optimal(), 20, np.random.default_rng(1))
+        unacted = replace(demos, act=tuple(act[:, :0] for act in demos.act))
+        game = GAIfO(iterations=30, reward_steps=20, slope_penalty=0.1)
+        reward = game.fit(unacted, world, np.random.default_rng(2)).reward
+        assert reward is not None
+        q = value_iteration(P, expected_rewards(tabular, reward), GAMMA)[1]
+        chances = (
+            *map(greedy, (value_iteration(P, tabular.reward, GAMMA)[1], q)),
+            np.full(P.shape[:2], 1 / ACTIONS),
+        )
+        truth = [float(start @ policy_value(P, tabular.reward, policy, GAMMA)) for policy in chances]
+        assert truth[0] - truth[1] < 0.05 * (truth[0] - truth[2])

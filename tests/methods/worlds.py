@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from envs.models import Model, Tabular
+from harness.rl.exact import expected_rewards
 from methods.base import Array, Episodes, Payment, Policy, Reward, Rng, StochasticPolicy, Transitions
 from methods.network import Network
 from methods.stochastic import SquashedGaussian
@@ -139,9 +140,7 @@ class FiniteWorld(_World):
         return Episodes(tuple(obs), tuple(act), (False,) * episodes)
 
     def solved(self, reward: Reward, rng: Rng) -> Policy:
-        obs = np.repeat(self.tabular.obs, self.act_size, axis=0)
-        r = reward(obs, np.tile(np.eye(self.act_size), (len(self.tabular.obs), 1)), obs)
-        q = value_iteration(self.tabular.P, r.reshape(-1, self.act_size), self.gamma)[1]
+        q = value_iteration(self.tabular.P, expected_rewards(self.tabular, reward), self.gamma)[1]
         self.solutions.append(greedy(q))
         return self.policy(self.solutions[-1])
 

@@ -13,7 +13,7 @@ from harness.registry.contract.check import Check, expect
 from harness.registry.known import load_method
 from harness.registry.names import ASKING
 from harness.rl.exact import ExactSolver
-from harness.rl.learned import check_learned
+from harness.rl.learned import check_learned, check_suitable
 from harness.rl.world import TaskWorld
 from methods.base import Array, Episodes, Learned, Method, Reward
 
@@ -35,12 +35,14 @@ def checks(method: Method, asks: bool | None = None) -> list[Check]:
         asks = type(method) in map(load_method, ASKING)
     lasting, ending = small.shown(small.HORIZON), small.shown(3)
     thinned = lasting.every(2, np.random.default_rng(0))
+    unacted = dataclasses.replace(lasting, act=tuple(act[:, :0] for act in lasting.act))
     fit = partial(_fit, method, asks)
     return [
         Check("it is a frozen dataclass", partial(_is_frozen, method)),
         Check("fit returns a policy and a reward", lambda: _answers(fit, lasting)),
         Check("so it does where demonstrations terminate", lambda: _answers(fit, ending)),
         Check("so it does of every other step", lambda: _answers(fit, thinned)),
+        Check("so it does without actions", lambda: _answers(fit, unacted)),
         Check("so it does of one step", lambda: _answers(fit, _one_step(False))),
         Check("so it does of one step that terminates", lambda: _answers(fit, _one_step(True))),
         Check("nothing but its generator decides", lambda: _is_reproducible(fit, lasting)),
@@ -85,6 +87,7 @@ def _is_frozen(method: Method) -> None:
 def _fit(method: Method, asks: bool, demos: Episodes) -> Learned:
     expert = small.chosen if asks else None
     world = TaskWorld(small.noise(), "absorbing", "sb3", expert, solve_steps=STEPS, budget="smoke")
+    check_suitable(method, demos)
     return method.fit(demos, world, np.random.default_rng(0))
 
 
@@ -131,6 +134,7 @@ def _knows(method: Method, asks: bool) -> None:
     def fit() -> tuple[Learned, Episodes]:
         world = TaskWorld(spec, "absorbing", "sb3", expert if asks else None, budget="smoke")
         demos = world.rollout(expert, 4, np.random.default_rng(1))
+        demos = dataclasses.replace(demos, preferences=np.array([[0, 1], [1, 2]]))
         return method.fit(demos, world, np.random.default_rng(0)), demos
 
     (one, demos), (other, _) = fit(), fit()

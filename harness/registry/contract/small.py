@@ -61,11 +61,13 @@ def chosen(obs: Array) -> Array:
     return np.clip(obs[:, :2], -0.9, 0.9)
 
 
-def shown(steps: int, episodes: int = 4) -> Episodes:
-    """Return demonstrations of `chosen`. They terminate where they have fewer steps than the horizon."""
+def shown(steps: int) -> Episodes:
+    """Return demonstrations of `chosen`. They terminate where they have fewer steps than the horizon.
+    Each is preferred to the one before."""
     rng = np.random.default_rng(0)
-    obs = tuple(rng.uniform(-1, 1, (steps + 1, 3)) for _ in range(episodes))
-    return Episodes(obs, tuple(chosen(seen[:-1]) for seen in obs), (steps < HORIZON,) * episodes)
+    obs = tuple(rng.uniform(-1, 1, (steps + 1, 3)) for _ in range(4))
+    act, preferences = tuple(chosen(seen[:-1]) for seen in obs), np.array([[0, 1], [1, 2], [2, 3]])
+    return Episodes(obs, act, (steps < HORIZON,) * 4, preferences=preferences)
 
 
 def known() -> EnvSpec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,32 @@ def test_without_an_expert_a_score_of_1_is_what_the_demonstrations_return(
     assert star.normalized_score == pytest.approx((star.return_mean - random.return_mean) / scale)
     assert {row.expert for row in rows} == {f"file:{found.digest}"}
     assert 0 < by_policy["control_untrained", "pi_R"].reward_distance < 1
+
+
+def test_without_actions_methods_of_states_learn_and_others_are_skipped(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    episodes, rewards = made((30, 20, 10))
+    write(Path("d.npz"), replace(episodes, act=tuple(act[:, :0] for act in episodes.act)), rewards)
+    found = read(Path("d.npz"), SWINGUP)
+    assert not found.episodes.has_actions
+    given.store(str(found), found.episodes, found.rewards)
+    conditions = Conditions("smoke", "absorbing", "sbx", record="none", demonstrations=str(found))
+    learns = ("gail_mean_state", "gaifo", "f_irl", "maxent_state", "control_untrained")
+    skipped = ("bc", "gail", "airl_state", "control_clone", "control_shuffled")
+    cells = [Cell("swingup", method, 0) for method in (*learns, *skipped)]
+    inputs = prepare(cells, conditions)
+    rows = [row for cell in cells for row in run_cell(cell, conditions, inputs)[0].rows]
+    assert {row.method for row in rows if row.status == "ok"} == {*learns}
+    why = "it learns from actions, and the demonstrations have none"
+    assert {(row.method, row.reason) for row in rows if row.status != "ok"} == {
+        (name, why) for name in skipped
+    }
+    assert {row.pairs for row in rows} == {0}
+    assert main([*RUN, "--demos-from", "d.npz", "--experts", "none"]) == 2
+    assert "has no actions to clone in the expert's place" in capsys.readouterr().err
+    assert main(["demos", "inspect", "d.npz", "--env", "swingup"]) == 0
+    assert "actions     none" in capsys.readouterr().out
 
 
 def test_episodes_that_were_cut_short_are_no_score(capsys: pytest.CaptureFixture[str]) -> None:

@@ -145,7 +145,7 @@ def test_who_stops_a_run_is_told_how_to_go_on(
         ("run --envs swingup --action-bounds=-1e-320,1e-320", "is not a lower number and a higher one"),
         ("check all", "give methods and envs one by one, with spaces between, not 'all'"),
         ("check swingup,bc", "not 'swingup,bc'"),
-        ("run --envs swingup --action-bounds=-2,2", "--action-bounds are of demonstrations of a file"),
+        ("run --envs swingup --action-bounds=-2,2", "--action-bounds is for demonstrations of a file"),
         ("experts train swingup --budget quick", "leave out --budget: experts of swingup are trained as"),
         ("experts train gym:Pendulum-v1 --dir mine", "leave out --dir: gym_Pendulum-v1 is trained one"),
         ("run --plan --json-progress", "a plan is text; leave out --json-progress"),

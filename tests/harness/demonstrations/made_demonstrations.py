@@ -12,6 +12,7 @@ import pytest
 from gymnasium import spaces
 
 from harness.demonstrations.reading import read
+from harness.demonstrations.recording import AS_IT_IS, Reading
 from harness.registry import SPECS, BadInput
 from methods.base import Episodes
 
@@ -38,10 +39,10 @@ def same(one: Episodes, other: Episodes) -> bool:
     return all(map(np.array_equal, *zip(*pairs, strict=True))) and one.terminated == other.terminated
 
 
-def refused(path: Path, why: str, spec: Any = SWINGUP, bounds: Any = None) -> None:
+def refused(path: Path, why: str, spec: Any = SWINGUP, bounds: Any = None, how: Reading = AS_IT_IS) -> None:
     """Assert that a file is refused in a line that says why."""
     with pytest.raises(BadInput, match=f"no demonstrations of {spec.name}: ") as error:
-        read(path, spec, bounds)
+        read(path, spec, bounds, how)
     assert str(error.value).isprintable()
     assert why in str(error.value), str(error.value)
 

@@ -14,7 +14,7 @@ from gymnasium.wrappers import RescaleAction
 from envs import EnvSpec, from_gymnasium
 from envs.scaled import scaled
 from harness.cli.arguments import parser
-from harness.cli.main import main
+from harness.demonstrations.description import described
 from harness.demonstrations.reading import read, write
 from methods.base import Episodes
 from tests.harness.demonstrations.made_demonstrations import SWINGUP, imitation, refused
@@ -122,6 +122,8 @@ def test_own_files_are_scaled_and_say_so(tmp_path: Path, pair: EnvSpec) -> None:
         is_refused(tmp_path / f"{name}.npz", said, pair)
 
 
-def test_of_two_files_none_is_ignored(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "--envs", "swingup", "--demos-from", "a.npz", "--demos-from", "b.npz"]) == 2
-    assert "--demos-from is given twice; one file is read" in capsys.readouterr().err
+def test_actions_that_rounding_put_outside_are_clipped_and_counted(tmp_path: Path, pair: EnvSpec) -> None:
+    rounded = NATIVE + np.array([[0, 0], [1e-7, 0], [0, 0], [0, 0]])
+    demonstrations = read(old_imitation(tmp_path / "d.npz", rounded), pair)
+    assert (demonstrations.episodes.act[0].tolist(), demonstrations.clipped) == (MADE.tolist(), 1)
+    assert "clipped     1 actions" in "\n".join(described(demonstrations, pair))

@@ -16,7 +16,8 @@ import pytest
 
 from harness.cell.experts import source_for
 from harness.cli.main import main
-from harness.demonstrations import apart, forms
+from harness.demonstrations import apart
+from harness.demonstrations.forms import content
 from harness.demonstrations.reading import read, write
 from harness.demonstrations.units import SCALED
 from harness.records import Conditions, Shown
@@ -230,6 +231,6 @@ def test_a_pipe_does_not_block_and_a_large_file_is_not_read(
 ) -> None:
     os.mkfifo(tmp_path / "pipe.npz")
     refused(tmp_path / "pipe.npz", "no regular file")
-    monkeypatch.setattr(forms, "LARGEST", 100)
+    monkeypatch.setattr(content, "LARGEST", 100)
     write(tmp_path / "d.npz", *made())
     refused(tmp_path / "d.npz", "larger than")

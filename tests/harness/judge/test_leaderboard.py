@@ -88,17 +88,20 @@ def test_without_a_scale_there_is_no_score_and_the_seed_is_named() -> None:
     assert all("not scored (seed 1)" in entry.note for entry in shaped)
 
 
-def test_who_asks_the_expert_is_compared_with_nobody() -> None:
+@pytest.mark.parametrize(
+    ("method", "role"), [("dagger", "asks the expert"), ("trex", "sees ranked demonstrations")]
+)
+def test_who_knows_more_than_others_is_compared_with_nobody(method: str, role: str) -> None:
     results = make_results()
     for env in ("cartpole", "pendulum"):
-        row = make_row(env, "dagger", 0, "pi_star", return_mean=499.0)
-        results.append(CellResult(Cell(env, "dagger", 0), [row]))
-    asking, best = (entry_of(results, method, "pi_star") for method in ("dagger", "bc"))
-    assert (asking.role, asking.best, best.best) == ("asks the expert", False, True)
-    assert asking.score_mean > best.score_mean
-    assert math.isnan(asking.behind)
+        row = make_row(env, method, 0, "pi_star", return_mean=499.0)
+        results.append(CellResult(Cell(env, method, 0), [row]))
+    knowing, best = (entry_of(results, name, "pi_star") for name in (method, "bc"))
+    assert (knowing.role, knowing.best, best.best) == (role, False, True)
+    assert knowing.score_mean > best.score_mean
+    assert math.isnan(knowing.behind)
     assert math.isnan(best.behind)
-    assert {"bc", "dagger"} & {line.method for line in overall(scored_rows(results))} == {"bc"}
+    assert {"bc", method} & {line.method for line in overall(scored_rows(results))} == {"bc"}
 
 
 def with_scores(scores: dict[str, dict[int, float]]) -> list[CellResult]:

@@ -1,0 +1,96 @@
+"""Datasets of Minari 0.5: metadata.json, and episodes in main_data.hdf5, or in <number>/part-0.parquet or
+.arrow. Where observations are of a `Dict`, they are chosen by key."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.demonstrations.forms import hdf5
+from harness.demonstrations.forms.content import beside, checked, described, observed, opened, rows, table
+from harness.demonstrations.recording import Episode, Reading, Recording, extra, joined
+
+METADATA = "metadata.json"
+STEPS = ("actions", "rewards", "terminations", "truncations")
+"""Columns of each step; observations have one row more."""
+
+
+class Metadata(msgspec.Struct):
+    """The metadata.json. `action_space`: JSON in a text."""
+
+    data_format: Literal["hdf5", "parquet", "arrow"]
+    total_episodes: Annotated[int, msgspec.Meta(ge=1)]
+    total_steps: int | None = None
+    action_space: str = '{"type": "Box"}'
+
+
+class Space(msgspec.Struct):
+    """A space of actions in Minari's JSON. `low`, `high`: nested lists of numbers."""
+
+    type: Literal["Box", "Discrete"]
+    start: int = 0
+    low: Any = -math.inf
+    high: Any = math.inf
+
+
+def read(data: Path, how: Reading) -> Recording:
+    """Return the episodes of a folder `data`."""
+    facts = described(data / METADATA, Metadata)
+    episodes, unended = list[Episode](), list[int]()
+    columns = (_hdf5 if facts.data_format == "hdf5" else _tables)(data, facts, how)
+    for i, one in enumerate(columns):
+        terminations, truncations = (one[name].astype(bool) for name in STEPS[2:])
+        act, ends = one["actions"], terminations | truncations
+        if terminations.dtype != one["terminations"].dtype or ends.shape != act.shape[:1] or not len(ends):
+            raise ValueError(f"episode {i} has no terminations and truncations for each of its steps")
+        if ends[:-1].any():
+            raise ValueError(f"episode {i} goes on after it ended")
+        if not ends[-1]:
+            unended.append(i)
+        episodes.append(Episode(one["observations"], act, terminations[-1], one["rewards"]))
+    arrays = joined(episodes)
+    if facts.total_steps not in (None, steps := int(arrays["lengths"].sum())):
+        raise ValueError(f"its {METADATA} tells of {facts.total_steps} steps, and its episodes have {steps}")
+    space, bounds = checked(facts.action_space, Space), None
+    if space.type == "Box":
+        low, high = (np.array(end, np.float64).ravel() for end in (space.low, space.high))
+        bounds = np.array([low, high])
+    first = space.start if bounds is None else None
+    return Recording(f"Minari {facts.data_format}", arrays, bounds, first, tuple(unended))
+
+
+def _tables(data: Path, facts: Metadata, how: Reading) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of each episode, whose last row is of the last observation alone."""
+    for i in range(facts.total_episodes):
+        content = table(data / str(i) / f"part-0.{facts.data_format}", facts.data_format)
+        steps = {name: rows(content[name].combine_chunks())[:-1] for name in STEPS}
+        seen = content["observations"].combine_chunks()
+        fields = (
+            {field.name: seen.field(field.name) for field in seen.type} if seen.type.num_fields > 1 else {}
+        )
+        if not fields:
+            yield steps | {"observations": rows(seen)}
+            continue
+        columns = {key: rows(field) for key, field in fields.items()}
+        widths = {key: one.size // max(1, len(one)) for key, one in columns.items()}
+        yield steps | {"observations": beside([columns[key] for key in observed(widths, how)])}
+
+
+def _hdf5(data: Path, facts: Metadata, how: Reading) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of each episode."""
+    h5py = extra("h5py")
+    with opened(data / "main_data.hdf5") as binary, h5py.File(binary, "r") as file:
+        for i in range(facts.total_episodes):
+            group = file[f"episode_{i}"]
+            seen = group["observations"]
+            if isinstance(seen, h5py.Group):
+                obs = hdf5.columns(seen, observed(hdf5.widths(seen), how))
+            else:
+                obs = np.asarray(seen)
+            yield {name: np.asarray(group[name]) for name in STEPS} | {"observations": obs}
