@@ -12,7 +12,7 @@ from harness.judge.numbers import as_text
 from harness.judge.rows import UNINFORMED, counts, is_rival, same_stars
 from harness.judge.statistics import SUCCESS, interquartile_interval, interquartile_mean
 from harness.records import REFERENCE, Row
-from harness.registry import ASKING, RANKED
+from harness.registry import ASKING, RANKED, base
 
 NO_BETTER = 0.05
 """The gap of scores to the best method's pi_R within which an uninformed control shows that the task cannot
@@ -72,7 +72,8 @@ def overall(rows: Sequence[Row], without: Sequence[str] = ()) -> list[Overall]:
     Policies without a score in some env are left out, because it could be a hard one. Methods that know
     more than others and second names of one pi_star are left out, too. Methods are compared over all envs.
     """
-    mine = [row for row in rows if row.method not in (REFERENCE, *ASKING, *RANKED) and row.env not in without]
+    left_out = (REFERENCE, *ASKING, *RANKED)
+    mine = [row for row in rows if base(row.method) not in left_out and row.env not in without]
     envs = sorted({row.env for row in rows} - {*without})
     if len(envs) < 2:
         return []

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TypeVar
 
 from harness.records import ALL_SHOWN, LOWER_CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Row, Shown
-from harness.registry import ASKING, RANKED
+from harness.registry import ASKING, RANKED, base
 from methods.parts import BEGINS_WITH
 
 T = TypeVar("T")
@@ -40,13 +40,13 @@ def role_of(method: str, protocol: str) -> str:
     """
     if protocol in ("native", "state"):
         swapped = {"control_plus1": SURVIVAL, "control_survival": LOWER}.get(method)
-        return swapped or _ROLES.get(method, "method")
-    return _ROLES.get(method, "method")
+        return swapped or _ROLES.get(base(method), "method")
+    return _ROLES.get(base(method), "method")
 
 
 def is_rival(method: str) -> bool:
     """Return whether the method competes with others, unlike controls and the reference."""
-    return method not in _ROLES
+    return base(method) not in _ROLES
 
 
 def scales_of(rows: Sequence[Row]) -> Scales:

@@ -7,6 +7,7 @@ import pytest
 from harness.api.request import RunRequest, resolve
 from harness.cli.main import main
 from harness.engines.jobs import Job
+from harness.judge.rows import is_rival, role_of
 from harness.process.environment import of_this_process
 from harness.records import Cell, Conditions
 from harness.registry import KNOWN, METHODS, BadInput, keys, plugins
@@ -115,6 +116,13 @@ def test_set_is_refused_in_a_line(words: list[str], why: str, capsys: pytest.Cap
     error = capsys.readouterr().err
     assert why in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("method", ["dagger", "trex", "gail"])
+def test_a_method_with_settings_has_the_role_of_its_method(method: str) -> None:
+    name = f"{method}+rollouts-3"
+    assert role_of(name, "absorbing") == role_of(method, "absorbing")
+    assert is_rival(name) is is_rival(method) is (method == "gail")
 
 
 def test_a_setting_given_twice_is_refused() -> None:
