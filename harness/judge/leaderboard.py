@@ -17,6 +17,8 @@ from harness.registry import Demonstrator
 from harness.registry.bounds import usable
 
 _POLICIES = ("expert", "demonstrations", "random", "pi_star", "pi_R")
+LEAST_TRUE = 0.1
+"""Smallest score of `control_true` that others are a share of."""
 UNSCORED = ("not scored", "what would score 1 is missing, or no better than a random policy")
 MEANS = (
     *("reward_distance", "reward_floor", "reward_rank", "policy_ranking", "own_return", "own_return_shown"),
@@ -219,7 +221,7 @@ def _board(rows: Sequence[Row], shown: Shown) -> list[Entry]:
             mine, *bars = common(key, *lower)
             above = mine - max(bars)
             mine, true = common(key, ("control_true", "pi_R"))
-            share = mine / true if true > 0 else math.nan
+            share = mine / true if true >= LEAST_TRUE else math.nan
         entries.append(_entry(groups[key], shown, above, share, standings.get(key, Standing())))
     return entries
 

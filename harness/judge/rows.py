@@ -28,6 +28,8 @@ _ROLES = {
 }
 UNINFORMED = (LOWER, SURVIVAL, "shuffled control")
 """Roles of controls without information about the task."""
+ONE_STAR = BEGINS_WITH | {"shaped_thesis_end": "shaped_thesis"}
+"""Methods whose pi_star is that of another one."""
 Scales = Mapping[tuple[str, int], tuple[float, float]]
 """The random policy's return, and the expert's return above it, by task and seed."""
 
@@ -107,9 +109,9 @@ def scores_of(rows: Sequence[Row]) -> dict[int, float]:
 def same_stars(methods: Collection[str]) -> dict[str, str]:
     """Return the methods whose pi_star is that of another one of these, by which it counts."""
     first: dict[str, str] = {}
-    for method in sorted(methods, key=lambda name: (name in BEGINS_WITH, name)):
-        first.setdefault(BEGINS_WITH.get(method, method), method)
-    counted = {method: first[BEGINS_WITH.get(method, method)] for method in methods}
+    for method in sorted(methods, key=lambda name: (name in ONE_STAR, name)):
+        first.setdefault(ONE_STAR.get(method, method), method)
+    counted = {method: first[ONE_STAR.get(method, method)] for method in methods}
     return {method: other for method, other in counted.items() if method != other}
 
 

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from harness.judge.comparisons import ALPHA, POWER
-from harness.judge.leaderboard import Entry
+from harness.judge.leaderboard import LEAST_TRUE, Entry
 from harness.judge.numbers import as_text
 from harness.judge.rows import BESIDE
 from harness.judge.statistics import SUCCESS
@@ -55,7 +55,8 @@ MEANINGS = {
     "reward_rank": "Spearman's correlation of advantages under the learned and the true reward.",
     "policy_ranking": "Spearman's correlation of twenty policies' returns under the learned and the true "
     "reward.",
-    "share_of_true": "Score as a share of the score that RL reaches on the true reward in one solve.",
+    "share_of_true": "Score as a share of the score that RL reaches on the true reward in one solve, where "
+    f"that is at least {LEAST_TRUE}.",
     "solved": "Share of seeds on which π_R earns, under R*, 95 % of the gain of π* over a random policy. "
     "Elsewhere its score says nothing about the reward, only about RL.",
     "own_return": "Return under R*, less the absorbing state's pay.",

@@ -133,21 +133,26 @@ def test_methods_are_compared_seed_by_seed_where_so_many_can_differ(seeds: int, 
     assert math.isnan(better.detectable) == (seeds == 5)
 
 
-def test_two_names_of_one_pi_star_count_once() -> None:
-    results = make_results()
+@pytest.mark.parametrize(
+    ("first", "second"), [("shaped", "shaped_ml"), ("shaped_thesis", "shaped_thesis_end")]
+)
+def test_two_names_of_one_pi_star_count_once(first: str, second: str) -> None:
+    results = [r for r in make_results() if r.cell.method != "shaped"]
+    alone = results.copy()
     for env in ("cartpole", "pendulum"):
         for seed in range(3):
-            names = ("pi_star", "pi_R")
-            rows = [make_row(env, "shaped_ml", seed, name, return_mean=460 - 5 * seed) for name in names]
-            results.append(CellResult(Cell(env, "shaped_ml", seed), rows))
-    star, own = (entry_of(results, "shaped_ml", policy) for policy in ("pi_star", "pi_R"))
-    assert (star.same_policy_as, own.same_policy_as) == ("shaped", "")
+            for method, best in ((first, 460), (second, 461)):
+                names = ("pi_star", "pi_R")
+                rows = [make_row(env, method, seed, name, return_mean=best - 5 * seed) for name in names]
+                results.append(CellResult(Cell(env, method, seed), rows))
+                alone += results[-1:] if method == second else []
+    star, own = (entry_of(results, second, policy) for policy in ("pi_star", "pi_R"))
+    assert (star.same_policy_as, own.same_policy_as) == (first, "")
     assert (own.best, star.incomparable) == (True, False)
     lines = {(line.method, line.policy) for line in overall(scored_rows(results))}
-    assert ("shaped_ml", "pi_R") in lines
-    assert ("shaped_ml", "pi_star") not in lines
-    alone = [r for r in results if r.cell.method != "shaped"]
-    assert entry_of(alone, "shaped_ml", "pi_star").same_policy_as == ""
+    assert (second, "pi_R") in lines
+    assert (second, "pi_star") not in lines
+    assert entry_of(alone, second, "pi_star").same_policy_as == ""
 
 
 def test_seeds_whose_reward_rl_did_not_solve_are_a_state_of_their_own() -> None:
@@ -189,6 +194,8 @@ def test_controls_are_compared_with_over_the_seeds_that_both_have() -> None:
     lower = {name: {0: 0.9, 1: 0.0} for name in ("control_plus1", "control_minus1", "control_untrained")}
     scores = {"shaped": {0: 0.9}, "maxent": {4: 0.9}, "control_shuffled": {0: 0.1, 1: 0.1}, **lower}
     entries = entries_of(with_scores({**scores, "control_true": {0: 0.9, 1: 0.1}}))
+    little = entries_of(with_scores({**scores, "control_true": {0: 0.09, 1: 0.1}}))
+    assert math.isnan(little["shaped", "pi_R"].share_of_true)
     shaped, apart = entries["shaped", "pi_R"], entries["maxent", "pi_R"]
     assert (shaped.above_best_lower_control, shaped.share_of_true) == pytest.approx((0, 1))
     assert math.isnan(apart.above_best_lower_control)
