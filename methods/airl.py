@@ -64,7 +64,6 @@ class AIRL(Game):
         agent = world.agent(rng, kind="stochastic", entropy=self.entropy)
         size = 1 if world.discrete else world.act_size
         uniform = -np.log(world.act_size) if world.discrete else -size * np.log(2)
-        losses: list[float] = []
 
         def propose() -> Turn:
             reward = NetworkReward.of(g, mean, std, actions=self.actions)
@@ -76,10 +75,10 @@ class AIRL(Game):
             return described(steps, logs, mean, std, self.actions)
 
         def improve(steps: Transitions) -> None:
-            losses.append(discriminator.learn(rows(expert), rows(steps), rng))
+            world.log(discriminator.learn(rows(expert), rows(steps), rng))
 
         result = self.play(world, agent, propose, improve, rng)
-        return Learned(result.policy, result.mean, {"discriminator's loss": losses})
+        return Learned(result.policy, result.mean)
 
 
 def as_transitions(demos: Episodes) -> Transitions:

@@ -246,6 +246,10 @@ class World(Protocol):
     def rollout(self, policy: Policy, episodes: int, rng: Rng) -> Episodes:
         """Return new episodes of the policy."""
 
+    def log(self, values: Mapping[str, float]) -> None:
+        """Add a point to each of these curves, such as of losses. They are stored, and can be watched while
+        the fit runs."""
+
     def ask(self, obs: Array) -> Array:
         """Return the expert's actions (B, A) at observations (B, O). Raises ValueError for methods that are
         not registered as asking the expert."""
@@ -276,8 +280,8 @@ class World(Protocol):
 class Learned:
     """The result of a fit: the apprentice policy pi* and the reward R*, None if the method learns none.
 
-    `curves`: one value an iteration, such as losses, by name. `details`: numbers about the fit, by name.
-    `others`: rewards of other methods that begin with the same fit, by name.
+    `curves`: values of iterations, such as losses, by name, besides those of `World.log`. `details`: numbers
+    about the fit, by name. `others`: rewards of other methods that begin with the same fit, by name.
     """
 
     policy: Policy

@@ -54,14 +54,13 @@ class FIRL(Game):
         optimizer = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
         expert = visitations(demos, ABSORBING_STEPS, mean, std, False)
         agent = world.agent(rng, kind="stochastic")
-        losses: list[float] = []
 
         def propose() -> Turn:
             reward = NetworkReward.of(network, mean, std, actions=False)
             return Turn(reward, reward)
 
         def improve(steps: Transitions) -> None:
-            losses.append(discriminator.learn(expert, visited(steps, mean, std, False), rng))
+            world.log(discriminator.learn(expert, visited(steps, mean, std, False), rng))
             behaviour = agent.behaviour
             own = world.rollout(lambda obs: behaviour.sample(obs, rng), self.rollouts, rng)
             each = [trajectory(one, mean, std) for one in (*separate(own), *separate(demos))]
@@ -77,7 +76,7 @@ class FIRL(Game):
                 optimizer.step()
 
         result = self.play(world, agent, propose, improve, rng)
-        return Learned(result.policy, result.mean, {"discriminator's loss": losses})
+        return Learned(result.policy, result.mean)
 
 
 def separate(episodes: Episodes) -> list[Episodes]:

@@ -38,17 +38,16 @@ class GAIfO(Game):
         logit = mlp(2 * world.obs_size + 1, *self.layers, 1, generator=generator)
         discriminator = self.discriminator(logit, generator)
         expert = changes(Transitions.of(demos).absorbed(), mean, std)
-        losses: list[float] = []
 
         def propose() -> Turn:
             reward = NetworkReward.of(logit, mean, std, actions=False, next_obs=True)
             return Turn(reward, reward)
 
         def improve(steps: Transitions) -> None:
-            losses.append(discriminator.learn(expert, changes(steps, mean, std), rng))
+            world.log(discriminator.learn(expert, changes(steps, mean, std), rng))
 
         result = self.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
-        return Learned(result.policy, result.mean, {"discriminator's loss": losses})
+        return Learned(result.policy, result.mean)
 
 
 def changes(steps: Transitions, mean: Array, std: Array) -> Array:

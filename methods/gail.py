@@ -45,18 +45,16 @@ class GAIL(TwoParts, Game):
         logit = mlp(inputs, *self.layers, 1, generator=generator)
         discriminator = self.discriminator(logit, generator)
         expert = visitations(demos, ABSORBING_STEPS, mean, std, self.actions)
-        losses: list[float] = []
 
         def propose() -> Turn:
             reward = NetworkReward.of(logit, mean, std, actions=self.actions)
             return Turn(reward, reward)
 
         def improve(steps: Transitions) -> None:
-            losses.append(discriminator.learn(expert, visited(steps, mean, std, self.actions), rng))
+            world.log(discriminator.learn(expert, visited(steps, mean, std, self.actions), rng))
 
         result = self.play(world, world.agent(rng, kind="stochastic"), propose, improve, rng)
-        curves = {"discriminator's loss": losses}
-        return Learned(result.policy, result.last, curves, others={"gail_mean": result.mean})
+        return Learned(result.policy, result.last, others={"gail_mean": result.mean})
 
     def go_on(self, first: Learned, demos: Episodes, world: World, rng: Rng) -> Learned:
         """Choose the reward."""

@@ -88,7 +88,6 @@ class MaxEnt:
         visits_demo = visitations(demos, world.horizon - demos.lengths, mean, std, self.actions)
         visits_policy: list[Array] = []
         rewards: list[NetworkReward] = []
-        gaps: list[float] = []
         agent = world.agent(rng, entropy=self.entropy)
         for i in range(self.iterations):
             rollouts = random if i == 0 else world.rollout(drawn_by(agent, rng), self.rollouts, rng)
@@ -103,14 +102,13 @@ class MaxEnt:
                 optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
-            gaps.append(gap.item())
+            world.log({"mean reward, demonstrations minus rollouts": gap.item()})
             reward = NetworkReward.of(network, mean, std, actions=self.actions)
             rewards.append(deterred(reward, demos, random, float(paid(reward, random).mean())))
             agent.learn(math.ceil(self.rl_share * world.solve_steps), rewards[-1])
         mean_reward = MeanReward(tuple(rewards[-self.averaged :]))
         agent.learn(math.ceil(self.final_share * world.solve_steps), mean_reward)
-        curves = {"mean reward, demonstrations minus rollouts": gaps}
-        return Learned(agent.best(mean_reward), mean_reward, curves)
+        return Learned(agent.best(mean_reward), mean_reward)
 
 
 def drawn_by(agent: Agent, rng: Rng) -> Policy:

@@ -54,7 +54,6 @@ class MaxEntLinear:
         policy: Policy = lambda obs: world.random_actions(len(obs), rng)  # noqa: E731
         means: list[Array] = []
         second: list[Array] = []
-        gaps: list[float] = []
         agent = world.agent(rng)
         for _ in range(self.iterations):
             mean, moment = moments(world.rollout(policy, self.rollouts, rng), world)
@@ -63,11 +62,11 @@ class MaxEntLinear:
             gap = mean_demo - np.mean(means, axis=0)
             precision = self.prior * (moment_demo + np.mean(second, axis=0))
             w = np.linalg.solve(precision + self.weight_prior * np.eye(len(gap)), gap)
-            gaps.append(float(w @ gap))
+            world.log({"mean reward, demonstrations minus rollouts": float(w @ gap)})
             reward = LinearReward(world.phi, w)
             agent.learn(math.ceil(self.rl_share * world.solve_steps), reward)
             policy = agent.best(reward)
-        return Learned(policy, reward, {"mean reward, demonstrations minus rollouts": gaps})
+        return Learned(policy, reward)
 
     def maximise(self, demos: Episodes, world: World, model: Model, rng: Rng) -> Learned:
         """Maximise the posterior density of the weights where the model is known."""
@@ -75,18 +74,17 @@ class MaxEntLinear:
         every = np.repeat(model.obs, actions, axis=0), np.tile(np.eye(actions), (states, 1))
         phi = world.phi(*every).reshape(states, actions, -1)
         mu_demo = demonstrated(demos, model)
-        likelihoods: list[float] = []
 
         def loss(w: Array) -> tuple[float, Array]:
             likelihood, gradient = log_likelihood(model, phi @ w, mu_demo, world.gamma)
-            likelihoods.append(likelihood)
+            world.log({"log-likelihood of a step": likelihood})
             value = 0.5 * self.weight_prior * float(w @ w) - likelihood
             return value, self.weight_prior * w - np.tensordot(gradient, phi, axes=2)
 
         w = optimize.minimize(loss, np.zeros(phi.shape[2]), jac=True, method="L-BFGS-B").x
         reward = LinearReward(world.phi, np.append(w, 0.0))
         policy = world.solve(reward, rng, world.solve_steps)
-        return Learned(policy, reward, {"log-likelihood of a step": likelihoods})
+        return Learned(policy, reward)
 
 
 def moments(episodes: Episodes, world: World) -> tuple[Array, Array]:

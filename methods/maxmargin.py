@@ -86,6 +86,7 @@ class MaxMargin:
         separate = projection if self.projection else max_margin
         w, margin = separate(expert, learned)
         margins, policies, weights = [margin], list[Policy](), list[Array]()
+        world.log({"margin": margin})
         agent = world.agent(rng)
         for _ in range(self.iterations):
             agent.learn(math.ceil(self.rl_share * world.solve_steps), LinearReward(phi, w))
@@ -94,6 +95,7 @@ class MaxMargin:
             learned.append(expectations(policies[-1]))
             w, margin = separate(expert, learned)
             margins.append(margin)
+            world.log({"margin": margin})
             if margin <= self.epsilon:
                 break
         latest = slice(-self.averaged, None)
@@ -104,7 +106,7 @@ class MaxMargin:
         learned.append(expectations(policies[-1]))
         distances = [float(np.linalg.norm(expert - mu)) for mu in learned[1:]]
         best = int(np.argmin(distances))
-        return Learned(policies[best], reward, {"margin": margins, "distance": distances})
+        return Learned(policies[best], reward, {"distance": distances})
 
 
 def max_margin(expert: Array, learned: list[Array]) -> tuple[Array, float]:

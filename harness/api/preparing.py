@@ -16,6 +16,7 @@ from harness.engines.jobs import Engine as Running
 from harness.process.environment import numeric
 from harness.records import Cell, CellResult
 from harness.registry import ENVS, BadInput, EngineName, keys, packages, plugins
+from harness.registry.names import LOGS
 from harness.schedule.progress import tell
 from harness.store import baseline
 from harness.store.opening import holds_run, open_to_plan, open_to_verify
@@ -40,10 +41,16 @@ class Engine:
     """Seconds after which a cell is stopped."""
     address: str | None = None
     """The address of a Ray cluster, or 'auto'; without one Ray starts here."""
+    logs: Sequence[str] = ()
+    """'tensorboard', 'wandb' or both: where curves are written while cells run (`harness.schedule.logs`)."""
 
     def __post_init__(self) -> None:
         if self.address and self.name != "ray":
             raise BadInput("--address is of a Ray cluster; add --engine ray")
+        if self.logs and self.name == "ray":
+            raise BadInput("--log is of processes of this machine; leave out --engine ray")
+        if unknown := [log for log in self.logs if log not in LOGS]:
+            raise BadInput(f"logs are {' and '.join(LOGS)}, not {unknown[0]!r:.40}")
         if self.name == "inline" and (self.workers or self.cell_timeout):
             raise BadInput("--engine inline computes one cell after the other and cannot stop any")
 
@@ -78,6 +85,7 @@ class Prepared:
     demonstrations: Demonstrations | None = None
     beside: Sequence[CellResult] = ()
     retry_failed: bool = False
+    logs: Sequence[str] = ()
 
     def missing(self, results: Mapping[Cell, CellResult], beside: Collection[Cell]) -> list[Cell]:
         """Return the cells that have to be computed."""
@@ -110,7 +118,7 @@ def prepare(
         beside, left_out = baseline.comparable(paths, request, running.variables)
     for line in left_out:
         tell(f"left out of the baseline: {line}")
-    prepared = Prepared(request, running, directory, demonstrations, beside, retry_failed)
+    prepared = Prepared(request, running, directory, demonstrations, beside, retry_failed, engine.logs)
     if engine.name == "inline":
         _check_plugins_inline(prepared)
     return prepared

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from harness.api.preparing import DEFAULT, ISOLATED, Engine, Prepared, prepare
 from harness.api.request import RunRequest
@@ -25,6 +25,7 @@ from harness.store.opening import open_for_run, open_to_plan
 from harness.store.store import Store
 
 if TYPE_CHECKING:
+    from harness.engines.jobs import Telling
     from harness.report.model import Report
 
 LEFT_OUT = "left out, computed again if asked for"
@@ -118,7 +119,8 @@ def _opened(prepared: Prepared) -> Iterator[Store]:
 
 def _computed(prepared: Prepared, run: Store, watch: Watch) -> dict[Cell, CellResult]:
     """Return all results of the directory once its missing cells are computed."""
-    from harness.schedule.grid import Grid
+    from harness.schedule.grid import Grid, Sink
+    from harness.schedule.logs import Logged
 
     request = prepared.request
     results, unusable = run.load()
@@ -130,7 +132,11 @@ def _computed(prepared: Prepared, run: Store, watch: Watch) -> dict[Cell, CellRe
     say(f"{len(cells)} cells to run, {kept} kept from before, {budget} budget, in {run.path}")
     if cells and not can_write(cache_folder()):
         tell(f"the cache {cache_folder()} cannot be written to: experts are trained for this run alone")
-    grid = Grid(request.conditions, run, prepared.engine, watch)
+    sink: Sink = run
+    if prepared.logs:
+        sink = logged = Logged(run, run.path, prepared.logs)
+        cast("Telling", prepared.engine).heard = logged.heard  # Ray takes no logs
+    grid = Grid(request.conditions, sink, prepared.engine, watch)
     grid.run(cells)
     results, _ = run.load()
     if lost := [cell for cell in request.cells if cell not in results and cell not in beside]:

@@ -116,7 +116,8 @@ def _after(before: CellResult, star: Candidate) -> Candidate:
 
 def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
     """Return pi* with what its fit took, and with the method's own curves and numbers."""
-    most, count = MOST_CURVES - len(OF_RL), len(learned.curves)
+    curves = {**world.curves, **learned.curves}
+    most, count = MOST_CURVES - len(OF_RL), len(curves)
     warning = f"{inputs.cell.name}: of {count} curves the first {most} are kept"
     answers = [("answers of the expert", world.answers)] if world.answers else []
     details = [*[*learned.details.items()][: MOST_DETAILS - 1], *answers]
@@ -124,7 +125,7 @@ def _star(inputs: Inputs, learned: Learned, world: TaskWorld) -> Candidate:
     return Candidate(
         *("pi_star", learned.policy, learned.reward),
         columns={"fit_seconds": inputs.seconds["fit"], **took},
-        curves={name: _curve(values) for name, values in [*learned.curves.items()][:most]},
+        curves={name: _curve(values) for name, values in [*curves.items()][:most]},
         details={name: float(value) for name, value in details},
         warnings=(warning,) if count > most else (),
         others=learned.others,

@@ -91,7 +91,7 @@ class Inputs:
         expert = self.shared.expert.policy if base(self.cell.method) in ASKING else None
         return TaskWorld(
             *(self.spec, self.conditions.protocol, self.conditions.rl, expert),
-            told=lambda steps: self.report(Phase("fit", steps)),
+            told=lambda steps, values: self.report(Phase("fit", steps, values=values)),
             solve_steps=self.rl_steps,
             budget=self.conditions.budget,
         )

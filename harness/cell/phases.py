@@ -23,13 +23,14 @@ class Phase:
     """A stage of a job, and its progress. `stage` is '' where that is unknown, as on a cluster.
 
     `step`, `of`: environment steps so far, and of the whole stage; None where unknown.
-    `returns`: mean true returns of the policies that were scored by now.
+    `returns`: mean true returns of the policies that were scored by now. `values`: new points of curves.
     """
 
     stage: str = ""
     step: int | None = None
     of: int | None = None
     returns: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return words for people, such as 'RL step 12k of 40k'."""

@@ -83,7 +83,7 @@ def solve(inputs: Inputs, reward: Reward | None, number: int) -> Solution:
     before, steps = number * inputs.rl_steps, inputs.solves * inputs.rl_steps
     solver = solver_for(
         *(inputs.place, inputs.conditions.protocol, inputs.rng(f"pi_R {number}"), inputs.conditions.rl),
-        told=lambda done: inputs.report(Phase("retrain", before + done, steps)),
+        told=lambda done, values: inputs.report(Phase("retrain", before + done, steps, values=values)),
     )
     return replace(solver.solve(reward, inputs.rl_steps), checkpoints=())
 

@@ -17,6 +17,7 @@ from harness.registry import (
     LAST_OBSERVATIONS,
     LEARNERS,
     LIBRARIES,
+    LOGS,
     METHOD_GROUPS,
     METHODS,
     PROTOCOLS,
@@ -259,6 +260,13 @@ def add_how_cells_run(parser: argparse.ArgumentParser, runs: bool = True) -> Non
     )
     if not runs:
         return
+    add(
+        "--log",
+        action="append",
+        default=[],
+        choices=LOGS,
+        help="write curves while cells run, too; may be given for each",
+    )
     add(
         "--record",
         default="both",

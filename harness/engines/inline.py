@@ -6,11 +6,13 @@ import gc
 import os
 import sys
 import traceback
+from collections.abc import Callable
+from functools import partial
 from typing import Self
 
 from harness.cell.phases import Phase
 from harness.engines.compute import compute, describe, process_restored
-from harness.engines.jobs import WORK, Job, Outcome
+from harness.engines.jobs import WORK, Job, Outcome, ignored
 from harness.process.environment import of_this_process
 from harness.registry import plugins
 from harness.store.cache import compiled_once
@@ -27,6 +29,7 @@ class Inline:
 
     def __init__(self, work: str = WORK) -> None:
         self.variables = of_this_process()
+        self.heard: Callable[[str, Phase], None] = ignored
         self._work = work
         self._ended: list[tuple[Job, Outcome]] = []
 
@@ -34,7 +37,7 @@ class Inline:
         try:
             with process_restored():
                 plugins.check_alone(job.methods, [job.cells[0].env])
-                outcome = compute(self._work, job)
+                outcome = compute(self._work, job, partial(self.heard, job.name))
         except (Exception, SystemExit, GeneratorExit) as error:
             traceback.print_exc(file=sys.stderr)
             outcome = Outcome(error=describe(error))

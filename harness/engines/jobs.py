@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, Self
@@ -46,6 +46,10 @@ class Job:
         return f"{cell.env}__expert__seed{cell.seed}" if self.shared else cell.name
 
 
+def ignored(name: str, phase: Phase) -> None:
+    """Do nothing with a phase."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The result of a job, or the error.
@@ -87,3 +91,10 @@ class Engine(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+class Telling(Engine, Protocol):
+    """An engine that tells all that its jobs do."""
+
+    heard: Callable[[str, Phase], None]
+    """Called with the name of a job and each of its phases, in any thread."""

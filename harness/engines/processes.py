@@ -14,7 +14,6 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -26,7 +25,7 @@ from harness.cell.phases import Phase
 from harness.engines.cell_environment import cell_variables, write_program
 from harness.engines.compute import describe
 from harness.engines.containment import PATIENCE, descendants, is_alive, kill_descendants
-from harness.engines.jobs import WORK, Job, Outcome
+from harness.engines.jobs import WORK, Job, Outcome, ignored
 from harness.engines.scratch import scratch_folder
 from harness.engines.server import Server
 from harness.engines.worker import LOG, TEMPORARY, Message
@@ -61,6 +60,7 @@ class Processes:
         preload: str = "harness.engines.preload",
     ) -> None:
         self.workers, self.timeout = workers, timeout
+        self.heard: Callable[[str, Phase], None] = ignored
         self.variables = numeric(deterministic)
         self._deterministic, self._modules, self._work = deterministic, [preload, *modules], work
         self._running: dict[str, threading.Thread] = {}
@@ -133,7 +133,11 @@ class Processes:
             died = "the process that it is forked from was killed (out of memory?)"
             reason = died if isinstance(error, EOFError) else describe(error)
             return Outcome(error=f"its process could not be started: {reason}", lost=True)
-        tell = partial(self._phases.__setitem__, job.name)
+
+        def tell(phase: Phase) -> None:
+            self._phases[job.name] = phase
+            self.heard(job.name, phase)
+
         outcome = worker.do(self._work, job, folder, self.timeout, tell)
         if outcome.error or job.plugins or worker.jobs >= MOST_JOBS or not worker.can_go_on():
             worker.end()

@@ -30,6 +30,7 @@ LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 """Learners of a run: each task's own, or DDPG, the thesis's."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
+LOGS = ("tensorboard", "wandb")
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy", "ranked")

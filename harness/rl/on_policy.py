@@ -82,6 +82,7 @@ class OnPolicy:
         obs, after = (np.asarray(o, np.float64).reshape(-1, spec.obs_size) for o in (seen.obs, seen.next_obs))
         self.latest = Transitions.own(obs, act, after, np.zeros_like(terminated), terminated)
         paid = self._env.paid(self.latest, np.asarray(seen.true, np.float64).ravel())
+        self._env.note(paid)
         if entropy:
             paid = paid - entropy * (np.asarray(seen.log_prob, np.float64).ravel() - self._uniform)
         return paid

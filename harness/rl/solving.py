@@ -10,7 +10,7 @@ solve ends after the warm-up, because the untrained agent would be chosen anyway
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,9 @@ from methods.base import Array, Episodes, Payment, Policy, Reward, StochasticPol
 from methods.network import Network
 from methods.stochastic import EpsilonGreedy, SquashedGaussian
 
+Told = Callable[[int, Mapping[str, float]], None]
+"""A function of the environment steps so far, and new points of curves by name."""
+PAY = "mean pay of a step"
 WARM_UP = 1000
 """Random steps before learning; half of a solve that is shorter than twice that."""
 STEPS_PER_CHECK_EPISODE = 75
@@ -56,7 +59,8 @@ class Agent:
     """A learner in one environment. It goes on with the same networks and experience under each new reward.
 
     `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
-    `told`: called at each checkpoint with the steps of the present solve so far.
+    `told`: called at each checkpoint with the steps of the present solve so far, and the mean pay of a step
+    since the last one.
     `env_steps`, `check_steps`: its totals, as in `Solution`.
     Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
     """
@@ -72,7 +76,7 @@ class Agent:
         init: Policy | StochasticPolicy | None = None,
         demonstrations: Episodes | None = None,
         entropy: float = 0.0,
-        told: Callable[[int], None] = lambda done: None,
+        told: Told = lambda done, values: None,
     ) -> None:
         if protocol not in PROTOCOLS:
             raise ValueError(f"no protocol named {protocol!r}")
@@ -146,7 +150,7 @@ class Agent:
         def keep(done: int) -> None:
             if done % s.checkpoint_every == 0 or done == steps:
                 self._checkpoints.append((done, self.policy))
-                self._told(done)
+                self._told(done, {PAY: self._env.mean_pay()})
 
         def after_step(*_: object) -> bool:
             nonlocal done

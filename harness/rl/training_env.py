@@ -56,6 +56,7 @@ class TrainingEnv(VecEnv):
             actions = spaces.Discrete(spec.act_size)
         super().__init__(copies, spaces.Box(-np.inf, np.inf, (spec.obs_size + 1,), np.float32), actions)
         self.reward: Reward | Payment | None = None
+        self._noted = np.zeros(2)
         self.spec, self.rng, self.batch = spec, rng, Copies(spec, copies)
         self.absorbs = protocol in ("absorbing", "state")
         self._offset = protocol in ("absorbing", "offset")
@@ -99,6 +100,15 @@ class TrainingEnv(VecEnv):
             rewards = rewards + self.spec.gamma * forever * steps.next_absorbing
         return rewards
 
+    def note(self, pay: Array) -> None:
+        """Note the pay of new steps (N,) for `mean_pay`."""
+        self._noted += float(pay.sum()), len(pay)
+
+    def mean_pay(self) -> float:
+        """Return the mean pay of the steps that were noted since the last call, 0 for none."""
+        (total, count), self._noted = self._noted, np.zeros(2)
+        return float(total / max(count, 1))
+
     @property
     def pays_nothing(self) -> bool:
         """True where the agent learns on 0 everywhere."""
@@ -135,6 +145,7 @@ class TrainingEnv(VecEnv):
         spec, drawn = self.spec, self._actions
         terminated, cut = self.advance(np.eye(spec.act_size)[drawn] if spec.discrete else drawn.astype(float))
         raw = self.raw_rewards(*self.latest)
+        self.note(raw)
         self._absorbed_for[self._absorbed_for != NOT_ABSORBED] += 1
         if self.absorbs:
             self._absorbed_for[terminated] = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
 
@@ -14,7 +14,7 @@ from harness.registry import Library
 from harness.rl.exact import ExactSolver
 from harness.rl.seeds import training_seeds
 from harness.rl.simulator import Simulator, Trajectory
-from harness.rl.solving import Agent
+from harness.rl.solving import Agent, Told
 from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
 
 
@@ -42,7 +42,8 @@ class TaskWorld:
     it.
 
     `expert`: answers methods that are marked as asking. `told`: called now and then with the environment
-    steps so far. `solve_steps`, `budget`: as of a `World`. `answers`: actions that the expert gave.
+    steps so far and new points of curves. `solve_steps`, `budget`: as of a `World`. `answers`: actions that
+    the expert gave. `curves`: what methods logged.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class TaskWorld:
         protocol: str,
         library: Library,
         expert: Policy | None = None,
-        told: Callable[[int], None] = lambda done: None,
+        told: Told = lambda done, values: None,
         solve_steps: int = 1000,
         budget: str = "full",
     ) -> None:
@@ -62,6 +63,7 @@ class TaskWorld:
         self.env_steps = self.check_steps = self.rl_solves = self.answers = 0
         self._spec, self._protocol, self._library = spec, protocol, library
         self._expert, self._told = expert, told
+        self.curves: dict[str, list[float]] = {}
 
     def random_actions(self, count: int, rng: np.random.Generator) -> Array:
         return self._spec.random_actions(count, rng)
@@ -71,6 +73,11 @@ class TaskWorld:
         self.env_steps += int(rollouts.lengths.sum())
         return rollouts
 
+    def log(self, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            self.curves.setdefault(name, []).append(float(value))
+        self._told(self.env_steps, values)
+
     def ask(self, obs: Array) -> Array:
         if self._expert is None:
             raise ValueError("only methods that are marked as asking the expert may ask it")
@@ -78,8 +85,8 @@ class TaskWorld:
         return np.array(self._spec.executed(self._expert(obs.copy())))
 
     def agent(self, rng: np.random.Generator, **options: Unpack[Options]) -> WorldAgent:
-        def told(done: int) -> None:
-            self._told(self.env_steps + done)
+        def told(done: int, values: Mapping[str, float]) -> None:
+            self._told(self.env_steps + done, values)
 
         parts = self._spec, self._protocol, rng, self._library
         return WorldAgent(self, solver_for(*parts, told=told, **options))
@@ -136,7 +143,7 @@ def solver_for(
     rng: np.random.Generator,
     library: Library,
     *,
-    told: Callable[[int], None] = lambda done: None,
+    told: Told = lambda done, values: None,
     kind: Kind = "own",
     init: Policy | StochasticPolicy | None = None,
     demonstrations: Episodes | None = None,

@@ -109,7 +109,7 @@ def test_it_finds_the_weights_that_demonstrated(demos: Episodes) -> None:
 def test_elsewhere_one_agent_goes_on_until_features_match(world: Any) -> None:
     demos = demonstrate(constant(0.5, -0.3))
     learned = MaxEntLinear(iterations=30, rl_share=0.007).fit(demos, world, np.random.default_rng(0))
-    (gaps,) = learned.curves.values()
+    (gaps,) = world.curves.values()
     assert gaps[-1] < 0.1 * gaps[0]
     assert [solve[1:] for solve in world.solves] == [(7, False), *[(7, True)] * 29]
     assert learned.reward is world.solves[-1][0]

@@ -192,7 +192,7 @@ def test_the_closest_policy_is_returned_with_the_mean_of_the_latest_rewards(
     np.testing.assert_array_equal(learned.policy(np.zeros((1, 3))), [[0.4, -0.5]])
     _, second, third, last = (reward.w for reward in rewards)
     np.testing.assert_array_equal(learned.reward.w, last)
-    one, other = learned.curves["margin"][1:3]
+    one, other = world.curves["margin"][1:3]
     np.testing.assert_allclose(last, (one * second + other * third) / (one + other))
 
 
@@ -226,7 +226,7 @@ def test_it_stops_where_a_mixture_of_what_it_found_is_as_good_as_the_expert(
     monkeypatch.setattr(world, "random_actions", draw)
     monkeypatch.setattr(world, "rollout", lambda *_: pytest.fail("it needs no rollouts"))
     learned = MaxMargin(iterations=100, epsilon=epsilon, projection=by_projection).fit(demos, world, rng)
-    margins, distances = np.array(learned.curves["margin"]), learned.curves["distance"]
+    margins, distances = np.array(world.curves["margin"]), learned.curves["distance"]
     assert (np.diff(margins) <= 1e-6).all()
     assert margins[-1] <= epsilon < margins[-2]
 

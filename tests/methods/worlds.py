@@ -5,6 +5,7 @@ They refuse nothing: the contract of methods is checked in real worlds.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,11 @@ class _World:
         """Reward, steps, and whether an agent went on from before."""
         self.options: list[dict[str, Any]] = []
         """The options of each agent."""
+        self.curves: dict[str, list[float]] = {}
+
+    def log(self, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            self.curves.setdefault(name, []).append(value)
 
     def agent(self, rng: Rng, **options: Any) -> FakeAgent:
         self.options.append(options)
