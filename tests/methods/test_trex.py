@@ -30,11 +30,11 @@ def test_a_reward_that_sums_to_more_over_the_better_goes_on_above_all_of_them(wo
     assert reward is not None
     obs = np.column_stack([rng.uniform(-1, 1, 500), rng.uniform(-1, 1, (500, 2))])
     paid = reward(obs, np.zeros((500, 2)), obs)
-    assert spearmanr(paid, obs[:, 0]).statistic > 0.9
+    assert spearmanr(paid, obs[:, 0]).statistic > 0.8
     assert paid[obs[:, 0] > 0.5].mean() > paid[np.abs(obs[:, 0]) < 0.2].mean()
     opposite = TREX().fit(replace(demos, preferences=pairs[:, ::-1]), world, np.random.default_rng(0)).reward
     assert opposite is not None
-    assert spearmanr(opposite(obs, np.zeros((500, 2)), obs), obs[:, 0]).statistic < -0.9
+    assert spearmanr(opposite(obs, np.zeros((500, 2)), obs), obs[:, 0]).statistic < -0.8
 
 
 @pytest.mark.parametrize("preferences", [None, np.zeros((0, 2), np.int64)])
