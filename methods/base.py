@@ -158,7 +158,7 @@ class Episodes:
     @property
     def has_actions(self) -> bool:
         """True if actions are known."""
-        return self.act[0].shape[1] > 0
+        return self.act[0].shape[1:] != (0,)
 
     @property
     def lengths(self) -> NDArray[np.int64]:

@@ -88,4 +88,4 @@ class TREX:
         """Return successive rows (`stretch`, K) of (N, K), from a random one. The last repeats where rows are
         fewer."""
         start = rng.integers(max(1, len(rows) - self.stretch + 1))
-        return rows[np.minimum(start + np.arange(self.stretch), len(rows) - 1)]
+        return np.asarray(rows[np.minimum(start + np.arange(self.stretch), len(rows) - 1)])

@@ -155,8 +155,8 @@ class RunRequest:
     def files(self) -> tuple[Path, ...]:
         """Files of demonstrations, if any."""
         given = () if self.demos_from is None else self.demos_from
-        several = isinstance(given, Sequence) and not isinstance(given, str)
-        return tuple(Path(str(path)) for path in (given if several else [given]))
+        several = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+        return tuple(Path(str(path)) for path in several)
 
     @property
     def bounds(self) -> Array | None:

@@ -28,7 +28,7 @@ def by_returns(returns: Sequence[float] | NDArray[np.float64]) -> NDArray[np.int
     distances = range(1, count, max(1, count**2 // (2 * MOST)))
     pairs = [np.column_stack([order[:-distance], order[distance:]]) for distance in distances]
     every = np.concatenate([np.zeros((0, 2), np.int64), *pairs])
-    return every[values[every[:, 0]] < values[every[:, 1]]]
+    return np.asarray(every[values[every[:, 0]] < values[every[:, 1]]])
 
 
 def in_file(path: Path, episodes: int) -> NDArray[np.int64]:
@@ -55,8 +55,8 @@ def in_file(path: Path, episodes: int) -> NDArray[np.int64]:
 
 def chosen(episodes: Episodes, numbers: NDArray[np.int64]) -> Episodes:
     """Return the episodes of these numbers, whose every step is shown, with the preferences among them."""
-    columns = (episodes.obs, episodes.act, episodes.terminated)
-    some = Episodes(*(tuple(column[i] for i in numbers) for column in columns))
+    obs, act = (tuple(column[i] for i in numbers) for column in (episodes.obs, episodes.act))
+    some = Episodes(obs, act, tuple(episodes.terminated[i] for i in numbers))
     if episodes.preferences is None:
         return some
     places = np.full(len(episodes), -1)

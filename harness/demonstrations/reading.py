@@ -118,13 +118,17 @@ def merged(paths: Sequence[Path], spec: EnvSpec, bounds: Bounds | None, how: Rea
         return every[0]
     if len({one.episodes.has_actions for one in every}) > 1:
         raise BadInput("some of these files have actions, and others have none", "demonstrations")
-    columns = [(one.episodes.obs, one.episodes.act, one.episodes.terminated) for one in every]
     rewards = [one.rewards for one in every if one.rewards is not None]
     return Demonstrations(
-        Episodes(*(sum(parts, ()) for parts in zip(*columns, strict=True))),
-        sum(rewards, ()) if len(rewards) == len(every) else None,
+        Episodes(
+            tuple(obs for one in every for obs in one.episodes.obs),
+            tuple(act for one in every for act in one.episodes.act),
+            tuple(ended for one in every for ended in one.episodes.terminated),
+        ),
+        tuple(paid for its in rewards for paid in its) if len(rewards) == len(every) else None,
         ", ".join(dict.fromkeys(one.form for one in every)),
-        *(sum(getattr(one, name) for one in every) for name in ("guessed", "cut")),
+        guessed=sum(one.guessed for one in every),
+        cut=sum(one.cut for one in every),
         clipped=sum(one.clipped for one in every),
         files=tuple(printable(path.name) for path in paths),
     )

@@ -42,7 +42,7 @@ class Units:
 
     def beyond(self, act: NDArray[Any]) -> Array:
         """Return (T, A): how far actions (T, A) of the file are outside."""
-        return np.maximum(np.maximum(self.low - act, act - self.high), 0.0)
+        return np.asarray(np.maximum(np.maximum(self.low - act, act - self.high), 0.0))
 
     def excess(self, act: NDArray[Any]) -> Array:
         """Return (T, A): how far actions (T, A) of the file are outside, and 0 for rounding."""

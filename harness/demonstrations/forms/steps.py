@@ -75,7 +75,8 @@ def recording(
     """
     if form != "LeRobot":
         without_keys(form, how)
-    count = len(obs)
+    if not (count := len(obs)):
+        raise ValueError("it holds no episode")
     act, rewards = columns.get("actions", np.zeros((count, 0))), columns.get("rewards")
     known = {"actions": act, "observations after steps": obs if after is None else after}
     for name, column in known.items():

@@ -15,6 +15,7 @@ from pyarrow import parquet
 from envs import from_gymnasium
 from harness.api.request import RunRequest, resolve
 from harness.cli.main import main
+from harness.demonstrations import apart
 from harness.demonstrations.reading import read, read_all, write
 from harness.demonstrations.recording import Reading
 from harness.demonstrations.units import SCALED
@@ -232,9 +233,9 @@ def test_observations_are_chosen_by_key(tmp_path: Path, played: list[Played], fo
     listed = "observation.state (2), observation.rate (1)" if "LeRobot" in form else "direction (2), rate (1)"
     refused(path, f"its observations are {listed}; give those of the task", PENDULUM, how=Reading("drop"))
     refused(path, "it has no observations image, but", PENDULUM, how=Reading("drop", ("image",)))
-    right, swapped = (
-        read(path, PENDULUM, how=Reading("drop", order)).episodes.obs[0] for order in (keys, keys[::-1])
-    )
+    refused(path, "as obs 0, which lies in [-1, 1]", PENDULUM, how=Reading("drop", keys[::-1]))
+    swapped = apart.recording_in(path, Reading("drop", keys[::-1])).arrays["obs"]
+    right = np.concatenate(read(path, PENDULUM, how=Reading("drop", keys)).episodes.obs)
     np.testing.assert_array_equal(swapped, np.roll(right, 1, axis=1))
 
 
@@ -272,7 +273,7 @@ ODD_STEPS: dict[str, tuple[dict[str, Any], str]] = {
     "fewer flags": ({"timeouts": np.zeros(3)}, "its timeouts must be true or false, one for each of 4"),
     "fewer actions": ({"actions": np.zeros((3, 1))}, "it has actions float64 (3, 1) for 4 steps"),
     "other observations": ({"next_observations": np.zeros((4, 2))}, "(4, 3) before and (4, 2) after steps"),
-    "no episode": ({name: column[:0] for name, column in STEPS.items()}, "not those of its episodes"),
+    "no episode": ({name: column[:0] for name, column in STEPS.items()}, "it holds no episode"),
 }
 
 
@@ -328,7 +329,9 @@ def test_several_files_are_one_with_their_names(tmp_path: Path, played: list[Pla
     )
     assert merged.episodes.lengths.tolist() == [*LENGTHS]
     assert merged.digest == read(d4rl(tmp_path / "c", played), PENDULUM, how=how).digest
-    np.testing.assert_array_equal(merged.returns, [*(first.returns or ()), *(second.returns or ())])
+    assert first.returns is not None
+    assert second.returns is not None
+    np.testing.assert_array_equal(merged.returns, [*first.returns, *second.returns])
     assert str(merged).endswith(" of a.npz, b.hdf5")
     bare = tmp_path / "bare.npz"
     write(bare, second.episodes)
