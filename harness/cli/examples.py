@@ -11,6 +11,10 @@ EXAMPLES = {
         "irl-bench run --methods all --envs swingup --seeds 5 --demos 5 --transfer flipped",
         "irl-bench run --plugin my_method.py --methods linear,bc --envs swingup --budget smoke",
     ),
+    "irl-bench tune": (
+        "irl-bench tune --methods gail,csil --envs swingup --trials 20 --storage tuning.db",
+        "irl-bench tune --methods gail --envs swingup --trials 10 --storage random.db --sampler random",
+    ),
     "irl-bench reproduce": (
         "irl-bench reproduce",
         "irl-bench reproduce --budget smoke --seeds 1 --out results/try",
