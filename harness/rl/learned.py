@@ -16,9 +16,14 @@ LARGEST = 1e100
 """The largest number that a reward may give: sums and squares of such numbers are finite."""
 
 
+def needs_actions(method: Method) -> bool:
+    """Return whether a method needs the actions of demonstrations."""
+    return bool(getattr(method, "needs_actions", True))
+
+
 def check_suitable(method: Method, demos: Episodes) -> None:
     """Raise Unsuitable where a method needs the actions of demonstrations that have none."""
-    if getattr(method, "needs_actions", True) and not demos.has_actions:
+    if needs_actions(method) and not demos.has_actions:
         raise Unsuitable("it learns from actions, and the demonstrations have none")
 
 

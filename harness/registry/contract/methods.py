@@ -13,7 +13,7 @@ from harness.registry.contract.check import Check, expect
 from harness.registry.known import load_method
 from harness.registry.names import ASKING
 from harness.rl.exact import ExactSolver
-from harness.rl.learned import check_learned, check_suitable
+from harness.rl.learned import check_learned, needs_actions
 from harness.rl.world import TaskWorld
 from methods.base import Array, Episodes, Learned, Method, Reward
 
@@ -42,7 +42,11 @@ def checks(method: Method, asks: bool | None = None) -> list[Check]:
         Check("fit returns a policy and a reward", lambda: _answers(fit, lasting)),
         Check("so it does where demonstrations terminate", lambda: _answers(fit, ending)),
         Check("so it does of every other step", lambda: _answers(fit, thinned)),
-        Check("so it does without actions", lambda: _answers(fit, unacted)),
+        *(
+            []
+            if needs_actions(method)
+            else [Check("so it does without actions", lambda: _answers(fit, unacted))]
+        ),
         Check("so it does of one step", lambda: _answers(fit, _one_step(False))),
         Check("so it does of one step that terminates", lambda: _answers(fit, _one_step(True))),
         Check("nothing but its generator decides", lambda: _is_reproducible(fit, lasting)),
@@ -87,7 +91,6 @@ def _is_frozen(method: Method) -> None:
 def _fit(method: Method, asks: bool, demos: Episodes) -> Learned:
     expert = small.chosen if asks else None
     world = TaskWorld(small.noise(), "absorbing", "sb3", expert, solve_steps=STEPS, budget="smoke")
-    check_suitable(method, demos)
     return method.fit(demos, world, np.random.default_rng(0))
 
 
