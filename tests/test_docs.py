@@ -17,7 +17,7 @@ import pytest
 from docutils.utils.math.latex2mathml import tex2mathml
 from scipy.stats import t
 
-from harness.registry import BUILT_IN, ENVS, load_method
+from harness.registry import BUILT_IN, ENVS, THESIS, load_method
 
 ROOT = Path(__file__).parents[1]
 PAGES = (
@@ -115,6 +115,11 @@ def test_every_method_has_an_equation_and_every_hyper_parameter_a_text(extension
         assert "<math" in tex2mathml(plain.latex(line.strip()), as_block=True)
     said = pages.field_docs(method)
     assert all(said[field.name] for field in dataclasses.fields(method))
+
+
+def test_every_method_stands_beside_other_code(extension: Any) -> None:
+    page = extension("other_code").page()
+    assert not [name for name in BUILT_IN["method"] if name not in THESIS and f"| `{name}` |" not in page]
 
 
 @pytest.mark.parametrize("name", BUILT_IN["env"])

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -19,6 +20,7 @@ from harness.cli.main import main
 from harness.demonstrations import apart
 from harness.demonstrations.forms import content
 from harness.demonstrations.reading import read, write
+from harness.demonstrations.recording import Reading
 from harness.demonstrations.units import SCALED
 from harness.records import Conditions, Shown
 from harness.registry import BadInput
@@ -80,6 +82,18 @@ def test_imitations_older_files_are_read(tmp_path: Path) -> None:
     result = read(tmp_path / "old.npz", CHOICES)
     assert same(result.episodes, replace(episodes, terminated=(True,) * 3))  # 200 steps are not its horizon
     assert result.form == "imitation's npz"
+
+
+def test_what_the_user_says_reaches_the_process_that_reads(tmp_path: Path) -> None:
+    episodes, _ = made((5, 4), (True, True))
+    with h5py.File(tmp_path / "d.hdf5", "w") as file:
+        for i, (obs, act) in enumerate(zip(episodes.obs, episodes.act, strict=True)):
+            demo = file.create_group(f"data/demo_{i}")
+            demo["obs/rate"], demo["obs/direction"], demo["actions"] = obs[:-1, 2], obs[:-1, :2], act
+    how = Reading("drop", ("direction", "rate"))
+    result = read(tmp_path / "d.hdf5", SWINGUP, SCALED, how).episodes
+    assert all(map(np.array_equal, result.obs, [obs[:-1] for obs in episodes.obs]))
+    assert all(map(np.array_equal, result.act, [act[:-1] for act in episodes.act]))
 
 
 def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
