@@ -66,9 +66,8 @@ def compute(work: str, job: Job, tell: Callable[[Phase], None] = lambda phase: N
     RuntimeError where the job is not computed under its key.
     """
     variables = of_this_process()  # as they are now: what a method sets later is its own affair
-    conditions = job.conditions
-    env_kwargs, variables = conditions.env_kwargs, conditions.env_vars
-    plugins.in_cells(job.plugins, job.methods, [job.cells[0].env], env_kwargs, variables)
+    given = job.conditions.env_kwargs, job.conditions.env_vars
+    plugins.in_cells(job.plugins, job.methods, [job.cells[0].env], *given)
     _check_key(job, variables)
     module = importlib.import_module(work)
     if job.shared:
