@@ -33,8 +33,8 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     """
     wrap, kwargs = fields.pop("wrap", None), dict(fields.pop("kwargs", {}))
     bare = gym.make(env_id, **kwargs)
-    if limit := _own_limit(bare):
-        kwargs["max_episode_steps"] = limit
+    if own_limit := _own_limit(bare):
+        kwargs["max_episode_steps"] = own_limit
         bare = gym.make(env_id, **kwargs)
     instances = [bare, *(gym.make(env_id, **kwargs) for _ in range(INSTANCES - 1))]
     first, *others = map(wrap, instances) if wrap else instances

@@ -171,7 +171,7 @@ def _registered(env_id: str) -> str:
     import gymnasium
 
     spec = gymnasium.spec(env_id)
-    entry = spec.entry_point
+    entry: Any = spec.entry_point
     place = f"{entry.__module__}:{entry.__qualname__}" if hasattr(entry, "__qualname__") else entry
     facts = {
         "entry": place,
