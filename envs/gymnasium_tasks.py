@@ -33,13 +33,13 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     """
     wrap, kwargs = fields.pop("wrap", None), dict(fields.pop("kwargs", {}))
     bare = gym.make(env_id, **kwargs)
-    if own := _own_limit(bare):
-        kwargs["max_episode_steps"] = own
-    wrapped = partial(standard, wrap=wrap) if wrap else standard
+    if own_limit := _own_limit(bare):
+        kwargs["max_episode_steps"] = own_limit
+        bare = gym.make(env_id, **kwargs)
+    instances = [bare, *(gym.make(env_id, **kwargs) for _ in range(INSTANCES - 1))]
+    first, *others = map(wrap, instances) if wrap else instances
     try:
-        space = (wrap(bare) if wrap else bare).observation_space
-        names = entries(space)
-        env, *others = (wrapped(gym.make(env_id, **kwargs)) for _ in range(INSTANCES))
+        names, env = entries(first.observation_space), standard(first)
     except ValueError as error:
         raise ValueError(f"{env_id}: {error}") from error
     if (limit := time_limit(env)) is None:
@@ -51,7 +51,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         "obs_names": _named([name for name, _ in names]),
         "horizon": limit,
         "summary": f"Gymnasium's {env_id}",
-        "wrap": wrapped,
+        "wrap": partial(standard, wrap=wrap) if wrap else standard,
         "kwargs": kwargs,
     }
     if "obs_scale" not in fields:

@@ -41,7 +41,7 @@ class Scaled(gym.ActionWrapper[Any, Any, Any], RecordConstructorArgs):
             self.action_space = spaces.Box(-1.0, 1.0, (math.prod(space.shape),), np.float32)
         else:
             table = combinations(space)
-            self._native = lambda choice: table[choice].copy()
+            self._native = lambda choice: np.array(table[choice])
             self.action_space = spaces.Discrete(len(table))
 
     def action(self, action: Any) -> Any:
@@ -61,17 +61,17 @@ def combinations(space: spaces.Space[Any]) -> NDArray[Any]:
         case spaces.MultiBinary():
             first, sizes = np.zeros(space.shape, int), np.full(space.shape, 2)
         case spaces.Box():
-            first, sizes = space.low.astype(object), space.high.astype(object) - space.low.astype(object) + 1
+            first, sizes = space.low, space.high.astype(object) - space.low.astype(object) + 1
         case _:
             raise ValueError(f"actions must be choices or bounded numbers, not {space}; {WAY_OUT}")
-    if (count := math.prod(map(int, sizes.flat))) > MOST:
+    parts = [int(size) for size in np.ravel(sizes)]
+    if (count := math.prod(parts)) > MOST:
         raise ValueError(
             f"whole actions {space} have {count:,} combinations, more than the {MOST} that can be choices; "
             f"{WAY_OUT}"
         )
-    places = np.unravel_index(np.arange(count), tuple(map(int, sizes.flat)))
-    table = np.stack(places, axis=1) + first.ravel() if sizes.size else np.zeros((count, 0))
-    return np.asarray(table.reshape(count, *space.shape).astype(space.dtype))
+    places = np.array(list(np.ndindex(*parts)), np.int64).reshape(count, len(parts))
+    return np.asarray((places + first.ravel()).reshape(count, *space.shape).astype(space.dtype))
 
 
 def _reals(space: spaces.Box) -> Callable[[Any], NDArray[Any]]:

@@ -22,7 +22,7 @@ from torch.nn.functional import softplus
 
 from methods.base import Agent, Array, Episodes, Payment, Policy, Reward, Rng, Transitions, World
 from methods.network import ADAM, Contrast, contrast, standardiser
-from methods.ranges import Between, Count, Layers, Positive, Rate, Weight
+from methods.ranges import Between, Count, Hidden, Positive, Rate, Weight
 from methods.rewards import MeanReward
 from methods.visits import sample, seen_by_both
 
@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
 class Game:
     """Hyper-parameters of adversarial methods."""
 
-    layers: Layers = (64, 64)
+    layers: Hidden = (64, 64)
     """Hidden layers of the reward's networks."""
     iterations: Count = 20
     """Turns of each player."""

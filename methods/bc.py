@@ -12,14 +12,14 @@ import torch
 
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
-from methods.ranges import Layers
+from methods.ranges import Hidden
 
 
 @dataclass(frozen=True)
 class BehaviourCloning(Regression):
     """Hyper-parameters of cloning, besides those of `Regression`."""
 
-    layers: Layers = (64, 64)
+    layers: Hidden = (64, 64)
     """Hidden layers of the policy."""
 
     def fit(self, demos: Episodes, world: World, rng: Rng) -> Learned:

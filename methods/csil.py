@@ -30,7 +30,7 @@ from envs.models import Model
 from methods.base import Array, Episodes, Learned, Rng, Unsuitable, World
 from methods.bc import BehaviourCloning
 from methods.network import ROWS, standardiser
-from methods.ranges import Between, Count, Level, Positive
+from methods.ranges import Between, Count, Layers, Level, Positive
 from methods.tabular.model import TabularReward, demonstrated
 from methods.visits import seen_by_both
 
@@ -45,6 +45,8 @@ JITTER = 1e-6  # term added to the kernel of a place with itself, because places
 class CSIL(BehaviourCloning):
     """CSIL's hyper-parameters, besides those of the clone that reinforcement learning goes on from."""
 
+    layers: Layers = (64, 64)
+    """Hidden layers of the clone, which must be those of the learner's actor."""
     places: Annotated[Count, Between(64, 512)] = 256
     """Demonstrated observations that stand for q."""
     least_noise: Annotated[Positive, Between(0.01, 0.3)] = 0.03

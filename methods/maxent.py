@@ -30,7 +30,7 @@ import torch
 
 from methods.base import Agent, Array, Episodes, Learned, Policy, Rng, World
 from methods.network import ADAM, contrast, mlp, standardiser
-from methods.ranges import Between, Count, Layers, Positive, Rate, Weight
+from methods.ranges import Between, Count, Hidden, Positive, Rate, Weight
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.stochastic import EpsilonGreedy
 from methods.tabular import maxent as tabular
@@ -41,7 +41,7 @@ from methods.visits import sample, seen_by_both, visitations
 class MaxEnt:
     """Hyper-parameters of maximum-entropy IRL."""
 
-    layers: Layers = (64, 64)
+    layers: Hidden = (64, 64)
     """Hidden layers of the reward network."""
     actions: bool = True
     """True if the reward sees actions, besides observations. Where the model is known it never does."""

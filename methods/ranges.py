@@ -36,9 +36,9 @@ Positive = Annotated[float, Meta(gt=0, le=MOST)]
 Weight = Annotated[float, Meta(ge=0, le=MOST)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Level = Annotated[float, Meta(ge=-MOST, le=MOST)]
-Layers = Annotated[
-    tuple[Count, ...], Meta(max_length=10), OneOf(((32, 32), (64, 64), (128, 128), (256, 256)))
-]
+Layers = Annotated[tuple[Count, ...], Meta(max_length=10)]
 """Sizes of hidden layers."""
+Hidden = Annotated[Layers, OneOf(((32, 32), (64, 64), (128, 128), (256, 256)))]
+"""Sizes of hidden layers that are searched."""
 Rate = Annotated[Positive, Between(1e-4, 1e-2)]
 """A learning rate of Adam."""

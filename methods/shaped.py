@@ -26,7 +26,7 @@ from torch import Tensor
 from methods.base import Array, Episodes, Learned, Rng, World
 from methods.network import Network, Regression, begin_with, mlp, standardiser
 from methods.parts import TwoParts
-from methods.ranges import Between, Layers, Weight
+from methods.ranges import Between, Hidden, Weight
 from methods.rewards import default_absorbing
 
 FIRST_L = 0.01  # factor of the last weights of L that torch draws
@@ -39,9 +39,9 @@ carry it away far from demonstrations."""
 class Shaped(TwoParts, Regression):
     """Hyper-parameters, besides those of `Regression`. The layer sizes are those of figure 4.3."""
 
-    f_layers: Layers = (32, 16)
+    f_layers: Hidden = (32, 16)
     """Hidden layers of f."""
-    l_layers: Layers = (32, 32)
+    l_layers: Hidden = (32, 32)
     """Hidden layers of L."""
     weight_decay: Annotated[Weight, Between(1e-6, 1e-2)] = 0.0
     """Weight of the sum of all squared weights of f and L in the loss."""

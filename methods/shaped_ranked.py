@@ -29,7 +29,7 @@ from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, Rng, World
 from methods.network import ADAM, descend, mlp, standardiser
-from methods.ranges import Count, CountOrNone, Layers, Rate, Share
+from methods.ranges import Count, CountOrNone, Hidden, Rate, Share
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
 from methods.stochastic import roughened
@@ -50,7 +50,7 @@ class ShapedRanked(Shaped):
     """Comparisons of two levels."""
     compared: Count = 50
     """States of each level in a comparison."""
-    layers: Layers = (64, 64)
+    layers: Hidden = (64, 64)
     """Hidden layers of the reward's networks."""
     networks: Count = 3
     """Networks that R* is the mean of."""

@@ -34,7 +34,7 @@ from torch import nn
 
 from methods.base import Array, Episodes, Learned, Policy, Rng, Unsuitable, World
 from methods.network import LARGEST_MEAN, Network, Regression, mlp, standardiser
-from methods.ranges import Count, CountOrNone, Layers, Positive, Rate
+from methods.ranges import Count, CountOrNone, Hidden, Positive, Rate
 from methods.rewards import default_absorbing
 from methods.shaped import FIRST_L, SHARE_OF_L, ShapedReward, shaped_reward
 
@@ -64,9 +64,9 @@ class ShapedThesis:
     """Term added to the root of RMSprop's mean squared gradient."""
     batch: Count = 32
     """Rows of each gradient step of RMSprop."""
-    f_layers: Layers = (32, 16)
+    f_layers: Hidden = (32, 16)
     """Hidden layers of f."""
-    l_layers: Layers = (32, 32)
+    l_layers: Hidden = (32, 32)
     """Hidden layers of L."""
     batch_matrix: bool = False
     """True for figure 4.4's number of a batch as R, False for the mean of eq. 4.3."""

@@ -26,7 +26,7 @@ from torch.nn.functional import softplus
 from methods.base import Array, Episodes, Learned, Reward, Rng, Unsuitable, World
 from methods.f_irl import separate
 from methods.network import ADAM, descend, mlp, standardiser
-from methods.ranges import Between, Count, Layers, Rate
+from methods.ranges import Between, Count, Hidden, Rate
 from methods.rewards import MeanReward, NetworkReward, deterred
 from methods.visits import seen_by_both, visitations
 
@@ -37,7 +37,7 @@ class TREX:
 
     needs_actions: ClassVar[bool] = False
     """True if demonstrations must have actions."""
-    layers: Layers = (64, 64)
+    layers: Hidden = (64, 64)
     """Hidden layers of the reward's networks."""
     networks: Count = 3
     """Networks that R* is the mean of."""

@@ -171,9 +171,8 @@ def _registered(env_id: str) -> str:
     import gymnasium
 
     spec = gymnasium.spec(env_id)
-    entry = spec.entry_point
-    name = getattr(entry, "__qualname__", None)
-    place = f"{entry.__module__}:{name}" if name else entry
+    entry: Any = spec.entry_point
+    place = f"{entry.__module__}:{entry.__qualname__}" if hasattr(entry, "__qualname__") else entry
     facts = {
         "entry": place,
         "kwargs": spec.kwargs,

@@ -67,7 +67,8 @@ def test_observations_that_are_no_vector_are_refused_with_the_way_out(
     env_id = task(seen(space, None))
     with pytest.raises(ValueError, match=rf"^{env_id}: observations .*{why}.* wrap= of from_gymnasium$"):
         from_gymnasium(env_id, "odd")
-    wrapped = from_gymnasium(env_id, "odd", wrap=lambda env: TransformObservation(env, lambda obs: 1, PLACE))
+    wrap = lambda env: TransformObservation(env, lambda obs: np.ones(2, np.float32), PLACE)  # noqa: E731
+    wrapped = from_gymnasium(env_id, "odd", wrap=wrap)
     assert (wrapped.obs_size, wrapped.make().observation_space) == (2, PLACE)
 
 
