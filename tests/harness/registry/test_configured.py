@@ -10,8 +10,8 @@ from harness.engines.jobs import Job
 from harness.judge.rows import is_rival, role_of
 from harness.process.environment import of_this_process
 from harness.records import Cell, Conditions
-from harness.registry import KNOWN, METHODS, BadInput, keys, plugins
-from harness.registry.configured import name_of, names_in, settings_in, value_in
+from harness.registry import KNOWN, METHODS, VARIANTS, BadInput, keys, plugins
+from harness.registry.configured import name_of, names_in, searched, settings_in, typed, value_in
 from harness.schedule.costs import Costs
 from harness.store.request import command_of
 from tests.harness.plugged import MINE
@@ -174,3 +174,13 @@ def test_an_instance_is_a_method_with_the_budget_of_its_class(tmp_path: Path) ->
     assert vars(plugins.method_for("own+batch-8", "swingup", "smoke")) == vars(
         plugins.method_for("own", "swingup", "smoke")
     ) | {"batch": 8}
+
+
+@pytest.mark.parametrize("method", [*METHODS, *VARIANTS])
+def test_what_is_searched_can_be_set(method: str) -> None:
+    thing = KNOWN.thing("method", method)
+    for field, search in searched(thing).items():
+        for end in search.values:
+            name = f"{method}+{field}-{end}" if search.kind == "choice" else name_of(method, {field: end})
+            assert typed(method, thing, settings_in(name)).keys() == {field}
+    assert "layers" not in searched(KNOWN.thing("method", "csil"))  # its clone has the actor's shape
