@@ -76,7 +76,7 @@ def request_of(args: argparse.Namespace) -> RunRequest:
 
 def engine_of(args: argparse.Namespace) -> Engine:
     """Return the engine of a command line."""
-    return Engine(args.engine, args.workers, args.cell_timeout, args.address, getattr(args, "log", ()))
+    return Engine(args.engine, args.workers, args.cell_timeout, args.address, tuple(getattr(args, "log", ())))
 
 
 def _computed(prepared: Prepared, for_programs: bool) -> Reported:

@@ -168,12 +168,12 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[EnvSpec, Any]]:
             found.append((spec, rng.bit_generator.state))
 
         def solve(self, reward: Reward | None, steps: int) -> Solution:
-            self.told(steps)
+            self.told(steps, {})
             curve = [(0.0, 0.0), (float(steps), self.force)]
             return Solution(Push(self.force), curve, curve, steps, FEW, best=1)
 
     monkeypatch.setattr(retraining, "solver_for", Solver)
-    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: Fits())
+    monkeypatch.setattr(fitting, "method_for", lambda *names: Fits())
     return found
 
 

@@ -17,8 +17,9 @@ from harness.cell import fitting, retraining
 from harness.cell.experts import source_for
 from harness.cell.recording import chosen
 from harness.records import Cell, Conditions, Library, Shown
-from harness.registry import SPECS, load_method
+from harness.registry import SPECS
 from harness.registry.bounds import LONGEST_TEXT, MOST_CURVES, MOST_DETAILS, MOST_POINTS
+from harness.registry.plugins import method_for
 from harness.rl import world
 from harness.rl.seeds import demonstration_seeds, evaluation_seeds
 from harness.rl.simulator import Simulator
@@ -40,7 +41,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> Fits:
     def fit(*arguments: Any) -> Learned:
         return given[-1](*arguments)
 
-    monkeypatch.setattr(fitting, "load_method", lambda name: lambda **settings: SimpleNamespace(fit=fit))
+    monkeypatch.setattr(fitting, "method_for", lambda *names: SimpleNamespace(fit=fit))
     return given
 
 
@@ -51,8 +52,7 @@ def test_who_is_marked_so_may_ask_the_expert_and_nobody_else(
     result = run(asks, tmp_path)
     assert result.details == {"answers of the expert": result.rows[0].env_steps}
     assert result.rows[0].env_steps > 0
-    asking = load_method("dagger")
-    monkeypatch.setattr(fitting, "load_method", lambda name: asking)
+    monkeypatch.setattr(fitting, "method_for", lambda name, *where: method_for("dagger", *where))
     with pytest.raises(ValueError, match="only methods that are marked"):
         run(BC, tmp_path)
 

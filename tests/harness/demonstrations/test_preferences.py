@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from harness.demonstrations.preferences import MOST, by_returns, chosen, in_file
 from harness.demonstrations.reading import write
 from harness.records import Cell, Conditions
 from harness.registry import BadInput
+from harness.registry.plugins import method_for
 from tests.harness.demonstrations.made_demonstrations import made
 
 pytestmark = pytest.mark.usefixtures("own_cache", "read_here")
@@ -85,17 +87,17 @@ def test_only_methods_that_are_registered_for_them_see_preferences(
     given.store(str(found), found.episodes, found.rewards)
     conditions = Conditions("smoke", "absorbing", "sbx", retrain=False, demonstrations=str(found))
     seen: dict[str, Any] = {}
-    load = fitting.load_method
 
-    def loaded(name: str) -> Any:
-        def fit(self: Any, demos: Any, world: Any, rng: Any) -> Any:
+    def made(name: str, env: str, budget: str) -> Any:
+        of_bc = method_for("bc", env, budget)
+
+        def fit(demos: Any, world: Any, rng: Any) -> Any:
             seen[name] = demos.preferences
-            return of_bc.fit(of_bc(), demos, world, rng)
+            return of_bc.fit(demos, world, rng)
 
-        of_bc = load("bc")
-        return lambda **settings: type(name, (), {"fit": fit})()
+        return SimpleNamespace(fit=fit)
 
-    monkeypatch.setattr(fitting, "load_method", loaded)
+    monkeypatch.setattr(fitting, "method_for", made)
     cells = [Cell("swingup", method, 100) for method in request.methods]
     inputs = prepare(cells, conditions)
     for cell in cells:
