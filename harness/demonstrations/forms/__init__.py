@@ -69,7 +69,7 @@ LISTED = (
         TASKS,
     ),
     Form(
-        "`.npz` or `.jsonl` of il-datasets",
+        "`.npz`, `.jsonl` or folder of il-datasets",
         "`obs`, `episode_starts`, and optionally `actions` and `rewards`",
         "every end is terminal, but one at the horizon",
         TASKS,

@@ -8,7 +8,7 @@ episode terminated. Its `baseline_collate` writes actions of several components 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +49,20 @@ def of_il_datasets(columns: Columns, how: Reading) -> Recording:
 
 def of_lines(path: Path, how: Reading) -> Recording:
     """Return the episodes of il-datasets' file for Hugging Face, with a JSON object for each step."""
-    content = table(path, "json")
-    names = [name for name in IL_DATASETS if name in content.column_names]
-    if not {"obs", "episode_starts"} <= {*names}:
-        raise ValueError(
-            f"it has none of the sets of columns that are known, but {sorted(content.column_names)}"
-        )
-    return of_il_datasets({name: rows(content[name].combine_chunks()) for name in names}, how)
+    return of_tables([table(path, "json")], how)
+
+
+def of_tables(tables: Sequence[Any], how: Reading) -> Recording:
+    """Return the episodes of Arrow tables with il-datasets' columns, one after the other."""
+    there = {*tables[0].column_names}
+    if not {"obs", "episode_starts"} <= there:
+        raise ValueError(f"it has none of the sets of columns that are known, but {sorted(there)}")
+    columns = {
+        name: np.concatenate([rows(one[name].combine_chunks()) for one in tables])
+        for name in IL_DATASETS
+        if name in there
+    }
+    return of_il_datasets(columns, how)
 
 
 def recording(

@@ -158,6 +158,20 @@ def il_lines(path: Path, episodes: Sequence[Played]) -> Path:
     return path
 
 
+def il_folder(path: Path, episodes: Sequence[Played]) -> Path:
+    """As `datasets` saves what it loads of those lines."""
+    columns = il_columns(episodes)
+    del columns["episode_returns"]
+    table = pa.table({name: pa.array(column.tolist()) for name, column in columns.items()})
+    path.mkdir()
+    for name, part in (("a.arrow", table[:25]), ("b.arrow", table[25:])):
+        with pa.OSFile(str(path / name), "wb") as file, pa.ipc.new_stream(file, table.schema) as stream:
+            stream.write_table(part)
+    files = [{"filename": "a.arrow"}, {"filename": "b.arrow"}]
+    (path / "state.json").write_text(json.dumps({"_data_files": files}))
+    return path
+
+
 Writer = Callable[[Path, Sequence[Played]], Path]
 STATE_KEYS, MIMIC_KEYS = ("observation.state", "observation.rate"), ("direction", "rate")
 WITHOUT_LAST: dict[str, tuple[Writer, tuple[str, ...]]] = {
@@ -165,6 +179,7 @@ WITHOUT_LAST: dict[str, tuple[Writer, tuple[str, ...]]] = {
     "D4RL, npz": (dictionary, ()),
     "il-datasets": (il_datasets, ()),
     "il-datasets, lines": (il_lines, ()),
+    "il-datasets, folder": (il_folder, ()),
     "LeRobot 3.0": (lambda path, episodes: lerobot(path, episodes, "v3.0"), STATE_KEYS),
     "LeRobot 2.1": (lambda path, episodes: lerobot(path, episodes, "v2.1"), STATE_KEYS),
     "robomimic": (lambda path, episodes: robomimic(path, episodes, False), MIMIC_KEYS),
