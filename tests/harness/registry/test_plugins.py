@@ -87,7 +87,7 @@ def test_what_a_plugin_prints_goes_to_standard_error_and_a_fit_that_exits_fails_
 CLASS = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass A:\n fit = print\n"
 BROKEN = {
     "syntax": ("def broken(:", "cannot be loaded: SyntaxError"),
-    "import": ("import nowhere_to_be_found", "is named as a module that Python can import"),
+    "import": ("import nowhere_to_be_found", "can import what lies in its own folder"),
     "nothing": ("", "says neither METHODS nor ENVS"),
     "no fit": ("class A: ...\nMETHODS = {'mine': A}", "must be a class with a method fit"),
     "no default": (CLASS.replace(" fit", " rate: int\n fit") + "METHODS = {'mine': A}", "argument: 'rate'"),
