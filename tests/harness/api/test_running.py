@@ -64,7 +64,7 @@ def test_a_request_that_no_run_can_have_is_refused_and_nothing_is_written(
 def test_the_command_line_without_options_is_the_request_without_arguments() -> None:
     args = parser().parse_args(["run"])
     assert request_of(args) == irl_bench.RunRequest(
-        demos=(0,), methods=["all"], envs=["all"], plugins=[], baseline=[]
+        demos=(0,), methods=["all"], envs=["all"], plugins=[], baseline=[], env_vars=[]
     )
     assert engine_of(args) == irl_bench.Engine()
 

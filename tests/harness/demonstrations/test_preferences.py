@@ -88,7 +88,7 @@ def test_only_methods_that_are_registered_for_them_see_preferences(
     conditions = Conditions("smoke", "absorbing", "sbx", retrain=False, demonstrations=str(found))
     seen: dict[str, Any] = {}
 
-    def made(name: str, env: str, budget: str) -> Any:
+    def loaded(name: str, env: str, budget: str) -> Any:
         of_bc = method_for("bc", env, budget)
 
         def fit(demos: Any, world: Any, rng: Any) -> Any:
@@ -97,7 +97,7 @@ def test_only_methods_that_are_registered_for_them_see_preferences(
 
         return SimpleNamespace(fit=fit)
 
-    monkeypatch.setattr(fitting, "method_for", made)
+    monkeypatch.setattr(fitting, "method_for", loaded)
     cells = [Cell("swingup", method, 100) for method in request.methods]
     inputs = prepare(cells, conditions)
     for cell in cells:
