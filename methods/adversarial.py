@@ -117,9 +117,9 @@ class Discriminator:
     generator: torch.Generator
 
     def learn(self, expert: Array, own: Array, rng: Rng) -> dict[str, float]:
-        """Learn to distinguish expert rows (N, K) from own rows (M, K). Return curves' points by name: of the
-        last batch the logistic loss, which is 1.39 if uninformed, the share of rows that are told right, and
-        the mean entropy of D, at most 0.69."""
+        """Learn to distinguish expert rows (N, K) from own rows (M, K). Return points of curves, of the last
+        batch: the logistic loss (1.39 if uninformed), the accuracy, and the mean entropy of D (0.69 at most).
+        """
         for _ in range(self.game.reward_steps):
             d, e = (sample(visits, self.game.batch, rng) for visits in (expert, own))
             logits = contrast_among_living(self.logit, d, e, self.generator)

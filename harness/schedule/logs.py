@@ -33,7 +33,7 @@ class Writer(Protocol):
         """Add a point to a curve at an environment step."""
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write the points that are not in files yet."""
 
 
 class _TensorBoard:
