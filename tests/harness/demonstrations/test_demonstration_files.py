@@ -184,7 +184,7 @@ def test_folders_that_are_no_whole_dataset_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("read_here")
-@pytest.mark.parametrize("form", ["npz", "imitation"])
+@pytest.mark.parametrize("form", ["npz", "imitation", "hdf5", "jsonl"])
 def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(
     tmp_path: Path, tried: Tried, form: str
 ) -> None:
@@ -193,6 +193,15 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(
     file = path = tmp_path / "d.npz"
     if form == "npz":
         write(path, episodes, rewards)
+    elif form == "hdf5":
+        file = path = tmp_path / "d.hdf5"
+        with h5py.File(path, "w") as new:
+            new["observations"], new["actions"] = np.zeros((9, 3)), np.zeros((9, 1))
+            new["terminals"], new["next_observations"] = np.arange(9) == 4, np.zeros((9, 3))
+    elif form == "jsonl":
+        file = path = tmp_path / "d.jsonl"
+        rows = [{"obs": [0.1, 0.2, 0.3], "actions": 0.5, "episode_starts": 1.0 * (i == 0)} for i in range(9)]
+        path.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
     else:
         path = imitation(tmp_path / "folder", episodes, rewards, parts=1)
         file = next(path.glob("*.arrow"))
@@ -203,7 +212,7 @@ def test_whatever_is_damaged_is_refused_in_a_line_or_harmless(
         file.write_bytes(whole[:at] if rng.random() < 0.3 else whole[:at] + byte + whole[at + 1 :])
         reason = ""
         try:
-            read(path, SWINGUP, SCALED)
+            read(path, SWINGUP, SCALED, Reading("repeat"))
         except BadInput as error:
             reason = str(error)
         assert reason.isprintable(), reason

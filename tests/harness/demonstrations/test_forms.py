@@ -14,7 +14,9 @@ from pyarrow import parquet
 
 from envs import from_gymnasium
 from harness.api.request import RunRequest, resolve
+from harness.cli.arguments import parser
 from harness.cli.main import main
+from harness.cli.runs import request_of
 from harness.demonstrations import apart
 from harness.demonstrations.reading import read, read_all, write
 from harness.demonstrations.recording import Reading
@@ -357,7 +359,9 @@ def test_a_run_takes_several_files_and_says_which(tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("one.npz", "two.npz")]
     for file in files:
         write(file, *made())
-    asked = RunRequest(methods=["bc"], envs=["swingup"], demos_from=files)
+    words = ["--demos-from", str(files[0]), "--demos-from", str(files[1])]
+    asked = request_of(parser().parse_args(["run", "--methods", "bc", "--envs", "swingup", *words]))
+    assert asked.files == (*files,)
     request, demonstrations = resolve(asked, True)
     assert demonstrations is not None
     assert len(demonstrations.episodes) == 6
