@@ -112,7 +112,7 @@ class RunRequest:
     plugins: Sequence[Path | str] = ()
     """Files or modules with methods and tasks."""
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the tasks, all of which are named as 'gym:ID'."""
+    """Arguments of the tasks. No other tasks than those of Gymnasium, 'gym:ID', may be asked for then."""
     env_vars: Sequence[str] = ()
     """Names of variables of the environment that plug-ins get. Their values are stored with the run."""
     baseline: Sequence[Path | str] = ()

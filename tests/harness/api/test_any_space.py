@@ -11,6 +11,7 @@ from gymnasium.wrappers import RescaleAction, TimeLimit, TransformObservation
 
 from envs import from_gymnasium
 from envs.copies import try_out
+from harness.registry.contract.tasks import checks
 from tests.harness.odd_env import BOX, LIMIT, Odd, inner
 
 PLACE = spaces.Box(-2.0, 2.0, (2,), np.float32)
@@ -139,3 +140,9 @@ def test_a_time_limit_may_be_an_argument(task: Callable[..., str]) -> None:
     ):
         from_gymnasium(env_id, "odd")
     assert from_gymnasium(env_id, "odd", kwargs={"max_episode_steps": LIMIT}).horizon == LIMIT
+
+
+def test_a_reward_of_one_entry_is_taken_by_run_and_check_alike(task: Callable[..., str]) -> None:
+    spec = from_gymnasium(task(pay=lambda env: np.array([0.5])), "odd")
+    try_out(spec)
+    assert {check.outcome() for check in checks(spec)} == {("ok", "")}
