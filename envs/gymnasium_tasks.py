@@ -19,6 +19,7 @@ from envs.scaled import combinations, standard, time_limit, wrappers
 from envs.spec import EnvSpec, Quantity
 
 RANDOM_STEPS = 1000  # steps of random actions that estimate a typical size of observations
+SLOW_STEPS = 100  # the same for highway-env, one step of which can take half a second
 NO_LIMIT = "--env-kwargs max_episode_steps=200, or kwargs={'max_episode_steps': 200} of from_gymnasium"
 
 
@@ -55,7 +56,8 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         "kwargs": kwargs,
     }
     if "obs_scale" not in fields:
-        typical = _typical(_random_observations(env, env_id))
+        steps = SLOW_STEPS if own_limit else RANDOM_STEPS
+        typical = _typical(_random_observations(env, env_id, steps))
         derived["obs_scale"] = tuple(1.0 if flag else x for x, (_, flag) in zip(typical, names, strict=True))
     if wrap is None and not derived.get("discrete") and _is_gymnasiums_mujoco(bare):
         from envs.mujoco_batch import MujocoBatch
@@ -101,8 +103,8 @@ def _is_gymnasiums_mujoco(env: gym.Env[Any, Any]) -> bool:
     return module.startswith(own) and type(env.unwrapped).__module__.startswith(own)
 
 
-def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
-    """Return observations (N, O) under random actions. Raises ValueError as `check_numbers` does."""
+def _random_observations(env: gym.Env[Any, Any], env_id: str, steps: int) -> NDArray[Any]:
+    """Return observations (N, O) of steps under random actions. Raises ValueError as `check_numbers`."""
     env.action_space.seed(0)
     observed, length = list[NDArray[Any]](), 0
 
@@ -118,7 +120,7 @@ def _random_observations(env: gym.Env[Any, Any], env_id: str) -> NDArray[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium warns of values that are refused here
         observe(env.reset(seed=0)[0], 0.0, False, False)
-        for _ in range(RANDOM_STEPS):
+        for _ in range(steps):
             obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
             length += 1
             if observe(obs, reward, terminated, truncated):
