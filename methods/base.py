@@ -247,8 +247,7 @@ class World(Protocol):
         """Return new episodes of the policy."""
 
     def log(self, values: Mapping[str, float]) -> None:
-        """Add a point to each of these curves, such as of losses. They are stored, and can be watched while
-        the fit runs."""
+        """Add a point to each of these curves, such as of losses."""
 
     def ask(self, obs: Array) -> Array:
         """Return the expert's actions (B, A) at observations (B, O). Raises ValueError for methods that are
@@ -278,11 +277,9 @@ class World(Protocol):
 
 @dataclass(frozen=True)
 class Learned:
-    """The result of a fit: the apprentice policy pi* and the reward R*, None if the method learns none.
-
-    `curves`: values of iterations, such as losses, by name, besides those of `World.log`. `details`: numbers
-    about the fit, by name. `others`: rewards of other methods that begin with the same fit, by name.
-    """
+    """The result of a fit: the policy pi*, and the reward R*, None if the method learns none. By name: `curves`
+    besides those of `World.log`, `details` (numbers about the fit), and `others` (rewards of methods that
+    begin with the same fit)."""
 
     policy: Policy
     reward: Reward | None

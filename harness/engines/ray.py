@@ -36,7 +36,7 @@ from harness.engines.processes import Processes
 from harness.engines.scratch import scratch_folder
 from harness.process.environment import CHOSEN, numeric, of_user
 from harness.records import LEARNED, RESULT
-from harness.registry import BadInput, Unfinished, plugins
+from harness.registry import BadInput, Unfinished, packing
 from harness.store.files import write_atomic
 
 LOOK_EVERY = 1.0
@@ -103,7 +103,7 @@ class Ray:
         with ExitStack() as stack:
             folder = stack.enter_context(scratch_folder()) / "program"
             write_program(folder)
-            self._packed = plugins.packed(folder)
+            self._packed = packing.packed(folder)
             stack.enter_context(self._connected(folder))
             remote = self._ray.remote(num_cpus=1, max_retries=0)
             self._begin: Callable[..., Any] = remote(compute_there).remote
@@ -223,7 +223,7 @@ def compute_there(job: Job, settings: tuple[Any, ...], names: Sequence[str], *in
         file = given.file_of(job.conditions.demonstrations)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, demonstrations)
-    engine, here = _engine(*settings), plugins.unpacked(job.plugins)
+    engine, here = _engine(*settings), packing.unpacked(job.plugins)
     engine.submit(replace(job, inputs={**shared, **job.inputs}, plugins=here))
     while not (ended := engine.completed()):
         pass

@@ -14,7 +14,7 @@ import pytest
 from harness.api.request import RunRequest, resolve
 from harness.cli.main import main
 from harness.records import Cell, Conditions
-from harness.registry import KNOWN, BadInput, keys, plugins
+from harness.registry import KNOWN, BadInput, keys, packing, plugins
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.store.request import Request, command_of
 from tests.harness.plugged import SMOKE, command
@@ -86,7 +86,7 @@ def test_a_task_is_computed_with_the_plugin_that_registers_it(
     sources = plugins.sources("env", NAME).digests
     assert any(one.startswith("its_helper_of_tasks.py ") for one in sources), sources
     (tmp_path / "far").mkdir()
-    copied = tmp_path / "far" / plugins.packed(tmp_path / "far")[needed].place
+    copied = tmp_path / "far" / packing.packed(tmp_path / "far")[needed].place
     assert (copied if copied.is_dir() else copied.parent / "its_helper_of_tasks.py").exists()
 
 
