@@ -277,9 +277,8 @@ class World(Protocol):
 
 @dataclass(frozen=True)
 class Learned:
-    """The result of a fit: the policy pi*, and the reward R*, None if the method learns none. By name: `curves`
-    besides those of `World.log`, `details` (numbers about the fit), and `others` (rewards of methods that
-    begin with the same fit)."""
+    """A policy pi*, and a reward R*, None if the method learns none. By name: `curves` besides those logged,
+    `details` (numbers about the fit), and `others` (rewards of methods that begin with the same fit)."""
 
     policy: Policy
     reward: Reward | None
