@@ -4,7 +4,6 @@ import csv
 import dataclasses
 import importlib
 import inspect
-import math
 import re
 import sys
 from collections.abc import Iterator
@@ -15,8 +14,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from docutils.utils.math.latex2mathml import tex2mathml
-from scipy.stats import t
 
+from harness.judge.statistics import mean_interval
 from harness.registry import BUILT_IN, ENVS, THESIS, load_method
 
 ROOT = Path(__file__).parents[1]
@@ -164,11 +163,6 @@ def test_the_table_of_the_thesiss_arms_is_that_of_the_file(extension: Any) -> No
         if row[name]
     }
 
-    def mean_and_interval(values: list[float]) -> list[float]:
-        mean = float(np.mean(values))
-        half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / math.sqrt(len(values)))
-        return [mean, mean - half, mean + half]
-
     lines = extension("thesis_arms").arms().splitlines()[2:]
     assert len(lines) > 10
     for line in lines:
@@ -184,7 +178,9 @@ def test_the_table_of_the_thesiss_arms_is_that_of_the_file(extension: Any) -> No
                 least, most = (returns[reference, env, row["seed"], place] for reference in ("random", top))
                 values.append((float(row[name]) - least) / (most - least))
             found = [float(number) for number in re.findall(r"-?[\d.]+", text)]
-            expected = mean_and_interval(values) if len(values) > 2 else values and [float(np.mean(values))]
+            expected = (
+                [np.mean(values), *(mean_interval(values) if len(values) > 2 else ())] if values else []
+            )
             assert found == pytest.approx(expected, abs=0.0051), (env, arm, name)
         counts = [sum(row[f"solved_{name}"] == "1" for row in its) for name in ("pi_R", "zero", "variant")]
         assert solved == ", ".join(map(str, counts))
