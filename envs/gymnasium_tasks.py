@@ -19,7 +19,7 @@ from envs.scaled import combinations, standard, time_limit, wrappers
 from envs.spec import EnvSpec, Quantity
 
 RANDOM_STEPS = 1000  # steps of random actions that estimate a typical size of observations
-SLOW_STEPS = 100  # the same for highway-env, one step of which can take half a second
+SLOW_STEPS = 100  # the same in highway-env, where a step can take half a second
 NO_LIMIT = "--env-kwargs max_episode_steps=200, or kwargs={'max_episode_steps': 200} of from_gymnasium"
 
 

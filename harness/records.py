@@ -11,9 +11,8 @@ DIR/run.log                The output of the cells' processes, with full traceba
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -26,6 +25,7 @@ from harness.registry.bounds import (
     MOST_SOLVES,
     Count,
     Curve,
+    Endings,
     FileName,
     LongText,
     Name,
@@ -39,7 +39,8 @@ from harness.registry.names import Demonstrator, Experts, LearnerName, Library, 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]
 
-PROGRAM_NAME, REFERENCE = "irl-bench", "reference"
+PROGRAM_NAME = "irl-bench"
+REFERENCE = "reference"
 """The method of the expert's and the random policy's rows."""
 LOWER_CONTROLS = ("control_plus1", "control_minus1", "control_untrained")
 CONTROLS = ("control_true", *LOWER_CONTROLS, "control_survival", "control_shuffled", "control_clone")
@@ -69,7 +70,7 @@ class Conditions:
     experts: Experts = "shipped"
     """Demonstrators: shipped experts, or one trained for each seed; 'none': demonstrations score 1."""
     record: Record = "both"
-    """Recorded evaluation episodes of seed 0's policies. Older runs have 'first'."""
+    """Which evaluation episodes of seed 0's policies are recorded. Older runs have 'first'."""
     retrain: bool = True
     """True where there are pi_R, and so controls, beside pi_star."""
     demonstrations: Text = ""
@@ -113,7 +114,8 @@ ALL_SHOWN = Shown()
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One unit of work: a method, control or the reference, in an env under a seed, shown demonstrations."""
+    """One unit of work: a method, control or the reference, in an env under a seed, with what it is shown and
+    the dynamics in which its result is used."""
 
     env: Name
     method: Name
@@ -213,7 +215,7 @@ class Row:
         return Shown(self.demos, self.every, self.demonstrator)
 
 
-COLUMNS = tuple(f.name for f in dataclasses.fields(Row))
+COLUMNS = tuple(f.name for f in fields(Row))
 
 
 @dataclass(frozen=True)
@@ -237,9 +239,7 @@ class CellResult:
     curves: Annotated[dict[Text, Curve], Meta(max_length=MOST_CURVES)] = field(default_factory=dict)
     """Training curves by name. `pi_R` and `expert` have (environment steps, mean return under the learner's
     reward) for each checkpoint, `pi_R_true` the true return, and `pi_R_chosen` the chosen point."""
-    endings: dict[PolicyName, Annotated[dict[Text, Count], Meta(max_length=100)]] = field(
-        default_factory=dict
-    )
+    endings: dict[PolicyName, Endings] = field(default_factory=dict)
     """The number of each policy's evaluation episodes by why they ended."""
     warnings: Annotated[list[Text], Meta(max_length=100)] = field(default_factory=list)
     """Warnings for the user, such as of an expert that misses its bar."""
@@ -289,8 +289,8 @@ def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
 
 def row_of(cell: Cell, policy: PolicyName, protocol: str, **columns: Any) -> Row:
     """Return a row of the cell's. `columns`: the rest of it."""
-    shown = dataclasses.asdict(cell.shown)
-    return Row(cell.env, cell.method, cell.seed, policy, protocol, cell.dynamics, **shown, **columns)
+    columns |= asdict(cell.shown)
+    return Row(cell.env, cell.method, cell.seed, policy, protocol, cell.dynamics, **columns)
 
 
 def policies_of(cell: Cell) -> tuple[PolicyName, ...]:

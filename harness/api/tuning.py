@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from harness.judge.leaderboard import scored_rows
 from harness.records import CONTROLS, REFERENCE, Cell, CellResult
 from harness.registry import BadInput, base, keys, plugins
 from harness.registry.configured import Search, name_of, settings_in
+from harness.registry.names import Sampler
 from harness.report.tables import as_csv
 from harness.schedule.progress import progress_for
 from harness.store.files import write_atomic
@@ -42,8 +43,6 @@ DIGITS = 3
 """Significant digits of a proposed number, which is part of a row's name."""
 ASKED = "asked"
 """The attribute of a study that holds what it is a search of."""
-Sampler = Literal["tpe", "random"]
-SAMPLERS: tuple[Sampler, ...] = ("tpe", "random")
 
 
 @dataclass(frozen=True)

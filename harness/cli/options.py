@@ -25,6 +25,7 @@ from harness.registry import (
     VARIANTS,
     configured,
 )
+from harness.registry.names import SAMPLERS
 
 
 class _Settings(argparse.Action):
@@ -169,7 +170,7 @@ def add_tune(add: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="of Optuna; new, or of a search that goes on",
     )
-    add.add_argument("--sampler", choices=("tpe", "random"), default="tpe", help="what proposes settings")
+    add.add_argument("--sampler", choices=SAMPLERS, default="tpe", help="what proposes settings")
     add.add_argument(
         "--seeds",
         type=values.seeds,

@@ -31,6 +31,8 @@ Text = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=
 LongText = Annotated[str, Meta(pattern=rf"\A[^{CONTROL_CHARACTERS}]*\Z", max_length=100_000)]
 Seed = Annotated[int, Meta(ge=0, lt=MOST_SEEDS)]
 Count = Annotated[int, Meta(ge=0, le=10**15)]
+Endings = Annotated[dict[Text, Count], Meta(max_length=100)]
+"""Numbers of episodes, by why they ended."""
 Curve = Annotated[list[tuple[float, float]], Meta(max_length=MOST_POINTS)]
 # A text with limits in this union crashes msgspec 0.22 when the process ends.
 Setting = bool | int | float | str | list[bool | int | float | str]

@@ -23,6 +23,7 @@ Experts = Literal["shipped", "trained", "none"]
 Record = Literal["none", "median", "worst", "both", "all", "first"]
 Demonstrator = Literal["expert", "medium", "noisy", "ranked"]
 LastObservation = Literal["repeat", "drop"]
+Sampler = Literal["tpe", "random"]
 EngineName = Literal["isolated", "inline", "ray"]
 
 BUDGETS = ("smoke", "quick", "full")
@@ -31,6 +32,9 @@ LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 """Learners of a run: each task's own, or DDPG, the thesis's."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 LOGS = ("tensorboard", "wandb")
+"""Programs that show curves of running cells."""
+SAMPLERS: tuple[Sampler, ...] = ("tpe", "random")
+"""What proposes hyper-parameters in a search."""
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy", "ranked")

@@ -16,6 +16,7 @@ from harness.cli.main import main
 from harness.records import Cell, CellResult
 from harness.registry import KNOWN, BadInput, plugins
 from harness.registry.configured import settings_in
+from harness.registry.names import SAMPLERS, Sampler
 from tests.harness.made_results import make_row
 
 pytestmark = pytest.mark.usefixtures("_for_now")
@@ -90,9 +91,9 @@ def test_each_method_gets_the_same_number_of_trials_and_itself_as_it_is(fakes: F
     assert study.best_value == max(one.score for one in found["gail"][1:] if not math.isnan(one.score))
 
 
-@pytest.mark.parametrize("sampler", tuning.SAMPLERS)
+@pytest.mark.parametrize("sampler", SAMPLERS)
 def test_a_search_that_is_stopped_goes_on_to_the_same_trials(
-    fakes: Fakes, tmp_path: Path, sampler: tuning.Sampler
+    fakes: Fakes, tmp_path: Path, sampler: Sampler
 ) -> None:
     whole = tuning.tune(ASKED, 22, tmp_path / "whole.db", sampler)
     fakes.fails_at = len(fakes.asked) + 2
