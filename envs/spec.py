@@ -156,6 +156,11 @@ class EnvSpec:
     """True if an action is a choice among A."""
     shipped: Shipped | None = None
     """Training of the shipped experts, None where an exact solution is the expert."""
+    encoder: str = ""
+    """Encoder of images (`envs.images`) in a task that is seen in images, '' in others."""
+    expert_task: EnvSpec | None = None
+    """The same task as its expert sees it, None where the expert sees what methods see. Equal seeds and
+    actions give equal episodes."""
     tabular: Tabular | None = None
     """Model and true reward of a finite environment, which is solved instead of learned."""
 
@@ -219,17 +224,30 @@ class EnvSpec:
         if name not in self.variants:
             known = ", ".join(self.variants) or "none"
             raise ValueError(f"{self.name}: no variant {name!r}; there are: {known}")
-        changed = self.variants[name]
+        changed, twin = self.variants[name], self.expert_task
         return replace(
             self,
             name=f"{self.name}.{name}",
             kwargs={**self.kwargs, **changed},
             batch=partial(self.batch, **changed) if self.batch else None,
+            expert_task=twin.variant(name) if twin and name in twin.variants else twin,
             bar=lambda seeds: -math.inf,
             max_terminated=dict.fromkeys(BUDGETS, 1.0),
             variants={},
             shipped=None,
         )
+
+    @property
+    def expert_sees(self) -> EnvSpec:
+        """The task as its expert sees it."""
+        return self.expert_task or self
+
+    def encoded_by(self, encoder: str) -> EnvSpec:
+        """Return the same task seen through another encoder. Raises ValueError where there are no images."""
+        if not self.encoder:
+            raise ValueError(f"{self.name}: it has no images to encode")
+        batch = partial(self.batch, encoder=encoder) if self.batch else None
+        return replace(self, encoder=encoder, kwargs={**self.kwargs, "encoder": encoder}, batch=batch)
 
     def by_ddpg(self) -> EnvSpec:
         """Return the same task with DDPG as its learner. Raises ValueError where actions are choices."""

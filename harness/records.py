@@ -83,6 +83,8 @@ class Conditions:
     """Arguments of tasks that are known by their id in Gymnasium, as JSON, if any."""
     env_vars: LongText = ""
     """Variables of the environment that plug-ins get, with their values, as JSON, if any."""
+    encoder: Text = ""
+    """The encoder of images (`envs.images`), '' for the task's own."""
 
     def in_words(self, name: str) -> str:
         """Return a field's value as text for people."""
@@ -221,8 +223,7 @@ COLUMNS = tuple(f.name for f in fields(Row))
 @dataclass(frozen=True)
 class Solve:
     """One RL solve of a reward. `judged`: mean return under R* over the judging episodes, NaN for a single
-    solve.
-    `own_return`, `return_mean`, `solved`: as in `Row`."""
+    solve. `own_return`, `return_mean`, `solved`: as in `Row`."""
 
     judged: float = math.nan
     own_return: float = math.nan
@@ -282,9 +283,8 @@ class CellResult:
 
 def failed_rows(cell: Cell, protocol: str, reason: str) -> CellResult:
     """Return the result of a cell that failed."""
-    reason = reason[:LONGEST_TEXT]
-    rows = [row_of(cell, p, protocol, status="failed", reason=reason) for p in policies_of(cell)]
-    return CellResult(cell, rows)
+    columns = {"status": "failed", "reason": reason[:LONGEST_TEXT]}
+    return CellResult(cell, [row_of(cell, policy, protocol, **columns) for policy in policies_of(cell)])
 
 
 def row_of(cell: Cell, policy: PolicyName, protocol: str, **columns: Any) -> Row:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from harness.api.contradictions import contradictions
 from harness.process.environment import can_fix_instructions
 from harness.records import Conditions, Shown
 from harness.registry import (
-    ASKING,
     BUDGETS,
     DEMONSTRATORS,
     EXPERTS,
@@ -35,7 +35,6 @@ from harness.registry import (
     base,
     choose,
     configured,
-    keys,
     plugins,
 )
 from harness.registry.bounds import MOST_SEEDS
@@ -88,6 +87,8 @@ class RunRequest:
     learner: LearnerName = "own"
     solves: int = 0
     """RL solves of each learned reward; 0: the number of the task and budget."""
+    encoder: str = ""
+    """The encoder of images: 'small', 'nature' or 'module:Class' (docs/images.md); '' for each task's own."""
     experts: Experts = "shipped"
     demos: Sequence[int] = (0,)
     """Numbers of demonstrations, one after the other; 0: the number of the budget."""
@@ -191,7 +192,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
     """
     plugins.give(asked.env_kwargs, asked.env_vars)
     methods, envs = _names(asked)
-    for contradiction in _contradictions(asked, methods, envs):
+    for contradiction in contradictions(asked, methods, envs):
         raise BadInput(contradiction)
     demonstrations = _demonstrations(asked, envs) if asked.files else None
     conditions = Conditions(
@@ -205,6 +206,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
         demonstrations=str(demonstrations) if demonstrations else "",
         learner=asked.learner,
         solves=asked.solves,
+        encoder=asked.encoder,
         env_kwargs=KNOWN.env_kwargs,
         env_vars=json.dumps(KNOWN.variables, sort_keys=True) if KNOWN.variables else "",
     )
@@ -228,33 +230,6 @@ def _names(asked: RunRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
     named = KNOWN.chosen_methods(",".join(own))
     check_kwargs(chosen)
     return named, chosen
-
-
-def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str]) -> Iterator[str]:
-    if asked.solves and not asked.retrain:
-        yield "--solves is how often RL solves R*; leave out --no-retrain"
-    if asked.learner == "ddpg" and (discrete := [env for env in envs if plugins.task(env).discrete]):
-        yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
-    if asked.experts == "none":
-        if not asked.files:
-            yield "--experts none is for demonstrations of a file: --demos-from"
-        if asked.transfer:
-            yield "--transfer carries the expert over; leave out --experts none"
-        if asking := [method for method in methods if base(method) in ASKING]:
-            yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
-    if asked.files and (len(envs) != 1 or asked.demonstrator != "expert"):
-        yield "--demos-from is for one environment, and leaves out --demonstrator"
-    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
-    for option in of_file:
-        if getattr(asked, option) and not asked.files:
-            yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
-    if asked.demonstrator in ("medium", "ranked"):
-        if asked.experts == "trained":
-            yield "medium demonstrators are shipped ones; leave out --experts trained"
-        if lacking := [env for env in envs if not keys.expert_files(env)]:
-            yield f"there are no medium demonstrators of {', '.join(lacking)}; leave it out of --envs"
-    if asked.transfer and not asked.retrain:
-        yield "--transfer scores by what RL reaches in a variant; leave out --no-retrain"
 
 
 def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:

@@ -141,7 +141,8 @@ class Played(Source):
         policy = self.medium() if kind == "medium" else self.expert.policy
         if kind == "noisy":
             policy = disturbed(policy, self.spec, NOISE, rng_for(self.seed, self.env, "noise"))
-        return Simulator(self.spec).run(policy, demonstration_seeds(self.seed, demos))
+        seeds, task = demonstration_seeds(self.seed, demos), self.spec.expert_sees
+        return Simulator(self.spec).shown(Simulator(task).run(policy, seeds), seeds)
 
     def medium(self) -> Policy:
         """Return the checkpoint of the expert's training with about half its return."""
@@ -154,7 +155,7 @@ class Shipped(Played):
     @cached_property
     def shipped(self) -> tuple[int, ShippedExpert]:
         """The number of the expert, and the expert with its medium checkpoint."""
-        experts = shipped_experts(self.env)
+        experts = shipped_experts(self.spec.expert_sees.name)
         number = self.seed % len(experts)
         return number, experts[number]
 
@@ -183,7 +184,7 @@ class Trained(Played):
     def _train(self) -> Expert:
         started = time.perf_counter()
         rng = rng_for(self.seed, self.env, "expert")
-        solver = solver_for(self.spec, "absorbing", rng, self.conditions.rl)
+        solver = solver_for(self.spec.expert_sees, "absorbing", rng, self.conditions.rl)
         solution = solver.solve(None, self.spec.rl_steps[self.conditions.budget])
         took = time.perf_counter() - started, solution.env_steps, solution.check_steps
         name = "exact" if self.spec.tabular else f"trained:{self.seed}"
@@ -247,8 +248,9 @@ def played_for(env: str, seed: int, conditions: Conditions) -> Played:
 
 
 def task_for(env: str, conditions: Conditions) -> EnvSpec:
-    """Return a task with the learner that the conditions say."""
-    return SPECS[env].by_ddpg() if conditions.learner == "ddpg" else SPECS[env]
+    """Return a task with the learner and the encoder that the conditions say."""
+    spec = SPECS[env].encoded_by(conditions.encoder) if conditions.encoder else SPECS[env]
+    return spec.by_ddpg() if conditions.learner == "ddpg" else spec
 
 
 def _curve(points: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:

@@ -38,7 +38,8 @@ def record(inputs: Inputs, candidate: Candidate, evaluation: Evaluation) -> dict
     """Return the recordings of a policy's episodes by file name."""
     spec, reward, policy, expert = inputs.place, candidate.reward, candidate.policy, None
     assert policy is not None
-    if inputs.conditions.experts != "none" and candidate.name != "expert" and not inputs.is_transfer:
+    sees_this = inputs.conditions.experts != "none" and not spec.expert_task
+    if sees_this and candidate.name != "expert" and not inputs.is_transfer:
         expert = inputs.shared.expert.policy
     numbers = chosen(inputs.conditions.record, evaluation.returns)
     seeds = [inputs.seeds[number] for number in numbers.values()]

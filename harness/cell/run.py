@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from envs import EnvSpec
 from harness.cell.fitting import Candidate, fit, fit_control
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
@@ -115,7 +116,8 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
             columns["own_return_random"] = by_chance.own_return
         for one in candidates:
             if one.policy:
-                evaluations[one.name] = evaluated(inputs, one.policy, one.reward)
+                place = inputs.place.expert_sees if one.name == "expert" else inputs.place
+                evaluations[one.name] = evaluated(inputs, one.policy, one.reward, place)
                 inputs.report(Phase("score", returns=means(evaluations)))
         star = evaluations["pi_star"].own_return if "pi_star" in evaluations else math.nan
 
@@ -140,9 +142,11 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
     return Scored(candidates, evaluations, rows, solves, below_bar)
 
 
-def evaluated(inputs: Inputs, policy: Policy, reward: Reward | None) -> Evaluation:
-    """Return the evaluation of a policy, by the true reward and by its own."""
-    return evaluate(inputs.place, policy, inputs.seeds, reward and fast(reward))
+def evaluated(
+    inputs: Inputs, policy: Policy, reward: Reward | None, place: EnvSpec | None = None
+) -> Evaluation:
+    """Return the evaluation of a policy, by the true reward and by its own. place: None for the inputs'."""
+    return evaluate(place or inputs.place, policy, inputs.seeds, reward and fast(reward))
 
 
 def _below_bar(inputs: Inputs, expert: Evaluation) -> str:

@@ -55,7 +55,7 @@ def _ranked_by(source: Source) -> Sequence[Policy]:
     """Return the policies by whose ranking rewards are compared; none where there are none."""
     if source.expert.returns:
         return ()
-    return [source.expert.policy] if source.spec.tabular else shipped_policies(source.env)
+    return [source.expert.policy] if source.spec.tabular else shipped_policies(source.spec.expert_sees.name)
 
 
 @dataclass(frozen=True)

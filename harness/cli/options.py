@@ -10,6 +10,7 @@ from harness.cli import values
 from harness.registry import (
     BUDGETS,
     DEMONSTRATORS,
+    ENCODERS,
     ENGINES,
     ENVS,
     EXPERTS,
@@ -96,6 +97,12 @@ def add_run(add: argparse.ArgumentParser) -> None:
         default=0,
         help="RL solves of each learned reward, of which the one that earns most counts (default: by budget "
         "and task); controls and variants take one",
+    )
+    add.add_argument(
+        "--encoder",
+        default="",
+        metavar="|".join([*ENCODERS, "MODULE:CLASS"]),
+        help="what makes vectors of images, in tasks that have some",
     )
     add.add_argument("--experts", default="shipped", choices=EXPERTS, help="or trained now, one a seed")
     add.add_argument(

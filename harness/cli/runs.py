@@ -54,6 +54,7 @@ def request_of(args: argparse.Namespace) -> RunRequest:
         rl=args.rl,
         learner=args.learner,
         solves=args.solves,
+        encoder=args.encoder,
         experts=args.experts,
         demos=args.demos,
         subsample=args.subsample,

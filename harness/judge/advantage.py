@@ -133,18 +133,19 @@ def replay(spec: EnvSpec, expert: Policy, seeds: Sequence[int], rng: np.random.G
     They begin in the first half of an episode, the expert's and a random policy's in turn. The other action
     is uniform.
     """
-    simulator, count = Simulator(spec), len(seeds)
+    simulator, by_expert, count = Simulator(spec), Simulator(spec.expert_sees), len(seeds)
     most = math.ceil(math.log(LEAST_WEIGHT) / math.log(spec.gamma))
     visited: dict[int, Trajectory] = {}
     for first, policy in enumerate((expert, lambda obs: spec.random_actions(len(obs), rng))):
-        episodes = simulator.run(policy, seeds[first::2])
+        episodes = by_expert.run(policy, seeds[first::2])
         visited |= zip(range(first, count, 2), episodes, strict=True)
     acts = [visited[place].act for place in range(count)]
     until = [act[: rng.integers((len(act) + 1) // 2)] for act in acts]
     others = spec.random_actions(count, rng)
-    same = simulator.run(expert, seeds, until, most)
+    same = by_expert.run(expert, seeds, until, most)
     changed = [np.vstack([act, other]) for act, other in zip(until, others, strict=True)]
-    episodes = [*simulator.run(expert, seeds, changed, most - 1), *same]
+    episodes = [*by_expert.run(expert, seeds, changed, most - 1), *same]
+    episodes = simulator.shown(episodes, [*seeds, *seeds])
     starts = [len(act) for act in until] * 2
     rewards = [episode.rewards[start:] for episode, start in zip(episodes, starts, strict=True)]
     values = np.array([float(paid @ spec.gamma ** np.arange(len(paid))) for paid in rewards])
@@ -232,6 +233,7 @@ def ranked(
     shares = np.linspace(0, ROUGHEST, POLICIES // len(policies))
     executed = [lambda obs, policy=policy: spec.executed(policy(obs)) for policy in policies]
     rough = [roughened(policy, share, spec.random_actions, rng) for policy in executed for share in shares]
-    episodes = [episode for group in Simulator(spec).run_each(rough, seeds) for episode in group]
+    episodes = [e for group in Simulator(spec.expert_sees).run_each(rough, seeds) for e in group]
+    episodes = Simulator(spec).shown(episodes, [*seeds] * len(rough))
     true = np.array([e.rewards.sum() for e in episodes]).reshape(len(rough), -1).mean(axis=1)
     return Ranked(**vars(Stretches.of(episodes, [0] * len(episodes))), true=true)

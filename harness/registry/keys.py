@@ -15,7 +15,7 @@ from harness.records import CONTROL_METHODS, Cell, Conditions, Shown
 from harness.registry import ours, packages, plugins
 from harness.registry.known import KNOWN
 from harness.registry.plugins import settings_for
-from harness.registry.sources import OfProgram, Sources, reach
+from harness.registry.sources import OfProgram, Sources, reach, sources_of
 
 NO_NUMBERS = "Its results are the keys themselves."
 
@@ -62,6 +62,8 @@ def _is_ours(file: Path) -> bool:
 
 def expert_files(env: str) -> dict[str, bytes]:
     """Return the file of a task's shipped experts by its path below `ROOT`; empty where it has none."""
+    entry = KNOWN.entries["env"].get(env)
+    env = (entry and entry.experts) or env
     names = [f"{folder}/{env}.safetensors" for folder in EXPERTS]
     return {name: program()[name] for name in names if name in program()}
 
@@ -86,7 +88,9 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     @functools.cache
     def task(env: str) -> str:
         asked: list[object] = [_asked(conditions), experts_version(env)]
-        running = [*RUNNING]
+        running, (module, _, encoder) = [*RUNNING], conditions.encoder.partition(":")
+        if encoder:
+            asked += sources_of(module).digests
         if conditions.experts == "none":
             asked += [_target("method", CLONE), settings_for(CLONE, env, conditions.budget)]
             running.append(KNOWN.entries["method"][CLONE].module)

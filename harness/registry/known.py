@@ -21,6 +21,7 @@ from harness.registry.names import (
     GROUPS,
     METHOD_GROUPS,
     METHODS,
+    OTHER_ENVS,
     VARIANTS,
     BadInput,
     Entry,
@@ -65,7 +66,7 @@ class Offer:
 
     `like`: the built-in methods whose class a method has, or derives from.
     `takes`: the hyper-parameters that it takes from their settings. `searched`: those that `tune` searches.
-    `variants`, `discrete`, `rl_steps`, `ddpg_steps`, `solves`: fields of a task's `EnvSpec`.
+    `variants`, `discrete`, `rl_steps`, `ddpg_steps`, `solves`, `encoder`: fields of a task's `EnvSpec`.
     `sources`: those of its module, and of the modules and packages in which Gymnasium finds a task.
     """
 
@@ -81,6 +82,7 @@ class Offer:
     rl_steps: dict[str, int] = field(default_factory=dict)
     ddpg_steps: dict[str, int] = field(default_factory=dict)
     solves: dict[str, int] = field(default_factory=dict)
+    encoder: str = ""
     searched: dict[str, Search] = field(default_factory=dict)
 
 
@@ -136,7 +138,7 @@ class Registry:
     """
 
     def __init__(self) -> None:
-        self.entries: dict[str, dict[str, Entry]] = {"method": METHODS | VARIANTS, "env": {**ENVS}}
+        self.entries: dict[str, dict[str, Entry]] = {"method": METHODS | VARIANTS, "env": ENVS | OTHER_ENVS}
         self.specs = Specs(self)
         self.plugins: dict[str, Plugin] = {}
         self.offers: dict[str, Offer] = {}
@@ -181,7 +183,7 @@ class Registry:
     def chosen_envs(self, text: str) -> tuple[str, ...]:
         """Return the tasks in a text with commas between. Raises BadInput as `choose` does."""
         theirs = tuple(self.of_plugins("env"))
-        return choose("env", text, ENVS, theirs, {**GROUPS, "plugins": theirs})
+        return choose("env", text, ENVS, (*OTHER_ENVS, *theirs), {**GROUPS, "plugins": theirs})
 
     def configure(self, name: str) -> bool:
         """Make known a method with settings of the user's, and return whether the name is of one.
@@ -280,8 +282,8 @@ SPECS = KNOWN.specs
 
 
 def all_specs() -> list[EnvSpec]:
-    """Return every task of this program, in the order of `ENVS`."""
-    return [SPECS[name] for name in ENVS]
+    """Return every task of this program, in the order of `BUILT_IN`."""
+    return [SPECS[name] for name in BUILT_IN["env"]]
 
 
 def load_method(name: str) -> Callable[..., Method]:

@@ -184,6 +184,7 @@ def offer(kind: str, name: str, entry: Entry, sources: Sources | None = None) ->
         rl_steps=steps,
         ddpg_steps=ddpg,
         solves=solves,
+        encoder=str(thing.encoder),
     )
 
 

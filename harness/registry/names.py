@@ -11,6 +11,8 @@ NO_NUMBERS = {
     "METHODS": "Keys are of a cell's own entry.",
     "VARIANTS": "Keys are of a cell's own entry.",
     "ENVS": "Keys are of a cell's own entry.",
+    "IMAGES": "Keys are of a cell's own entry.",
+    "OTHER_ENVS": "Keys are of a cell's own entry.",
     "BUILT_IN": "Keys are of a cell's own entry.",
     "GROUPS": "It lists what users may type.",
     "METHOD_GROUPS": "It lists what users may type.",
@@ -30,6 +32,8 @@ BUDGETS = ("smoke", "quick", "full")
 LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 """Learners of a run: each task's own, or DDPG, the thesis's."""
+ENCODERS = ("small", "nature")
+"""Encoders of images (`envs.images.LAYERS`)."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 LOGS = ("tensorboard", "wandb")
 """Programs that show curves of running cells."""
@@ -64,12 +68,13 @@ class Unfinished(Exception):
 class Entry(NamedTuple):
     """The place of a method's class or a task's `EnvSpec` ('module:name'), and a summary of one line.
 
-    variants: a task's other dynamics.
+    variants: a task's other dynamics. experts: the task that has its shipped experts, '' for itself.
     """
 
     target: str
     summary: str
     variants: tuple[str, ...] = ()
+    experts: str = ""
 
     @property
     def module(self) -> str:
@@ -210,12 +215,24 @@ ENVS = {
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
     ),
 }
+IMAGES = {
+    "swingup_pixels": Entry(
+        "envs.swingups.swingup_pixels:SPEC",
+        "swingup as a camera sees it, in 32 by 32 pixels",
+        ENVS["swingup"].variants,
+        experts="swingup",
+    ),
+}
+"""Tasks that are seen in images."""
+OTHER_ENVS = {**IMAGES}
+"""Tasks that run when they are named, and are not part of 'all'."""
 
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
     "locomotion": ("halfcheetah", "hopper", "walker2d"),
     "tabular": ("gridworld",),
+    "images": (*IMAGES,),
 }
 """Names that stand for several environments."""
 METHOD_GROUPS = {"thesis": (*THESIS,)}
@@ -223,7 +240,7 @@ METHOD_GROUPS = {"thesis": (*THESIS,)}
 
 SETTING = "+"
 """The character before each setting in the name of a method that has some."""
-BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
+BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS, *OTHER_ENVS)}
 """Names of this program's own methods and tasks."""
 
 

@@ -57,6 +57,7 @@ def conditions(request: Request, results: Sequence[CellResult]) -> list[str]:
     lines += [f"demonstrations of a file, {its.demonstrations}"] if its.demonstrations else []
     lines += [f"arguments of the tasks {its.env_kwargs}"] if its.env_kwargs else []
     lines += [f"variables of the environment {its.env_vars}"] if its.env_vars else []
+    lines += [f"encoder of images {its.encoder}"] if its.encoder else []
     when = " to ".join(dict.fromkeys([*days[:1], *days[-1:]])) or "once"
     return [*lines, f"computed {when} by irl-bench {', '.join(commits) or 'of an unknown commit'}"]
 

@@ -62,6 +62,20 @@ class Simulator:
             episodes = self._run(partial(_each, some, count), [*seeds] * len(some))
             yield from (episodes[i : i + count] for i in range(0, len(episodes), count))
 
+    def shown(self, played: list[Trajectory], seeds: Sequence[int]) -> list[Trajectory]:
+        """Return trajectories of `spec.expert_sees` as this task shows them, by their actions and seeds.
+
+        Raises RuntimeError where they pay something else here.
+        """
+        if self.spec.expert_task is None:
+            return played
+        acts = [one.act for one in played]
+        still = np.zeros((self.lanes, self.spec.act_size))
+        here = self.run(lambda obs: still[: len(obs)], seeds, acts, most=0)
+        if not all(np.array_equal(a.rewards, b.rewards) for a, b in zip(here, played, strict=True)):
+            raise RuntimeError(f"{self.spec.name}: episodes differ from {self.spec.expert_task.name}'s")
+        return here
+
     def _run(
         self,
         answer: Callable[[Array, list[int]], Array],

@@ -15,7 +15,17 @@ from harness.rl.exact import ExactSolver
 from harness.rl.seeds import training_seeds
 from harness.rl.simulator import Simulator, Trajectory
 from harness.rl.solving import Agent, Told
-from methods.base import Array, Episodes, Kind, Payment, Policy, Reward, StochasticPolicy, Transitions
+from methods.base import (
+    Array,
+    Episodes,
+    Kind,
+    Payment,
+    Policy,
+    Reward,
+    StochasticPolicy,
+    Transitions,
+    Unsuitable,
+)
 
 
 class Options(TypedDict, total=False):
@@ -81,6 +91,8 @@ class TaskWorld:
     def ask(self, obs: Array) -> Array:
         if self._expert is None:
             raise ValueError("only methods that are marked as asking the expert may ask it")
+        if self._spec.expert_task:
+            raise Unsuitable("the expert sees states, and there are images here")
         self.answers += len(obs)
         return np.array(self._spec.executed(self._expert(obs.copy())))
 

@@ -25,7 +25,7 @@ MACHINE = ("processor", "family, model, stepping", "instructions", "system")
 """Names of the machine's properties, among packages, in the origin of a result."""
 DECIDING = (
     *("budget", "protocol", "rl", "experts", "retrain", "demonstrations", "learner", "solves"),
-    *("env_kwargs", "env_vars"),
+    *("env_kwargs", "env_vars", "encoder"),
 )
 """Conditions under which scores differ."""
 OTHER_VERSION = "of another version of the task, its experts, or how policies are scored"

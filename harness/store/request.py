@@ -147,6 +147,7 @@ def command_of(request: Request, beside: bool = False) -> str:
     words += ["--rl", c.rl]
     words += ["--learner", c.learner] if c.learner != "own" else []
     words += ["--solves", str(c.solves)] if c.solves else []
+    words += ["--encoder", c.encoder] if c.encoder else []
     for name, value in json.loads(c.env_kwargs or "{}").items():
         words += ["--env-kwargs", shlex.quote(f"{name}={json.dumps(value)}")]
     for name in json.loads(c.env_vars or "{}"):

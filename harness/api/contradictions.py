@@ -1,0 +1,44 @@
+"""Options of a run that contradict each other, or its methods and tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from harness.registry import ASKING, ENCODERS, base, keys, plugins
+
+if TYPE_CHECKING:
+    from harness.api.request import RunRequest
+
+
+def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each pair of options that contradict each other, with the way out."""
+    if asked.solves and not asked.retrain:
+        yield "--solves is how often RL solves R*; leave out --no-retrain"
+    if asked.learner == "ddpg" and (discrete := [env for env in envs if plugins.task(env).discrete]):
+        yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
+    if asked.encoder:
+        if blind := [env for env in envs if not plugins.task(env).encoder]:
+            yield f"{', '.join(blind)} has no images for --encoder"
+        if asked.encoder not in ENCODERS and ":" not in asked.encoder:
+            yield f"--encoder must be {', '.join(ENCODERS)} or module:Class, not {asked.encoder!r:.40}"
+    if asked.experts == "none":
+        if not asked.files:
+            yield "--experts none is for demonstrations of a file: --demos-from"
+        if asked.transfer:
+            yield "--transfer carries the expert over; leave out --experts none"
+        if asking := [method for method in methods if base(method) in ASKING]:
+            yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
+    if asked.files and (len(envs) != 1 or asked.demonstrator != "expert"):
+        yield "--demos-from is for one environment, and leaves out --demonstrator"
+    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
+    for option in of_file:
+        if getattr(asked, option) and not asked.files:
+            yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
+    if asked.demonstrator in ("medium", "ranked"):
+        if asked.experts == "trained":
+            yield "medium demonstrators are shipped ones; leave out --experts trained"
+        if lacking := [env for env in envs if not keys.expert_files(env)]:
+            yield f"there are no medium demonstrators of {', '.join(lacking)}; leave it out of --envs"
+    if asked.transfer and not asked.retrain:
+        yield "--transfer scores by what RL reaches in a variant; leave out --no-retrain"
