@@ -9,14 +9,19 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation
 
+from envs.encoders import FEATURES, Encoded, channels_last
+
 MOST = 10_000
 """Largest number of entries of an observation that is made a vector."""
 _OBS = "obs"
 
 
-def flat(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Return the environment with observations as vectors (O,). Raises ValueError as `entries`."""
+def flat(env: gym.Env[Any, Any], encoder: str = "small") -> gym.Env[Any, Any]:
+    """Return the environment with observations as vectors (O,), images by an encoder (`envs.encoders`).
+    Raises ValueError as `entries`."""
     space = env.observation_space
+    if channels_last(space):
+        return Encoded(env, encoder)
     if isinstance(space, spaces.Box) and len(space.shape) == 1:
         return env
     entries(space)
@@ -26,9 +31,11 @@ def flat(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
 def entries(space: spaces.Space[Any]) -> list[tuple[str, bool]]:
     """Return the name of each entry of observations that are made vectors, and whether it is 0 or 1.
 
-    A choice has an entry for each value, 1 for the chosen one: 'gear=2'. Raises ValueError for images, texts
-    and sequences, and for more than `MOST` entries.
+    A choice has an entry for each value, 1 for the chosen one: 'gear=2'. An image has features. Raises
+    ValueError for images among other things, texts and sequences, and for more than `MOST` entries.
     """
+    if channels_last(space):
+        return [(f"feature {number}", False) for number in range(FEATURES)]
     found = [*islice(_entries(space, ""), MOST + 1)]
     if len(found) > MOST:
         raise ValueError(
@@ -55,7 +62,7 @@ def _entries(space: spaces.Space[Any], name: str) -> Iterator[tuple[str, bool]]:
             is_flag = isinstance(space, spaces.MultiBinary)
             yield from ((_at(name, place), is_flag) for place in np.ndindex(space.shape))
         case _:
-            kind = "images" if isinstance(space, spaces.Box) else type(space).__name__
+            kind = f"images {space.shape}" if isinstance(space, spaces.Box) else type(space).__name__
             raise ValueError(
                 f"observations must be numbers or choices, not {kind}, {space}; make them vectors by "
                 "wrap= of from_gymnasium"

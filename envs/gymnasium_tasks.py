@@ -13,6 +13,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
 from envs.checks import INSTANCES, check_numbers, flags, named, real
+from envs.encoders import channels_last
 from envs.flat import entries
 from envs.learners import DQN
 from envs.scaled import combinations, standard, time_limit, wrappers
@@ -54,6 +55,7 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
         "summary": f"Gymnasium's {env_id}",
         "wrap": partial(standard, wrap=wrap) if wrap else standard,
         "kwargs": kwargs,
+        "encoder": "small" if channels_last(first.observation_space) else "",
     }
     if "obs_scale" not in fields:
         steps = SLOW_STEPS if own_limit else RANDOM_STEPS

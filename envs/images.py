@@ -1,18 +1,11 @@
-"""Tasks that are seen in images. An encoder makes a vector of each image, and the vector is the observation.
+"""Tasks of the program's own that are seen in images, through an encoder (`envs.encoders`).
 
-An encoder is fixed before a method begins, and every method and all RL of a task see through the same one. So
-methods differ by what they do, and an image costs one pass. The shipped encoders are convolutions with
-random weights, whose outputs are projected on their principal components in a random policy's episodes
-(Jarrett et al. 2009; Burda et al. 2019 compare random convolutions with learned ones). Weights, pixels and
-what lies between are whole numbers, so features are equal to the last bit for any number of images and on
-any processor.
+The image is of a state, and the expert sees the state.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,30 +14,14 @@ from typing import Any, Protocol
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from envs.encoders import EXAMPLES, FEATURES, Encoder, Images, made
 from envs.spec import Array, EnvSpec, Flags, Floats, Quantity, Shape, register
 
-FEATURES = 64
-"""Number of features of an image and the one before it."""
 FEATURE_SCALE = 1.0
 """Typical size of a feature."""
-EXAMPLES = 1024
-"""Images by which an encoder is made."""
 COPIES = 32
-"""Episodes that these images come from, at first."""
-LARGEST_WEIGHT = 9
-LARGEST_SHARE = 127  # largest weight of a feature
-BRIGHTEST = 255
-SMALL, NATURE = ((5, 2, 16), (3, 2, 32), (3, 2, 32)), ((8, 4, 32), (4, 2, 64), (3, 1, 64))
-LAYERS = {"small": SMALL, "nature": NATURE}
-"""Convolutions of the shipped encoders: width, stride and channels of each. `nature` is that of Mnih et al.
-2015."""
-
-Images = NDArray[np.uint8]
-Encoder = Callable[[Images], Array]
-"""A function of images (B, H, W, C) that returns their features, (B, FEATURES)."""
+"""Episodes that an encoder's examples come from, at first."""
 
 
 class View(Protocol):
@@ -64,68 +41,6 @@ class View(Protocol):
 
     def why_ended(self, place: int) -> str:
         """Return why the copy's episode just terminated."""
-
-
-class Convolutions:
-    """An encoder of random convolutions and principal components, made from images (N, H, W, C)."""
-
-    def __init__(self, layers: Sequence[tuple[int, int, int]], images: Images) -> None:
-        rng, x = np.random.default_rng(0), images
-        self._layers = list[tuple[int, int, Floats, np.float32]]()
-        for width, stride, channels in layers:
-            drawn = rng.standard_normal((width * width * x.shape[-1], channels)) * LARGEST_WEIGHT / 3
-            weights = np.clip(np.rint(drawn), -LARGEST_WEIGHT, LARGEST_WEIGHT).astype(np.float32)
-            y = _convolved(x, width, stride, weights)
-            bits = math.ceil(math.log2(max(1.0, float(np.percentile(y, 99.5)) / BRIGHTEST)))
-            self._layers.append((width, stride, weights, np.float32(0.5**bits)))
-            x = _rounded(y, self._layers[-1][-1])
-        flat = x.reshape(len(x), -1).astype(np.float64)
-        centred = flat - flat.mean(axis=0)
-        sizes, directions = np.linalg.eigh(centred @ centred.T)
-        shares = centred.T @ directions[:, np.argsort(sizes)[: -FEATURES - 1 : -1]]
-        shares *= np.sign(shares[np.abs(shares).argmax(axis=0), np.arange(shares.shape[1])])
-        self._shares = np.rint(LARGEST_SHARE * shares / np.maximum(np.abs(shares).max(axis=0), 1e-9))
-        features = flat @ self._shares
-        self._mean, self._std = features.mean(axis=0), np.maximum(features.std(axis=0), 1.0)
-
-    def __call__(self, images: Images) -> Array:
-        x = images
-        for width, stride, weights, scale in self._layers:
-            x = _rounded(_convolved(x, width, stride, weights), scale)
-        features: Array = (x.reshape(len(x), -1) @ self._shares - self._mean) / self._std
-        return features.astype(np.float32).astype(np.float64)
-
-
-def _convolved(x: Images, width: int, stride: int, weights: Floats) -> Floats:
-    """Return the convolution of (B, H, W, C) with weights (width * width * C, K), in whole numbers below
-    2^24, which 32 bits hold."""
-    pad = (width // 2, width // 2)
-    padded = np.pad(x, [(0, 0), pad, pad, (0, 0)])
-    windows = sliding_window_view(padded, (width, width), axis=(1, 2))[:, ::stride, ::stride]
-    batch, rows, columns = windows.shape[:3]
-    flat = windows.reshape(batch * rows * columns, -1).astype(np.float32)
-    return np.asarray((flat @ weights).reshape(batch, rows, columns, -1))
-
-
-def _rounded(y: Floats, scale: np.float32) -> Images:
-    whole: Images = np.clip(y * scale, 0, BRIGHTEST).astype(np.uint8)
-    return whole
-
-
-def made(name: str, images: Images) -> Encoder:
-    """Return the encoder of a name, 'small', 'nature' or 'module:Class', whose class is called with images
-    (N, H, W, C). Raises ValueError for other names, and for classes that give other shapes."""
-    if name in LAYERS:
-        return Convolutions(LAYERS[name], images)
-    module, _, attribute = name.partition(":")
-    try:
-        encoder: Encoder = getattr(importlib.import_module(module), attribute)(images)
-    except (ImportError, AttributeError, ValueError) as error:
-        known = ", ".join(LAYERS)
-        raise ValueError(f"no encoder {name!r}: give {known}, or module:Class ({error})") from error
-    if (shape := np.shape(encoder(images[:2]))) != (2, FEATURES):
-        raise ValueError(f"the encoder {name} gives features {shape} of 2 images, not (2, {FEATURES})")
-    return encoder
 
 
 @functools.cache

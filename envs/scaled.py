@@ -113,10 +113,12 @@ def scaled(env: gym.Env[Any, Any]) -> Scaled:
 
 
 def standard(
-    env: gym.Env[Any, Any], wrap: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None
+    env: gym.Env[Any, Any],
+    wrap: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
+    encoder: str = "small",
 ) -> gym.Env[Any, Any]:
     """Return the environment in a wrapper, with observations as vectors and with `scaled` actions."""
-    return scaled(flat(wrap(env) if wrap else env))
+    return scaled(flat(wrap(env) if wrap else env, encoder))
 
 
 def time_limit(env: gym.Env[Any, Any]) -> int | None:

@@ -157,7 +157,7 @@ class EnvSpec:
     shipped: Shipped | None = None
     """Training of the shipped experts, None where an exact solution is the expert."""
     encoder: str = ""
-    """Encoder of images (`envs.images`) in a task that is seen in images, '' in others."""
+    """Encoder of images (`envs.encoders`) in a task that is seen in images, '' in others."""
     expert_task: EnvSpec | None = None
     """The same task as its expert sees it, None where the expert sees what methods see. Equal seeds and
     actions give equal episodes."""
@@ -246,8 +246,11 @@ class EnvSpec:
         """Return the same task seen through another encoder. Raises ValueError where there are no images."""
         if not self.encoder:
             raise ValueError(f"{self.name}: it has no images to encode")
-        batch = partial(self.batch, encoder=encoder) if self.batch else None
-        return replace(self, encoder=encoder, kwargs={**self.kwargs, "encoder": encoder}, batch=batch)
+        if self.batch is None:
+            wrap: Any = self.wrap
+            return replace(self, encoder=encoder, wrap=partial(wrap, encoder=encoder))
+        batch, kwargs = partial(self.batch, encoder=encoder), {**self.kwargs, "encoder": encoder}
+        return replace(self, encoder=encoder, kwargs=kwargs, batch=batch)
 
     def by_ddpg(self) -> EnvSpec:
         """Return the same task with DDPG as its learner. Raises ValueError where actions are choices."""

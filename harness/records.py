@@ -84,7 +84,7 @@ class Conditions:
     env_vars: LongText = ""
     """Variables of the environment that plug-ins get, with their values, as JSON, if any."""
     encoder: Text = ""
-    """The encoder of images (`envs.images`), '' for the task's own."""
+    """The encoder of images (`envs.encoders`), '' for the task's own."""
 
     def in_words(self, name: str) -> str:
         """Return a field's value as text for people."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from envs.dynamics import DynamicsBatch
-from envs.images import Images, seen
+from envs.encoders import Images
+from envs.images import seen
 from envs.spec import Array, Flags, Shape
 from envs.swingups import swingup
 from envs.swingups.swingup import NOMINAL, Physics

@@ -33,7 +33,7 @@ LIBRARIES: tuple[Library, ...] = ("sbx", "sb3")
 LEARNERS: tuple[LearnerName, ...] = ("own", "ddpg")
 """Learners of a run: each task's own, or DDPG, the thesis's."""
 ENCODERS = ("small", "nature")
-"""Encoders of images (`envs.images.LAYERS`)."""
+"""Encoders of images (`envs.encoders.LAYERS`)."""
 EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 LOGS = ("tensorboard", "wandb")
 """Programs that show curves of running cells."""

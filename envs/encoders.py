@@ -1,0 +1,167 @@
+"""Encoders, which make vectors of images, and their use on Gymnasium's environments of images.
+
+An encoder is fixed before a method begins, and every method and all RL of a task see through the same one. So
+methods differ by what they do, and an image costs one pass. The shipped encoders are convolutions with
+random weights, whose outputs are projected on their principal components in a random policy's episodes
+(Jarrett et al. 2009; Burda et al. 2019 compare random convolutions with learned ones). Weights, pixels and
+what lies between are whole numbers, so features are equal to the last bit for any number of images and on
+any processor.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+FEATURES = 64
+"""Number of features of an image and the one before it."""
+EXAMPLES = 1024
+"""Images by which an encoder is made."""
+LARGEST_WEIGHT = 9
+LARGEST_SHARE = 127  # largest weight of a feature
+BRIGHTEST = 255
+MOST_CHANNELS = 4
+SMALL, NATURE = ((5, 2, 16), (3, 2, 32), (3, 2, 32)), ((8, 4, 32), (4, 2, 64), (3, 1, 64))
+LAYERS = {"small": SMALL, "nature": NATURE}
+"""Convolutions of the shipped encoders: width, stride and channels of each. `nature` is that of Mnih et al.
+2015."""
+
+Images = NDArray[np.uint8]
+Encoder = Callable[[Images], Array]
+"""A function of images (B, H, W, C) that returns their features, (B, FEATURES)."""
+
+
+class Convolutions:
+    """An encoder of random convolutions and principal components, made from images (N, H, W, C)."""
+
+    def __init__(self, layers: Sequence[tuple[int, int, int]], images: Images) -> None:
+        rng, x = np.random.default_rng(0), images
+        self._layers = list[tuple[int, int, Floats, np.float32]]()
+        for width, stride, channels in layers:
+            drawn = rng.standard_normal((width * width * x.shape[-1], channels)) * LARGEST_WEIGHT / 3
+            weights = np.clip(np.rint(drawn), -LARGEST_WEIGHT, LARGEST_WEIGHT).astype(np.float32)
+            y = _convolved(x, width, stride, weights)
+            bits = math.ceil(math.log2(max(1.0, float(np.percentile(y, 99.5)) / BRIGHTEST)))
+            self._layers.append((width, stride, weights, np.float32(0.5**bits)))
+            x = _rounded(y, self._layers[-1][-1])
+        flat = x.reshape(len(x), -1).astype(np.float64)
+        centred = flat - flat.mean(axis=0)
+        sizes, directions = np.linalg.eigh(centred @ centred.T)
+        shares = centred.T @ directions[:, np.argsort(sizes)[: -FEATURES - 1 : -1]]
+        shares *= np.sign(shares[np.abs(shares).argmax(axis=0), np.arange(shares.shape[1])])
+        self._shares = np.rint(LARGEST_SHARE * shares / np.maximum(np.abs(shares).max(axis=0), 1e-9))
+        features = flat @ self._shares
+        self._mean, self._std = features.mean(axis=0), np.maximum(features.std(axis=0), 1.0)
+
+    def __call__(self, images: Images) -> Array:
+        x = images
+        for width, stride, weights, scale in self._layers:
+            x = _rounded(_convolved(x, width, stride, weights), scale)
+        features: Array = (x.reshape(len(x), -1) @ self._shares - self._mean) / self._std
+        return features.astype(np.float32).astype(np.float64)
+
+
+def _convolved(x: Images, width: int, stride: int, weights: Floats) -> Floats:
+    """Return the convolution of (B, H, W, C) with weights (width * width * C, K), in whole numbers below
+    2^24, which 32 bits hold."""
+    pad = (width // 2, width // 2)
+    padded = np.pad(x, [(0, 0), pad, pad, (0, 0)])
+    windows = sliding_window_view(padded, (width, width), axis=(1, 2))[:, ::stride, ::stride]
+    batch, rows, columns = windows.shape[:3]
+    flat = windows.reshape(batch * rows * columns, -1).astype(np.float32)
+    return np.asarray((flat @ weights).reshape(batch, rows, columns, -1))
+
+
+def _rounded(y: Floats, scale: np.float32) -> Images:
+    whole: Images = np.clip(y * scale, 0, BRIGHTEST).astype(np.uint8)
+    return whole
+
+
+def made(name: str, images: Images) -> Encoder:
+    """Return the encoder of a name, 'small', 'nature' or 'module:Class', whose class is called with images
+    (N, H, W, C). Raises ValueError for other names, and for classes that give other shapes."""
+    if name in LAYERS:
+        return Convolutions(LAYERS[name], images)
+    module, _, attribute = name.partition(":")
+    try:
+        encoder: Encoder = getattr(importlib.import_module(module), attribute)(images)
+    except (ImportError, AttributeError, ValueError) as error:
+        known = ", ".join(LAYERS)
+        raise ValueError(f"no encoder {name!r}: give {known}, or module:Class ({error})") from error
+    if (shape := np.shape(encoder(images[:2]))) != (2, FEATURES):
+        raise ValueError(f"the encoder {name} gives features {shape} of 2 images, not (2, {FEATURES})")
+    return encoder
+
+
+def channels_last(space: spaces.Space[Any]) -> tuple[int, ...] | None:
+    """Return the axes that make an image (H, W, C) of an observation, None for other spaces than images."""
+    if isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3:
+        if space.shape[2] <= MOST_CHANNELS:
+            return (0, 1, 2)
+        if space.shape[0] <= MOST_CHANNELS:
+            return (1, 2, 0)
+    return None
+
+
+class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """An environment of images whose observations are features of the image and the one before."""
+
+    def __init__(self, env: gym.Env[Any, Any], encoder: str = "small") -> None:
+        RecordConstructorArgs.__init__(self, encoder=encoder)
+        gym.Wrapper.__init__(self, env)
+        axes = channels_last(env.observation_space)
+        assert axes is not None
+        self._axes = axes
+        key = repr(env.spec), encoder
+        if key not in _MADE:
+            _MADE[key] = made(encoder, np.stack([*self._examples()]))
+        self._encode, self._latest = _MADE[key], np.zeros(0, np.uint8)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (FEATURES,), np.float32)
+
+    def reset(self, **options: Any) -> tuple[Floats, dict[str, Any]]:
+        obs, info = self.env.reset(**options)
+        self._latest = self._image(obs)
+        return self._seen(self._latest), info
+
+    def step(self, action: Any) -> tuple[Floats, Any, bool, bool, dict[str, Any]]:
+        obs, *others = self.env.step(action)
+        return self._seen(self._image(obs)), *others  # type: ignore[return-value]
+
+    def encoded(self, images: NDArray[Any]) -> Array:
+        """Return the observations, (T, FEATURES), of an episode's native ones, (T, ...)."""
+        seen = np.stack([self._image(image) for image in images])
+        return self._encode(np.concatenate([seen[[0, *range(len(seen) - 1)]], seen], axis=-1))
+
+    def _image(self, obs: Any) -> Images:
+        return np.array(obs, np.uint8).transpose(self._axes)
+
+    def _seen(self, image: Images) -> Floats:
+        pair, self._latest = np.concatenate([self._latest, image], axis=-1), image
+        features: Floats = self._encode(pair[None])[0].astype(np.float32)
+        return features
+
+    def _examples(self) -> Iterator[Images]:
+        """Yield pairs of images under random actions."""
+        self.env.action_space.seed(0)
+        before = self._image(self.env.reset(seed=0)[0])
+        for _ in range(EXAMPLES):
+            obs, _, terminated, truncated, _ = self.env.step(self.env.action_space.sample())
+            image = self._image(obs)
+            yield np.concatenate([before, image], axis=-1)
+            before = self._image(self.env.reset()[0]) if terminated or truncated else image
+
+
+_MADE: dict[tuple[str, str], Encoder] = {}
+"""Encoders of this process by environment and name."""
