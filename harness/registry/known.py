@@ -21,6 +21,7 @@ from harness.registry.names import (
     GROUPS,
     METHOD_GROUPS,
     METHODS,
+    OTHER_ENVS,
     VARIANTS,
     BadInput,
     Entry,
@@ -136,7 +137,7 @@ class Registry:
     """
 
     def __init__(self) -> None:
-        self.entries: dict[str, dict[str, Entry]] = {"method": METHODS | VARIANTS, "env": {**ENVS}}
+        self.entries: dict[str, dict[str, Entry]] = {"method": METHODS | VARIANTS, "env": ENVS | OTHER_ENVS}
         self.specs = Specs(self)
         self.plugins: dict[str, Plugin] = {}
         self.offers: dict[str, Offer] = {}
@@ -181,7 +182,7 @@ class Registry:
     def chosen_envs(self, text: str) -> tuple[str, ...]:
         """Return the tasks in a text with commas between. Raises BadInput as `choose` does."""
         theirs = tuple(self.of_plugins("env"))
-        return choose("env", text, ENVS, theirs, {**GROUPS, "plugins": theirs})
+        return choose("env", text, ENVS, (*OTHER_ENVS, *theirs), {**GROUPS, "plugins": theirs})
 
     def configure(self, name: str) -> bool:
         """Make known a method with settings of the user's, and return whether the name is of one.
@@ -280,8 +281,8 @@ SPECS = KNOWN.specs
 
 
 def all_specs() -> list[EnvSpec]:
-    """Return every task of this program, in the order of `ENVS`."""
-    return [SPECS[name] for name in ENVS]
+    """Return every task of this program, in the order of `BUILT_IN`."""
+    return [SPECS[name] for name in BUILT_IN["env"]]
 
 
 def load_method(name: str) -> Callable[..., Method]:

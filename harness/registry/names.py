@@ -11,6 +11,8 @@ NO_NUMBERS = {
     "METHODS": "Keys are of a cell's own entry.",
     "VARIANTS": "Keys are of a cell's own entry.",
     "ENVS": "Keys are of a cell's own entry.",
+    "DRIVING": "Keys are of a cell's own entry.",
+    "OTHER_ENVS": "Keys are of a cell's own entry.",
     "BUILT_IN": "Keys are of a cell's own entry.",
     "GROUPS": "It lists what users may type.",
     "METHOD_GROUPS": "It lists what users may type.",
@@ -210,12 +212,23 @@ ENVS = {
         "objectworld, 12 by 12 cells: find what pays, avoid what costs; the model is known",
     ),
 }
+DRIVING = {
+    "drive_state": Entry(
+        "envs.hills.drive:SPEC",
+        "MuJoCo: drive a car along a new hilly road in each episode, 20 s",
+        ("weak_tyres", "heavy", "steering_flipped"),
+    ),
+}
+"""A car on hilly roads."""
+OTHER_ENVS = {**DRIVING}
+"""Tasks that run when they are named, and are not part of 'all'."""
 
 GROUPS = {
     "classic": ("cartpole", "pendulum", "highway"),
     "swingups": ("swingup", "cartpole_swingup", "acrobot"),
     "locomotion": ("halfcheetah", "hopper", "walker2d"),
     "tabular": ("gridworld",),
+    "driving": (*DRIVING,),
 }
 """Names that stand for several environments."""
 METHOD_GROUPS = {"thesis": (*THESIS,)}
@@ -223,7 +236,7 @@ METHOD_GROUPS = {"thesis": (*THESIS,)}
 
 SETTING = "+"
 """The character before each setting in the name of a method that has some."""
-BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS,)}
+BUILT_IN = {"method": (*METHODS, *VARIANTS), "env": (*ENVS, *OTHER_ENVS)}
 """Names of this program's own methods and tasks."""
 
 
