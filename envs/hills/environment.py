@@ -13,7 +13,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from envs.hills.car import DROP, FRAMES, STEER, TURNS, WHEEL, WHEELS, Physics
-from envs.hills.tracks import HALF_WIDTH, POINTS, RELIEF, Track, draw_track, height, nearest
+from envs.hills.tracks import HALF_WIDTH, POINTS, RELIEF, Track, cross, draw_track, height, nearest
 from envs.spec import Array, Flags
 
 ASIDE, ASKEW, FASTEST = 2.5, 0.5, 8.0  # m, rad, m/s: largest displacement and speed at the start
@@ -147,11 +147,6 @@ def look(envs: Sequence[Drive]) -> tuple[Array, Array, Array]:
         heights[:, 1:] - heights[:, :1],
     ]
     return np.column_stack(columns), place * spacing + along, up[:, 2]
-
-
-def cross(one: Array, other: Array) -> Array:
-    """Return the third component (...,) of cross products of vectors' first two, (..., 2 or 3)."""
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
 def rotated(quaternions: Array) -> tuple[Array, Array, Array]:

@@ -51,7 +51,7 @@ def draw_track(rng: np.random.Generator) -> Track:
         points = np.column_stack([np.interp(at, lengths, column) for column in loop.T])
         ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
         tangents = ahead / np.hypot(*ahead.T)[:, None]
-        bends = np.cross(np.roll(tangents, 1, axis=0), np.roll(tangents, -1, axis=0))
+        bends = cross(np.roll(tangents, 1, axis=0), np.roll(tangents, -1, axis=0))
         spacing = float(lengths[-1] / POINTS)
         if np.abs(bends).max() * TIGHTEST <= 2 * spacing:
             break
@@ -92,3 +92,8 @@ def nearest(points: Array, last: NDArray[np.int64], at: Array) -> NDArray[np.int
     away = points[rows[:, None], near] - at[:, None]
     found: NDArray[np.int64] = near[rows, np.square(away).sum(axis=2).argmin(axis=1)]
     return found
+
+
+def cross(one: Array, other: Array) -> Array:
+    """Return the third component (...,) of cross products of vectors' first two, (..., 2 or 3)."""
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
