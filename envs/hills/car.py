@@ -1,4 +1,4 @@
-"""A car in MuJoCo: a box on four wheels with springs, two of which steer, on a height field."""
+"""A car in MuJoCo on a height field: a box on four wheels with springs. The front wheels steer."""
 
 from dataclasses import dataclass
 
@@ -62,7 +62,7 @@ class Physics:
                 <hfield name="ground" nrow="{CELLS}" ncol="{CELLS}" size="{HALF} {HALF} {RELIEF} 1"/>
               </asset>
               <worldbody>
-                <geom name="ground" type="hfield" hfield="ground" conaffinity="1"/>
+                <geom name="ground" type="hfield" hfield="ground" conaffinity="1" group="1"/>
                 <body name="car">
                   <freejoint/>
                   <geom name="chassis" type="box" size="{LENGTH / 2} {WIDTH / 2} {HEIGHT / 2}"

@@ -66,7 +66,7 @@ class Drive(MujocoEnv, EzPickle):
         ahead, left = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         centre = track.points[0] + aside * np.array([-along[1], along[0]])
         wheels = np.array([*WHEELS.values()])
-        ground = height(track.terrain, centre + wheels @ [ahead, left])
+        ground = height(track.terrain, *(centre + wheels @ [ahead, left]).T)
         # Mean slopes under the wheels, ahead and to the left.
         slopes = (ground * np.sign(wheels.T)).sum(axis=1) / np.abs(wheels).sum(axis=0)
         turn = np.array([1.0, 0, 0, 0])

@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from envs.spec import Array
 
@@ -37,6 +39,11 @@ class Track:
     terrain: Array
     rises: Array
 
+    @cached_property
+    def tree(self) -> KDTree:
+        """The points, to find the nearest one of any place."""
+        return KDTree(self.points)
+
 
 def draw_track(rng: np.random.Generator) -> Track:
     """Return a random track. Half of the loops turn left, half right."""
@@ -58,7 +65,7 @@ def draw_track(rng: np.random.Generator) -> Track:
     if rng.random() < 0.5:
         points, tangents = points * [1, -1], tangents * [1, -1]
     terrain = draw_terrain(rng)
-    return Track(points, tangents, spacing, terrain, height(terrain, points))
+    return Track(points, tangents, spacing, terrain, height(terrain, *points.T))
 
 
 def draw_terrain(rng: np.random.Generator) -> Array:
@@ -73,15 +80,17 @@ def draw_terrain(rng: np.random.Generator) -> Array:
     return np.asarray(np.clip(waves + RELIEF / 2, 0.0, RELIEF))
 
 
-def height(terrain: Array, at: Array) -> Array:
-    """Return the terrain's heights (...,) [m] at places (..., 2) [m], between grid points bilinearly."""
-    grid = np.clip((at + HALF) * ((CELLS - 1) / (2 * HALF)), 0, CELLS - 1.000001)
-    whole = grid.astype(np.int64)
-    (x, y), (i, j) = np.moveaxis(grid - whole, -1, 0), np.moveaxis(whole, -1, 0)
-    low = terrain[j, i] * (1 - x) + terrain[j, i + 1] * x
-    high = terrain[j + 1, i] * (1 - x) + terrain[j + 1, i + 1] * x
-    heights: Array = low * (1 - y) + high * y
-    return heights
+def height(terrain: Array, x: Array, y: Array) -> Array:
+    """Return the terrain's heights (...,) [m] at places (...,) [m], between grid points bilinearly. The
+    heights of the edge go on outside."""
+    scale, last = (CELLS - 1) / (2 * HALF), CELLS - 1.000001
+    column, row = (np.clip((part + HALF) * scale, 0, last) for part in (x, y))
+    left, below = column.astype(np.int32), row.astype(np.int32)
+    first, grid = below * CELLS + left, terrain.ravel()
+    right, above = column - left, row - below
+    low = grid.take(first) * (1 - right) + grid.take(first + 1) * right
+    high = grid.take(first + CELLS) * (1 - right) + grid.take(first + CELLS + 1) * right
+    return np.asarray(low * (1 - above) + high * above)
 
 
 def nearest(points: Array, last: NDArray[np.int64], at: Array) -> NDArray[np.int64]:
