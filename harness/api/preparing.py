@@ -15,7 +15,7 @@ from harness.engines import scratch
 from harness.engines.jobs import Engine as Running
 from harness.process.environment import numeric
 from harness.records import Cell, CellResult
-from harness.registry import ENVS, BadInput, EngineName, keys, packages, plugins
+from harness.registry import BUILT_IN, KNOWN, BadInput, EngineName, keys, packages, plugins
 from harness.registry.names import LOGS
 from harness.schedule.progress import tell
 from harness.store import baseline
@@ -59,7 +59,7 @@ class Engine:
         from harness.engines import inline, processes
 
         # Plug-ins' modules are imported in their own cells alone.
-        modules = [ENVS[env].target.partition(":")[0] for env in request.envs if env in ENVS]
+        modules = [KNOWN.entries["env"][env].module for env in request.envs if env in BUILT_IN["env"]]
         fixed = request.conditions.deterministic
         if self.name == "ray":
             from harness.engines import ray

@@ -19,6 +19,7 @@ from harness.registry import (
     KNOWN,
     METHOD_GROUPS,
     METHODS,
+    OTHER_ENVS,
     SPECS,
     VARIANTS,
     BadInput,
@@ -35,7 +36,12 @@ def list_names(named: Sequence[str]) -> int:
     """Print the methods and tasks that there are."""
     check_kwargs([])
     troubles = plugins.add(named)
-    tables = {"methods": METHODS, "variants of methods, not part of 'all'": VARIANTS, "envs": ENVS}
+    tables = {
+        "methods": METHODS,
+        "variants of methods, not part of 'all'": VARIANTS,
+        "envs": ENVS,
+        "envs, not part of 'all'": OTHER_ENVS,
+    }
     sections = {
         title: {name: entry.summary for name, entry in table.items()} for title, table in tables.items()
     }

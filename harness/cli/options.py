@@ -9,10 +9,10 @@ from typing import Any
 from harness.cli import values
 from harness.registry import (
     BUDGETS,
+    BUILT_IN,
     DEMONSTRATORS,
     ENCODERS,
     ENGINES,
-    ENVS,
     EXPERTS,
     GROUPS,
     LAST_OBSERVATIONS,
@@ -71,7 +71,8 @@ def add_run(add: argparse.ArgumentParser) -> None:
         "--envs",
         default="all",
         metavar="all|A,B",
-        help=", ".join([*ENVS, *GROUPS]) + "; gym:ID, a task of Gymnasium; plugins: those of plug-ins",
+        help=", ".join([*BUILT_IN["env"], *GROUPS])
+        + "; gym:ID, a task of Gymnasium; plugins: those of plug-ins",
     )
     add_plugins(add)
     add_given(add)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness.registry import ours, packages
 from harness.registry.known import GYMNASIUM_MODULE, GYMNASIUM_NAME, KNOWN, NAME, SPECS, id_of
-from harness.registry.names import ENVS, BadInput, Entry
+from harness.registry.names import BUILT_IN, BadInput, Entry
 from harness.registry.sources import Sources, sources_of
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def register_tasks() -> None:
     """Register this program's tasks with Gymnasium, such as irl_bench/CartpoleSwingup-v0."""
     import gymnasium
 
-    for env in ENVS:
+    for env in BUILT_IN["env"]:
         env_id = f"irl_bench/{''.join(map(str.capitalize, env.split('_')))}-v0"
         if env_id not in gymnasium.registry:
             entry_point = f"{__name__}:make"

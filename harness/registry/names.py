@@ -11,6 +11,7 @@ NO_NUMBERS = {
     "METHODS": "Keys are of a cell's own entry.",
     "VARIANTS": "Keys are of a cell's own entry.",
     "ENVS": "Keys are of a cell's own entry.",
+    "DRIVING": "Keys are of a cell's own entry.",
     "IMAGES": "Keys are of a cell's own entry.",
     "OTHER_ENVS": "Keys are of a cell's own entry.",
     "BUILT_IN": "Keys are of a cell's own entry.",
@@ -224,7 +225,15 @@ IMAGES = {
     ),
 }
 """Tasks that are seen in images."""
-OTHER_ENVS = {**IMAGES}
+DRIVING = {
+    "drive_state": Entry(
+        "envs.hills.drive:SPEC",
+        "MuJoCo: drive a car along a new hilly road in each episode, 20 s",
+        ("weak_tyres", "heavy", "steering_flipped"),
+    ),
+}
+"""A car on hilly roads."""
+OTHER_ENVS = {**DRIVING, **IMAGES}
 """Tasks that run when they are named, and are not part of 'all'."""
 
 GROUPS = {
@@ -233,6 +242,7 @@ GROUPS = {
     "locomotion": ("halfcheetah", "hopper", "walker2d"),
     "tabular": ("gridworld",),
     "images": (*IMAGES,),
+    "driving": (*DRIVING,),
 }
 """Names that stand for several environments."""
 METHOD_GROUPS = {"thesis": (*THESIS,)}

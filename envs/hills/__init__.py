@@ -1,0 +1,1 @@
+"""Drive a car on a hilly road."""
