@@ -70,7 +70,7 @@ class Convolutions:
         for width, stride, weights, scale in self._layers:
             x = _rounded(_convolved(x, width, stride, weights), scale)
         features: Array = (x.reshape(len(x), -1) @ self._shares - self._mean) / self._std
-        return features.astype(np.float32).astype(np.float64)
+        return features
 
 
 def _convolved(x: Images, width: int, stride: int, weights: Floats) -> Floats:

@@ -75,14 +75,19 @@ class SeenBatch:
         if self._latest is None:
             self._latest = np.zeros((self._count, *image.shape), np.uint8)
         self._latest[place] = image
-        return np.append(self._encode(np.concatenate([image, image], axis=-1)[None])[0], numbers)
+        return self._seen(np.concatenate([image, image], axis=-1)[None], numbers[None])[0]
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         assert self._latest is not None
         images, numbers, rewards, terminated = self.view.step(places, act)
-        features = self._encode(np.concatenate([self._latest[places], images], axis=-1))
+        obs = self._seen(np.concatenate([self._latest[places], images], axis=-1), numbers)
         self._latest[places] = images
-        return np.column_stack([features, numbers]), rewards, terminated
+        return obs, rewards, terminated
+
+    def _seen(self, images: Images, numbers: Array) -> Array:
+        """Return observations of images (B, H, W, 2C) and numbers (B, F), in 32 bits."""
+        obs: Floats = np.column_stack([self._encode(images), numbers]).astype(np.float32)
+        return obs.astype(np.float64)
 
     def why_ended(self, place: int) -> str:
         return self.view.why_ended(place)

@@ -17,7 +17,8 @@ from boards import ROOT, table
 from method_pages import groups, text_of
 from plain_docstrings import inline, markdown
 
-from envs import EnvSpec
+from envs import EnvSpec, encoders
+from envs.encoders import FEATURES
 from harness.registry import BUDGETS, KNOWN, all_specs
 
 COUNTS = {3: "Three", 5: "Five"}
@@ -78,14 +79,15 @@ def doc_of(module: str, name: str) -> str:
 
 
 def quantities(spec: EnvSpec) -> str:
-    observed = [
-        (inline(q.name), q.unit, f"{scale:.3g}")
-        for q, scale in zip(spec.observations, spec.obs_scale, strict=True)
-    ]
+    every = list(zip(spec.observations, spec.obs_scale, strict=True))
+    beside = every[FEATURES:] if spec.encoder else every
+    observed = [(f"{FEATURES} features of the image and the one before", "", "1")] if spec.encoder else []
+    observed += [(inline(q.name), q.unit, f"{scale:.3g}") for q, scale in beside]
     done = [(inline(q.name), q.unit) for q in spec.actions]
     kind = "One of these choices" if spec.discrete else "Each in [-1, 1]; a unit says what 1 is"
     return (
-        table(["Observation", "Unit", "Typical size"], observed)
+        (f"{markdown(inspect.getdoc(encoders) or '')}\n\n" if spec.encoder else "")
+        + table(["Observation", "Unit", "Typical size"], observed)
         + f"\n{kind}:\n\n"
         + table(["Action", "Unit"], done)
     )
@@ -132,6 +134,11 @@ def held_out() -> dict[str, float]:
 
 
 def expert(spec: EnvSpec) -> str:
+    if spec.expert_task:
+        seen = spec.expert_task.name
+        return f"That of [`{seen}`]({seen}.md), which sees the state. Its actions are taken here."
+    if spec.shipped is None and spec.tabular is None:
+        return "None is shipped. A run trains its own."
     if spec.shipped is None:
         return "The best policy, found exactly: the model is known."
     returns = [

@@ -231,6 +231,12 @@ DRIVING = {
         "MuJoCo: drive a car along a new hilly road in each episode, 20 s",
         ("weak_tyres", "heavy", "steering_flipped"),
     ),
+    "drive": Entry(
+        "envs.hills.drive_images:SPEC",
+        "drive_state through the car's camera, in 32 by 16 pixels of distance and road",
+        ("weak_tyres", "heavy", "steering_flipped", "camera_lowered"),
+        experts="drive_state",
+    ),
 }
 """A car on hilly roads."""
 OTHER_ENVS = {**DRIVING, **IMAGES}
