@@ -75,7 +75,8 @@ class SeenBatch:
         if self._latest is None:
             self._latest = np.zeros((self._count, *image.shape), np.uint8)
         self._latest[place] = image
-        return self._seen(np.concatenate([image, image], axis=-1)[None], numbers[None])[0]
+        first: Array = self._seen(np.concatenate([image, image], axis=-1)[None], numbers[None])[0]
+        return first
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags]:
         assert self._latest is not None
