@@ -142,7 +142,8 @@ class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def encoded(self, images: NDArray[Any]) -> Array:
         """Return the observations, (T, FEATURES), of an episode's native ones, (T, ...)."""
         seen = np.stack([self._image(image) for image in images])
-        return self._encode(np.concatenate([seen[[0, *range(len(seen) - 1)]], seen], axis=-1))
+        pairs = np.concatenate([seen[[0, *range(len(seen) - 1)]], seen], axis=-1)
+        return np.asarray(self._encode(pairs).astype(np.float32).astype(np.float64))
 
     def _image(self, obs: Any) -> Images:
         return np.array(obs, np.uint8).transpose(self._axes)

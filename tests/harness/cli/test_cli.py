@@ -140,6 +140,11 @@ def test_who_stops_a_run_is_told_how_to_go_on(
             "run --envs swingup,gridworld --learner ddpg",
             "of gridworld are choices, and DDPG has none",
         ),
+        ("run --envs cartpole --encoder small", "cartpole has no images for --encoder"),
+        (
+            "run --envs swingup_pixels --encoder smal",
+            "--encoder must be small, nature or module:Class, not 'smal'",
+        ),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --rl torch", "invalid choice: 'torch'"),
         ("run --envs swingup --action-bounds=-1e-320,1e-320", "is not a lower number and a higher one"),

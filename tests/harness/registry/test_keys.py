@@ -243,3 +243,19 @@ def test_conditions_that_change_no_number_change_no_key() -> None:
     others = [dataclasses.replace(CONDITIONS, rl="sb3"), dataclasses.replace(same[2], more="else")]
     (usual,) = {keys.cell_keys([cell], conditions, {})[cell] for conditions in same}
     assert usual not in {keys.cell_keys([cell], conditions, {})[cell] for conditions in others}
+
+
+def test_an_encoders_name_and_source_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, file = Cell("swingup_pixels", "bc", 0), tmp_path / "own_encoder.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    found = set()
+    for encoder, text in (
+        ("", ""),
+        ("nature", ""),
+        ("own_encoder:Own", "A = 1"),
+        ("own_encoder:Own", "A = 2"),
+    ):
+        file.write_text(text)
+        conditions = dataclasses.replace(CONDITIONS, encoder=encoder)
+        found.add(keys.cell_keys([cell], conditions, {})[cell])
+    assert len(found) == 4
