@@ -104,3 +104,16 @@ def test_a_wall_of_the_maze_stops_the_ball() -> None:
     assert point_maze.HEIGHT - 0.1 < obs[1] < point_maze.HEIGHT
     away = np.linalg.norm(before[:2] - point_maze.TARGET)
     assert reward == pytest.approx(-away - point_maze.ENERGY)
+
+
+def test_balls_are_circles_and_the_ground_has_a_mark_each_metre() -> None:
+    env: Any = REACHER.make()
+    env.reset(seed=0)
+    tip = env.unwrapped.model.geom("fingertip")
+    from_centre = REACHER.draw(env)["fingertip"].points - env.unwrapped.data.geom_xpos[tip.id][:2]
+    np.testing.assert_allclose(np.hypot(*from_centre.T), float(tip.size[0]))
+    env = HOPPER.make()
+    env.reset(seed=0)
+    env.unwrapped.data.qpos[0] = 2.3
+    ticks = HOPPER.draw(env)["ground"].points[::3, 0]
+    np.testing.assert_allclose(ticks, np.arange(-1, 7) - 2.3)

@@ -62,6 +62,13 @@ def test_a_fit_finds_a_linear_function_and_depends_on_its_generator_alone() -> N
     assert (one(x) != other(x)).any()
 
 
+def test_every_step_is_taken() -> None:
+    weight = torch.nn.Parameter(torch.ones(1))
+    data, rng = [np.ones((3, 1))], np.random.default_rng(0)
+    curve = descend(lambda x: (weight * x).mean(), torch.optim.SGD([weight], 0.5), data, 1, 2, rng)
+    assert (curve, weight.item()) == ([1.0], 0.5)
+
+
 def test_slopes_are_those_of_the_network() -> None:
     slope = torch.tensor([[3.0, -4.0, 1.0]])
     a, b = torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0))

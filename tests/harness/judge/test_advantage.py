@@ -133,6 +133,8 @@ def test_equivalent_rewards_of_random_tasks_have_distance_0_and_the_opposite_1(s
     assert epic_distance(2 * r + 5, r, GAMMA) == pytest.approx(0, abs=1e-6)
     assert epic_distance(-r, r, GAMMA) == pytest.approx(1)
     assert math.isnan(epic_distance(np.ones_like(r), r, GAMMA))
+    almost = 1e6 + 1e-6 * np.random.default_rng(0).normal(size=r.shape)
+    assert math.isnan(epic_distance(almost, r, GAMMA))
     assert epic_distance(same["the optimal advantage"], r, GAMMA) > 0.25
 
 
