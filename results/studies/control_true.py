@@ -35,7 +35,7 @@ def line(env: str, seed: int) -> list[str]:
     took = time.process_time() - started
     expert = source_for(name, seed, CONDITIONS).expert.policy
     least = evaluate(spec, lambda obs: spec.random_actions(len(obs), random), seeds).returns.mean()
-    most = evaluate(SPECS[name], expert, seeds).returns.mean()
+    most = evaluate(SPECS[name].expert_sees, expert, seeds).returns.mean()
     score = (evaluate(spec, found, seeds).returns.mean() - least) / (most - least)
     return [env, str(steps), str(seed), f"{score:.3f}", f"{took:.1f}"]
 
