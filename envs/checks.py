@@ -21,6 +21,13 @@ class Misgiven(ValueError):
         self.value, self.role, self.needed, self.row = value, role, needed, 0
 
 
+def started(result: Any) -> Any:
+    """Return the observation of what `reset` returned. Raises ValueError unless that is a pair."""
+    if not (isinstance(result, tuple) and len(result) == 2):
+        raise ValueError(f"reset must return an observation and a dict, not {result!r:.80}")
+    return result[0]
+
+
 @contextmanager
 def named(task: str, steps: Sequence[int]) -> Iterator[None]:
     """Raise ValueError with the task and the step for each `Misgiven`. `steps`: of each episode so far."""

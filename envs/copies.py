@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real
+from envs.checks import INSTANCES, Misgiven, check_numbers, flags, named, real, started
 from envs.spec import Array, Batch, EnvSpec, Flags
 
 TRIED = 100  # steps of a trial of a task
@@ -56,19 +56,25 @@ def alone(spec: EnvSpec, count: int = 1) -> Copies:
 
 
 def try_out(spec: EnvSpec) -> None:
-    """Step a task with random actions. Raises ValueError for bad values, and the task's own errors."""
+    """Step a task with random actions. Raises ValueError for bad values and for first observations that
+    differ in episodes of the same seed, and the task's own errors."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium warns of values that are refused here
         for _ in range(INSTANCES):
             spec.make()
         copies, length = Copies(spec, 1), 0
-        copies.reset(0, 0)
+        first = copies.reset(0, 0)
         for seed, act in enumerate(spec.random_actions(TRIED, np.random.default_rng(0)), 1):
             _, _, terminated, truncated = copies.step([0], act[None])
             length += 1
             if terminated[0] or truncated[0] or length == spec.horizon:
                 copies.reset(0, seed)
                 length = 0
+        if not np.array_equal(copies.reset(0, 0), first):
+            raise ValueError(
+                f"the task {spec.name} observes {first} at first, and something else after a reset with the "
+                "same seed; call super().reset(seed=seed) in reset, and draw from self.np_random alone"
+            )
 
 
 class _OneByOne:
@@ -81,7 +87,7 @@ class _OneByOne:
     def reset(self, place: int, seed: int) -> Array:
         if place not in self._envs:
             self._envs[place] = self._spec.make()
-        return np.array(real(self._envs[place].reset(seed=seed)[0]), np.float64)
+        return np.array(real(started(self._envs[place].reset(seed=seed))), np.float64)
 
     def step(self, places: Sequence[int], act: Array) -> tuple[Array, Array, Flags, Flags]:
         return gathered(

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
-from envs.checks import INSTANCES, check_numbers, flags, named, real
+from envs.checks import INSTANCES, check_numbers, flags, named, real, started
 from envs.encoders import channels_last
 from envs.flat import entries
 from envs.learners import DQN
@@ -41,6 +41,9 @@ def from_gymnasium(env_id: str, name: str, **fields: Any) -> EnvSpec:
     instances = [bare, *(gym.make(env_id, **kwargs) for _ in range(INSTANCES - 1))]
     first, *others = map(wrap, instances) if wrap else instances
     try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Gymnasium warns of what is refused here or below
+            started(first.reset(seed=0))
         names, env = entries(first.observation_space), standard(first)
     except ValueError as error:
         raise ValueError(f"{env_id}: {error}") from error

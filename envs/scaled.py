@@ -76,8 +76,9 @@ def combinations(space: spaces.Space[Any]) -> NDArray[Any]:
 
 def _reals(space: spaces.Box) -> Callable[[Any], NDArray[Any]]:
     """Return the function from actions (..., A) in [-1, 1] to the space's own."""
-    if not space.is_bounded():
-        raise ValueError(f"actions must have bounds, which {space} has not; {WAY_OUT}")
+    if not space.is_bounded() or 0 in space.shape:
+        lack = "a component" if space.is_bounded() else "bounds"
+        raise ValueError(f"actions must have {lack}, which {space} has not; {WAY_OUT}")
     lowest, highest = space.low.ravel(), space.high.ravel()
     wide, free = np.promote_types(space.dtype, np.float32), lowest < highest
     low, high = np.where(free, lowest, 0).astype(wide), np.where(free, highest, 1).astype(wide)

@@ -104,7 +104,7 @@ def _dispatch(argv: list[str]) -> int:
         if getattr(args, "env_kwargs", None) or getattr(args, "env_var", None):
             from harness.registry import plugins
 
-            plugins.give(dict(args.env_kwargs), args.env_var)
+            plugins.give(args.env_kwargs, args.env_var)
         return _do(args)
 
 

@@ -50,6 +50,22 @@ class _Settings(argparse.Action):
         setattr(namespace, self.dest, settings)
 
 
+class _Named(argparse.Action):
+    """Values by name, each given once."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: object = None,
+    ) -> None:
+        there = getattr(namespace, self.dest)
+        if (name := values[0]) in there:
+            parser.error(f"{option} {name} is given twice")
+        setattr(namespace, self.dest, there | dict([values]))
+
+
 def add_run(add: argparse.ArgumentParser) -> None:
     """Add the options of `run`."""
     add.add_argument(
@@ -233,8 +249,8 @@ def add_given(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--env-kwargs",
         type=values.named_value,
-        action="append",
-        default=[],
+        action=_Named,
+        default={},
         metavar="KEY=VALUE",
         help="an argument of every task gym:ID, as JSON or as text, such as max_episode_steps=200; may be "
         "given more than once",

@@ -68,7 +68,7 @@ def request_of(args: argparse.Namespace) -> RunRequest:
         retrain=not args.no_retrain,
         record=args.record,
         plugins=args.plugin,
-        env_kwargs=dict(args.env_kwargs),
+        env_kwargs=args.env_kwargs,
         env_vars=args.env_var,
         baseline=args.baseline,
         fast=args.fast,

@@ -32,6 +32,9 @@ HINTS = {
     "ModuleNotFoundError": "a plug-in can import what lies in its own folder, and what is installed",
     "NotFound: ": "name the module that registers the task: gym:MODULE:ID, or --plugin",
     "gymnasium[box2d]": "or pip install 'irl-bench[box2d]'",
+    "argument 'seed'": "reset must take seed= and options=, as of Gymnasium 0.26",
+    "to unpack (expected ": "as of Gymnasium 0.26 reset returns an observation and a dict, and step an "
+    "observation, a reward, whether it terminated, whether it was truncated, and a dict",
     "unexpected keyword argument": "--env-kwargs are arguments of the task's class, and of gymnasium.make",
 }
 """Ways out, by a part of an error's text."""
@@ -128,7 +131,8 @@ def look(named: Sequence[Plugin], wanted: Sequence[Wanted], with_settings: Seque
         KNOWN.add(one)
         offers += offered(one)
     for kind, name, entry in wanted:
-        with troubles(f"the {kind} {name} cannot be loaded"):
+        given = gymnasium_tasks.kwargs_of(entry)
+        with troubles(f"the {kind} {name}{f' with {given}' if given else ''} cannot be loaded"):
             KNOWN.register(kind, name, entry)
             check(kind, name, KNOWN.thing(kind, name))
             offers.append(offer(kind, name, entry))

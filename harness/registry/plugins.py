@@ -101,7 +101,10 @@ def give(kwargs: Mapping[str, Any], variables: Sequence[str]) -> None:
         if environment.is_set_for_cells(name):
             raise BadInput(f"cells have {name} already, or set it themselves: leave out --env-var {name}")
         if name not in os.environ:
-            raise BadInput(f"--env-var {name}: the environment has no such variable")
+            raise BadInput(
+                f"--env-var {name}: the environment has no such variable; set it before the command, and "
+                "give its name alone"
+            )
     KNOWN.variables |= {name: os.environ[name] for name in variables}
 
 

@@ -20,6 +20,16 @@ OBSERVED: dict[str, tuple[spaces.Space, Any, dict[str, float]]] = {
     "flags": (spaces.MultiBinary(2), np.array([0, 1], np.int8), {"obs 0": 0, "obs 1": 1}),
     "a number": (spaces.Box(0.0, 9.0, ()), np.float32(7), {"obs": 7}),
     "rows": (spaces.Box(0, 9, (1, 2)), np.array([[3, 4]], np.float32), {"obs 0,0": 3, "obs 0,1": 4}),
+    "a number without an upper bound": (
+        spaces.Box(np.float32([-1, 0]), np.float32([1, np.inf])),
+        np.array([1, 1e9], np.float32),
+        {"obs 0": 1, "obs 1": 1e9},
+    ),
+    "parts in parts": (
+        spaces.Dict({"a": spaces.Tuple([spaces.Discrete(2), spaces.Dict({"b": PLACE})])}),
+        {"a": (1, {"b": np.array([1, 2], np.float32)})},
+        {"a 0=0": 0, "a 0=1": 1, "a 1 b 0": 1, "a 1 b 1": 2},
+    ),
     "choices": (
         spaces.MultiDiscrete([2, 2], start=[0, 5]),
         np.array([1, 5]),
@@ -56,6 +66,7 @@ UNSEEN = {
     "images": (spaces.Box(0, 255, (8, 8, 3), np.uint8), "not images"),
     "texts": (spaces.Dict({"said": spaces.Text(5)}), "not Text"),
     "sequences": (spaces.Sequence(PLACE), "not Sequence"),
+    "nothing": (spaces.Box(0, 1, (0,)), "have no entry"),
     "a million values": (spaces.Discrete(10**6), "more than 10,000 entries"),
 }
 

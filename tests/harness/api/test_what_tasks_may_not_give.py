@@ -32,9 +32,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "bytes": ({"act": spaces.Box(0, 255, (2,), np.uint8)}, "have 65,536 combinations"),
     "no bounds": ({"act": spaces.Box(-np.inf, np.inf, (2,))}, "actions must have bounds"),
     "one bound": ({"act": spaces.Box(np.array([0, -np.inf]), 1, dtype=np.float64)}, "must have bounds"),
-    "no action": (
-        {"act": spaces.Box(-1, 1, (0,))},
-        "sizes, horizon, steps, solves and episodes must be positive",
+    "no action": ({"act": spaces.Box(-1, 1, (0,))}, "actions must have a component, which .* wrap= of"),
+    "parts in order": (
+        {"act": spaces.Tuple([spaces.Discrete(2), spaces.Discrete(3)])},
+        "choices or bounded numbers, not Tuple.* wrap= of",
     ),
     "many choices": ({"act": spaces.MultiDiscrete([9, 8])}, "have 72 combinations"),
     "parts": ({"act": spaces.Dict({"gas": spaces.Discrete(2)})}, "choices or bounded numbers, not Dict"),

@@ -121,6 +121,9 @@ def test_arguments_reach_the_task_and_its_experts() -> None:
 
 
 REFUSED = {
+    "--envs gym:Pendulum-v1 --env-kwargs g=1 --env-kwargs g=2": "--env-kwargs g is given twice",
+    "--envs gym:Pendulum-v1 --env-kwargs g=null": 'gym_Pendulum-v1 with {"g": null} cannot be loaded: Type',
+    "--envs swingup --env-var LENGTH=4": "set it before the command, and give its name alone",
     "--envs swingup --env-kwargs g=1": "arguments of tasks gym:ID, not of swingup",
     "--envs gym:Pendulum-v1 --env-kwargs g": "'g' is not NAME=VALUE",
     "--envs gym:Pendulum-v1 --env-kwargs gg=1": "--env-kwargs are arguments of the task's class",
@@ -141,6 +144,43 @@ def test_what_cannot_be_given_is_refused_in_a_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     refused(words.split(), REFUSED[words], capfd)
+
+
+OLD = {
+    "no seed": (
+        "(self, *, seed=None, options=None):\n        super().reset(seed=seed)",
+        "(self):\n        pass",
+        "argument 'seed'; reset must take seed= and options=, as of Gymnasium 0.26",
+    ),
+    "no info": (
+        "return self.seen(), {}",
+        "return self.seen()",
+        "reset must return an observation and a dict",
+    ),
+    "four values": (
+        ", False, False, {}",
+        ", False, {}",
+        "and step an observation, a reward, whether it term",
+    ),
+    "other numbers": (
+        "numpy.zeros(1, numpy.float32)",
+        "numpy.float32(numpy.random.rand(1))",
+        "something else after a reset with the same seed; call super().reset(seed=seed) in reset",
+    ),
+}
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("what", OLD)
+def test_a_task_that_does_not_reset_and_step_as_gymnasium_is_refused_with_what_to_change(
+    what: str, corridor: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(corridor.parent)
+    now, then, why = OLD[what]
+    assert now in CORRIDOR
+    corridor.write_text(CORRIDOR.replace(now, then))
+    words = ["--plugin", str(corridor), "--envs", "gym:tests/Corridor-v0"]
+    refused([*words, "--env-kwargs", "max_episode_steps=10"], why, capfd)
 
 
 @pytest.mark.parametrize(
