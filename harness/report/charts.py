@@ -116,9 +116,9 @@ def listed(entries: Sequence[Entry]) -> str:
     return "; ".join(f"{e.method} {NAMES[e.policy]} {score(e)}" for e in entries)
 
 
-def scale_scores(axes: Axes, entries: Sequence[Entry]) -> None:
-    """Fit the y axis to the entries' scores, and mark 0 and 1."""
-    axes.set_ylim(around([entry.drawn_score for entry in entries], least=(0.0, 1.0)))
+def scale_scores(axes: Axes, scores: Sequence[float]) -> None:
+    """Fit the y axis to the scores, and mark 0 and 1."""
+    axes.set_ylim(around(scores, least=(0.0, 1.0)))
     rules(axes, False, 0.0, 1.0)
 
 
@@ -131,7 +131,7 @@ def distances(board: Board) -> Chart | None:
     said = f"Distances of rewards and scores of π_R in {board.name}: {'; '.join(tips.values())}."
     plot = Plot.of(said, "score of π_R", "distance of R* from the true reward")
     plot.axes.set_xlim(-0.03, 1.03)
-    scale_scores(plot.axes, known)
+    scale_scores(plot.axes, [e.drawn_score for e in known])
     kinds = ((False, False, ORANGE, "D"), (False, True, ORANGE, "D"), (True, False, GREY, "s"))
     for is_control, hollow, colour, marker in kinds:
         mine = [e for e in known if (e.method in CONTROLS, e.is_unsolved) == (is_control, hollow)]
@@ -170,7 +170,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         plot.axes.set_xlim(0.8 * counts[0], 1.25 * counts[-1])
         plot.axes.set_xticks(counts, [str(count) for count in counts])
         plot.axes.minorticks_off()
-        scale_scores(plot.axes, mine)
+        scale_scores(plot.axes, [e.drawn_score for e in mine])
         for place, line in enumerate(drawn):
             _draw_line(plot, [e for e in lines[line] if e.policy == policy], *figures.look(place))
         plots += [plot.svg()] if texts else []

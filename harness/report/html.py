@@ -59,8 +59,11 @@ NOTES = {
     "did not solve R*, so the score says nothing about it.",
     "transfer": "0 is the random policy there, 1 RL on the true reward. Dotted: the expert, carried over.",
     "cost": "Upper left is better. The line is the Pareto front: no point off it scores more for as little. "
-    "The cost of π_R is that of the fit and of RL on R*. Interactions are environment steps, and those that "
-    "judge checkpoints of RL.",
+    "The cost of π_R is that of the fit and of RL on R*. Interactions include the steps that judge "
+    "checkpoints of RL; environment steps do not.",
+    "equal": "Markers: π*, once it is fitted. Lines: π_R, which is the checkpoint with the highest return "
+    "under R* so far, on the episodes that check checkpoints. Interactions are all of the fit and of RL, "
+    "with these checks. Means over all seeds.",
     "distances": "A good reward is at the upper left. Squares are controls. At the lower left the reward is "
     "right and the learner did not use it; at the upper right a wrong reward solves the task.",
     "learning": "Interactions are steps that RL learned from, and those that checked its checkpoints, spread "
@@ -146,6 +149,7 @@ def _sections(report: Report) -> list[Section]:
         Section("seeds", "Seeds", "Scores, seed by seed", scores, charts.SIGNS),
         Section("transfer", "Transfer", "Transfer to other dynamics", carried, charts.CARRIED),
         Section("cost", "Cost", "Score against cost", costs, charts.SIGNS),
+        Section("equal", "Equal interactions", "Score after equal interactions", each(pareto.equal, nominal)),
         Section("demonstrations", "Demonstrations", "Score against demonstrations", shown),
         Section("distances", "Reward distances", distant, distances),
         Section("learning", "Learning curves", "Learning curves: RL on R*", learning, curves.SIGNS),

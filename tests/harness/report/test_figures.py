@@ -86,6 +86,23 @@ def test_learning_curves_and_costs_count_the_steps_of_checks() -> None:
     assert f"{both}30,000 environment steps" in plots["environment steps"]
 
 
+def test_scores_after_equal_interactions_count_the_fit_and_are_of_the_best_checkpoint_so_far() -> None:
+    results = changed(make_results(("cartpole",), seeds=1), "shaped", env_steps=20_000, check_steps=10_000)
+    for result in results:
+        if result.cell.method == "shaped":
+            result.curves["pi_R"] = [(0.0, 1.0), (5000.0, 3.0), (10_000.0, 2.0)]
+            result.curves["pi_R_true"] = [(0.0, 20.0), (5000.0, 260.0), (10_000.0, 500.0)]
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        chart = pareto.equal(board)
+    assert chart is not None
+    assert chart.table is not None
+    scores = {(str(n), method, policy): str(text) for n, method, policy, text in chart.table.items}
+    assert {n for n, _, _ in scores} == {"15,000", "30,000", "60,000"}  # control_true, maxmargin, shaped
+    told = [scores[n, "shaped", policy] for policy in ("π_R", "π*") for n in ("15,000", "30,000", "60,000")]
+    assert told == ["none yet", "0.00", "0.50", "none yet", "0.92", "0.92"]
+
+
 def test_profiles_have_each_method_over_environments() -> None:
     results = changed(make_results(), "control_survival", return_mean=20.0)
     lines = build(REQUEST, results).across.lines
