@@ -19,6 +19,7 @@ from envs import EnvSpec
 from envs.learners import DQN, PPO, SAC, Learner
 from harness.registry import PROTOCOLS, Library
 from harness.rl import models
+from harness.rl.budget import check_episodes, warm_up
 from harness.rl.on_policy import OnPolicy
 from harness.rl.seeds import training_seeds
 from harness.rl.simulator import Simulator
@@ -30,10 +31,6 @@ from methods.stochastic import EpsilonGreedy, SquashedGaussian
 Told = Callable[[int, Mapping[str, float]], None]
 """A function of the environment steps so far, and new points of curves by name."""
 PAY = "mean pay of a step"
-WARM_UP = 1000
-"""Random steps before learning; half of a solve that is shorter than twice that."""
-STEPS_PER_CHECK_EPISODE = 75
-"""A short solve checks a checkpoint on one episode for each of this many steps."""
 
 
 @dataclass(frozen=True)
@@ -113,35 +110,33 @@ class Agent:
             raise ValueError("what the environment paid for demonstrations is not known")
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
-        warm_up = 0
+        start = 0
         if self._model is None:
-            warm_up = self._begin(steps, seed)
+            start = self._begin(steps, seed)
         else:
             self._model.set_random_seed(seed)
         models.follow_reward(self._built, self.settings.noise)
-        episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
-        self._check_seeds = training_seeds(self._rng, episodes)
-        self._checkpoints = [(warm_up, self.policy)]
+        self._check_seeds = training_seeds(self._rng, check_episodes(self.settings, steps))
+        self._checkpoints = [(start, self.policy)]
         if self._env.pays_nothing:
-            steps = warm_up
+            steps = start
         else:
-            self._go_on(warm_up, steps)
+            self._go_on(start, steps)
         self.env_steps += steps
 
     def _begin(self, steps: int, seed: int) -> int:
         """Build the model and let it take random steps. Return how many those are."""
-        s = self.settings
-        warm_up = 0 if isinstance(s, PPO) else min(WARM_UP, steps // 2) // s.unit * s.unit
+        random_steps = warm_up(self.settings, steps)
         model = models.build(
-            *(s, self._library, self._env, self._demonstrations, warm_up, seed),
+            *(self.settings, self._library, self._env, self._demonstrations, random_steps, seed),
             learning_rate=lambda: self._learning_rate,
         )
         if self._init is not None:
             models.begin(model, self._init)
-        if warm_up and not isinstance(model, OnPolicy):
-            model.learn(warm_up)
+        if random_steps and not isinstance(model, OnPolicy):
+            model.learn(random_steps)
         self._model = model
-        return warm_up
+        return random_steps
 
     def _go_on(self, start: int, steps: int) -> None:
         """Learn from step `start` of a solve to its end, and keep checkpoints."""
