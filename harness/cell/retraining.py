@@ -12,15 +12,13 @@ from harness.cell.phases import Phase
 from harness.judge.advantage import known_comparison, sampled_comparison
 from harness.judge.evaluation import totals
 from harness.registry.bounds import usable
+from harness.rl.budget import JUDGING_EPISODES
 from harness.rl.seeds import judging_seeds
 from harness.rl.simulator import Simulator
 from harness.rl.solving import Solution
 from harness.rl.world import solver_for
 from methods.base import Policy, Reward
 from methods.rewards import fast
-
-JUDGING_EPISODES = 20
-"""Episodes on which the solves of one reward are compared."""
 
 
 @dataclass(frozen=True)

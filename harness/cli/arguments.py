@@ -116,6 +116,9 @@ def _add_comparisons(commands: argparse._SubParsersAction[_Parser]) -> None:
         add.add_argument("directory", type=Path, metavar="DIR")
         add.add_argument("--to", type=Path, required=True, metavar=f"FILE.{kinds}")
         add.add_argument("--env", help="scores of one task (default: all)")
+        if name == "figure":
+            costs = ("interactions", "env_steps", "fit_seconds", "rl_solves")
+            add.add_argument("--cost", choices=costs, help="draw scores against this, with the Pareto front")
     add = commands.add_parser("check", help="whether methods and environments keep the contract")
     add.add_argument("names", nargs="+", metavar="NAME", help="methods and environments, as `run` takes them")
     options.add_plugins(add)

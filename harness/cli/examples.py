@@ -53,7 +53,7 @@ EXAMPLES = {
     ),
     "irl-bench figure": (
         "irl-bench figure results/latest --to scores.pdf",
-        "irl-bench figure results/latest --env highway --to highway.svg",
+        "irl-bench figure results/latest --env highway --cost interactions --to highway.svg",
     ),
     "irl-bench table": (
         "irl-bench table results/latest --to scores.tex",

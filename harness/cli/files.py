@@ -159,8 +159,10 @@ def draw(args: argparse.Namespace) -> int:
     if args.to.resolve().is_relative_to(args.directory.resolve()):
         raise BadInput(f"{args.to} lies in the run, whose files are its own; give another --to")
     report = build(*_read(args.directory))
-    make = files.figure if args.command == "figure" else files.table
-    write_atomic(args.to, make(report, kind, args.env))
+    if args.command == "figure":
+        write_atomic(args.to, files.figure(report, kind, args.env, args.cost))
+    else:
+        write_atomic(args.to, files.table(report, kind, args.env))
     say(str(args.to))
     return 0
 

@@ -145,6 +145,8 @@ ASKING = ("dagger",)
 """Methods that ask the expert for its actions: a ceiling for the others."""
 RANKED = ("trex",)
 """Methods that see preferences between demonstrations."""
+UNREWARDED = ("bc", "dagger", "sqil")
+"""Methods that learn no reward."""
 ENVS = {
     "cartpole": Entry(
         "envs.balancing.cartpole:SPEC",

@@ -1,8 +1,7 @@
-"""Charts of boards: scores seed by seed, and scores against cost, reward distance and demonstrations."""
+"""Charts of boards: scores seed by seed, and scores against reward distance and demonstrations."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,7 +9,6 @@ from functools import partial
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, LogLocator
 
 from harness.judge.across_tasks import Overall
 from harness.judge.leaderboard import Entry
@@ -32,8 +30,6 @@ LOOKS = {"pi_star": (BLUE, "o"), "pi_R": (ORANGE, "D")}
 """Colour and marker of each policy."""
 SIGNS = ((0, "●", "π*"), (1, "◆", "π_R, RL on R*"))
 CARRIED = ((0, "●", "π* carried over"), (1, "◆", "π_R, trained there on R*"))
-UNITS = {"fit_seconds": "seconds", "interactions": "interactions", "rl_solves": "RL solves"}
-"""Costs of a policy."""
 PROFILES = (
     at(0, "method", "Method", columns.MEANINGS["method"], "choice"),
     at(1, "level", "Score", "The score that runs reach."),
@@ -47,7 +43,7 @@ def scores(board: Board) -> Chart | None:
     known = [entry for entry in mine if math.isfinite(entry.drawn_score)]
     if not known:
         return None
-    said = f"Normalized scores in {board.name}: {_listed(known)}."
+    said = f"Normalized scores in {board.name}: {listed(known)}."
     plot = Plot.of(said, label="normalized score", rows=_rows(board))
     _draw_scores(plot.axes, board, plot.points)
     return Chart(board.name, [plot.svg()], table=Table(f"scores {board.name}", (METHOD, POLICY, SCORE), mine))
@@ -115,76 +111,15 @@ def _draw_scores(axes: Axes, board: Board, points: Callable[..., object]) -> Non
     axes.set_xlim(around(every, least=(0.0, 1.0)))
 
 
-def _listed(entries: Sequence[Entry]) -> str:
+def listed(entries: Sequence[Entry]) -> str:
+    """Return the entries' scores in words."""
     return "; ".join(f"{e.method} {NAMES[e.policy]} {score(e)}" for e in entries)
 
 
-def costs(board: Board) -> Chart | None:
-    """Return scores against costs, with the Pareto front; None where nothing costs anything.
-
-    The cost of pi_R is that of the fit and of RL on R*.
-    """
-    plots, fronts = [], []
-    methods = [entry for entry in board.entries if entry.role == "method"]
-    for field, unit in UNITS.items():
-        stars = {e.method: getattr(e, field) for e in methods if e.policy == "pi_star"}
-        points = [
-            (getattr(e, field) + (stars.get(e.method, math.nan) if e.policy == "pi_R" else 0), e)
-            for e in methods
-        ]
-        points = [(cost, e) for cost, e in points if math.isfinite(cost + e.drawn_score)]
-        if any(cost > 0 for cost, _ in points):
-            front = _front([(cost, e) for cost, e in points if not e.is_unsolved])
-            fronts.append(f"{unit}: {', '.join(f'{e.method} {NAMES[e.policy]}' for _, e in front)}")
-            plots.append(_cost_plot(board.name, unit, points, front).svg())
-    shown = (METHOD, POLICY, SCORE, columns.SECONDS, columns.STEPS, columns.CHECKS, columns.SOLVES)
-    table = Table(f"cost {board.name}", shown, methods)
-    return Chart(board.name, plots, f"On the front by {'; by '.join(fronts)}.", (), table) if plots else None
-
-
-def _front(points: Sequence[tuple[float, Entry]]) -> list[tuple[float, Entry]]:
-    """Return the points that no other one beats, by cost."""
-    front: list[tuple[float, Entry]] = []
-    for cost, entry in sorted(points, key=lambda point: (point[0], -point[1].score_mean)):
-        if not front or entry.score_mean > front[-1][1].score_mean:
-            front.append((cost, entry))
-    return front
-
-
-def _cost_plot(
-    board: str, unit: str, points: Sequence[tuple[float, Entry]], front: Sequence[tuple[float, Entry]]
-) -> Plot:
-    said = f"Scores in {board} against {unit}. On the Pareto front: {_listed([e for _, e in front])}."
-    plot = Plot.of(said, f"score against {unit}", f"{unit} (log)")
-    axes = plot.axes
-    _scale_costs(axes, [cost for cost, _ in points])
-    _scale_scores(axes, [entry for _, entry in points])
-    corners = [(cost, entry.score_mean) for cost, entry in front]
-    corners += [(axes.get_xlim()[1], level) for _, level in corners[-1:]]
-    axes.step(*(zip(*corners, strict=True) if corners else ([], [])), where="post", color=GREY, linewidth=1.2)
-    for (policy, (colour, marker)), hollow in itertools.product(LOOKS.items(), (False, True)):
-        mine = [(cost, e) for cost, e in points if (e.policy, e.is_unsolved) == (policy, hollow)]
-        tips = [f"{_listed([e])}, {number(cost, ',.0f' if cost >= 10 else '.2g')} {unit}" for cost, e in mine]
-        plot.points([(cost, e.drawn_score) for cost, e in mine], colour, marker, tips, hollow)
-    return plot
-
-
-def _scale_scores(axes: Axes, entries: Sequence[Entry]) -> None:
-    axes.set_ylim(around([entry.drawn_score for entry in entries], least=(0.0, 1.0)))
+def scale_scores(axes: Axes, scores: Sequence[float]) -> None:
+    """Fit the y axis to the scores, and mark 0 and 1."""
+    axes.set_ylim(around(scores, least=(0.0, 1.0)))
     rules(axes, False, 0.0, 1.0)
-
-
-def _scale_costs(axes: Axes, costs: Sequence[float]) -> None:
-    """Make the x axis logarithmic, with a place for 0 where something costs nothing."""
-    low, high = min(cost for cost in costs if cost > 0), 1.6 * max(costs)
-    free = min(costs) == 0
-    axes.set_xscale("symlog", linthresh=low, linscale=0.3) if free else axes.set_xscale("log")
-    axes.set_xlim(-0.2 * low if free else 0.7 * low, high)
-    digits = (1, 2, 5) if high < 100 * low else (1,)
-    ticks = [float(tick) for tick in LogLocator(subs=digits, numticks=6).tick_values(low, high)]
-    axes.set_xticks([0.0] * free + [tick for tick in ticks if low <= tick <= high])
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.minorticks_off()
 
 
 def distances(board: Board) -> Chart | None:
@@ -196,7 +131,7 @@ def distances(board: Board) -> Chart | None:
     said = f"Distances of rewards and scores of π_R in {board.name}: {'; '.join(tips.values())}."
     plot = Plot.of(said, "score of π_R", "distance of R* from the true reward")
     plot.axes.set_xlim(-0.03, 1.03)
-    _scale_scores(plot.axes, known)
+    scale_scores(plot.axes, [e.drawn_score for e in known])
     kinds = ((False, False, ORANGE, "D"), (False, True, ORANGE, "D"), (True, False, GREY, "s"))
     for is_control, hollow, colour, marker in kinds:
         mine = [e for e in known if (e.method in CONTROLS, e.is_unsolved) == (is_control, hollow)]
@@ -204,11 +139,8 @@ def distances(board: Board) -> Chart | None:
         spans(plot.axes, ends, colour)
         places = [(e.reward_distance, e.drawn_score) for e in mine]
         plot.points(places, colour, marker, [tips[e.method] for e in mine], hollow)
-        for e in mine:
-            near = [o for o in known if abs(o.reward_distance - e.reward_distance) < 0.25]
-            if sum(abs(o.drawn_score - e.drawn_score) < 0.08 for o in near) == 1:
-                name, place = e.method.removeprefix("control_"), (e.reward_distance, e.drawn_score)
-                plot.axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
+    places = [(e.reward_distance, e.drawn_score) for e in known]
+    figures.name_points(plot.axes, places, [e.method.removeprefix("control_") for e in known])
     shown = (METHOD, columns.DISTANCE, columns.RANK, SCORE)
     return Chart(board.name, [plot.svg()], table=Table(f"distances {board.name}", shown, known))
 
@@ -238,7 +170,7 @@ def demonstrations(env: str, entries: Sequence[Entry]) -> Chart | None:
         plot.axes.set_xlim(0.8 * counts[0], 1.25 * counts[-1])
         plot.axes.set_xticks(counts, [str(count) for count in counts])
         plot.axes.minorticks_off()
-        _scale_scores(plot.axes, mine)
+        scale_scores(plot.axes, [e.drawn_score for e in mine])
         for place, line in enumerate(drawn):
             _draw_line(plot, [e for e in lines[line] if e.policy == policy], *figures.look(place))
         plots += [plot.svg()] if texts else []

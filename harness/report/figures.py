@@ -55,7 +55,8 @@ class Chart:
     """Plots that belong together.
 
     `note`: help with reading them. `legend`: a colour's number, a sign and its meaning, for each line.
-    `table`: the numbers that are drawn. `data`: numbers that are too many for a table.
+    `table`: the numbers that are drawn. `data`: numbers that are too many for a table. `choices`: a name
+    for each plot, where the page shows one plot at a time.
     """
 
     title: str
@@ -64,6 +65,7 @@ class Chart:
     legend: Sequence[tuple[int, str, str]] = ()
     table: Table | None = None
     data: pd.DataFrame | None = None
+    choices: Sequence[str] = ()
 
 
 @contextmanager
@@ -197,6 +199,16 @@ def rules(axes: Axes, upright: bool, *levels: float) -> None:
     for level in levels:
         draw = axes.axvline if upright else axes.axhline
         draw(level, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+
+
+def name_points(axes: Axes, places: Sequence[tuple[float, float]], names: Sequence[str]) -> None:
+    """Write names beside points, where no earlier name is near. The limits of the axes are final."""
+    written: list[tuple[float, float]] = []
+    for place, name in zip(places, names, strict=True):
+        x, y = axes.transAxes.inverted().transform(axes.transData.transform(place))
+        if not any(abs(x - left) < 0.25 and abs(y - low) < 0.06 for left, low in written):
+            axes.annotate(name, place, (5, 4), textcoords="offset points", fontsize=8)
+            written.append((x, y))
 
 
 def plot_seeds(axes: Axes, seeds: Sequence[Sequence[tuple[float, float]]], colour: str) -> None:

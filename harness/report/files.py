@@ -9,8 +9,8 @@ from pathlib import Path
 
 from harness.judge.leaderboard import Entry
 from harness.records import COLUMNS, PROGRAM_NAME, Cell
-from harness.registry import choose
-from harness.report import charts, facts, html
+from harness.registry import BadInput, choose
+from harness.report import charts, facts, html, pareto
 from harness.report.columns import visible
 from harness.report.figures import as_file, styled
 from harness.report.model import Board, Report
@@ -51,13 +51,20 @@ def write_report(directory: Path, report: Report) -> list[Path]:
     return [directory / name for name in files]
 
 
-def figure(report: Report, kind: str, env: str | None = None) -> bytes:
+def figure(report: Report, kind: str, env: str | None = None, cost: str | None = None) -> bytes:
     """Return the file of a figure: the scores on each board, or on those of one environment.
 
-    kind: one of `FIGURES`. Raises BadInput for an environment without results.
+    kind: one of `FIGURES`. cost: a key of `pareto.UNITS`, against which scores are drawn. Raises BadInput
+    for an environment without results, and where nothing has that cost.
     """
+    boards = _boards(report, env)
     with styled():
-        return as_file(charts.scores_figure(_boards(report, env)), kind)
+        if cost is None:
+            return as_file(charts.scores_figure(boards), kind)
+        priced = [board for board in boards if board.is_nominal and pareto.priced(board, cost)]
+        if not priced:
+            raise BadInput(f"no policy of a method is known to cost {pareto.UNITS[cost]}")
+        return as_file(pareto.costs_figure(priced, cost), kind)
 
 
 def table(report: Report, kind: str, env: str | None = None) -> str:

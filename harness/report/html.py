@@ -15,7 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from harness.judge.leaderboard import Entry
-from harness.report import charts, curves, facts, heat
+from harness.report import charts, curves, facts, heat, pareto
 from harness.report.columns import ENTRY, NAMES
 from harness.report.figures import Chart, styled
 from harness.report.model import Board, Report
@@ -48,13 +48,22 @@ class Section:
         """Help with reading them."""
         return NOTES.get(self.id, "")
 
+    @property
+    def choices(self) -> list[str]:
+        """Names of its plots, where a switch shows one of each chart."""
+        return list(dict.fromkeys(name for chart in self.charts for name in chart.choices))
+
 
 NOTES = {
     "seeds": f"Small dots are seeds, markers means, bars {LEVEL} intervals; controls are on grey. Hollow: RL "
     "did not solve R*, so the score says nothing about it.",
     "transfer": "0 is the random policy there, 1 RL on the true reward. Dotted: the expert, carried over.",
     "cost": "Upper left is better. The line is the Pareto front: no point off it scores more for as little. "
-    "The cost of π_R is that of the fit and of RL on R*.",
+    "The cost of π_R is that of the fit and of RL on R*. Interactions include the steps that judge "
+    "checkpoints of RL; environment steps do not.",
+    "equal": "Markers: π*, once it is fitted. Lines: π_R, which is the checkpoint with the highest return "
+    "under R* so far, on the episodes that check checkpoints. Interactions are all of the fit and of RL, "
+    "with these checks. Means over all seeds.",
     "distances": "A good reward is at the upper left. Squares are controls. At the lower left the reward is "
     "right and the learner did not use it; at the upper right a wrong reward solves the task.",
     "learning": "Interactions are steps that RL learned from, and those that checked its checkpoints, spread "
@@ -131,7 +140,7 @@ def _sections(report: Report) -> list[Section]:
 
     profiles = [chart for policy in NAMES if (chart := charts.profiles(report.across.lines, policy))]
     scores, carried = each(charts.scores, nominal), each(charts.scores, variants)
-    costs, distances = each(charts.costs, nominal), each(charts.distances, nominal)
+    costs, distances = each(pareto.costs, nominal), each(charts.distances, nominal)
     learning, training = each(curves.learning, report.drawn, most), each(curves.training, nominal, most)
     distant = "Distances between rewards, and scores of π_R"
     shown = [chart for chart in by_demonstrations if chart]
@@ -140,6 +149,7 @@ def _sections(report: Report) -> list[Section]:
         Section("seeds", "Seeds", "Scores, seed by seed", scores, charts.SIGNS),
         Section("transfer", "Transfer", "Transfer to other dynamics", carried, charts.CARRIED),
         Section("cost", "Cost", "Score against cost", costs, charts.SIGNS),
+        Section("equal", "Equal interactions", "Score after equal interactions", each(pareto.equal, nominal)),
         Section("demonstrations", "Demonstrations", "Score against demonstrations", shown),
         Section("distances", "Reward distances", distant, distances),
         Section("learning", "Learning curves", "Learning curves: RL on R*", learning, curves.SIGNS),

@@ -70,6 +70,15 @@ if (board) {
   filter();
 }
 
+for (const one of document.querySelectorAll(".switch input")) {
+  const show = () => {
+    for (const plot of one.closest("section").querySelectorAll("[data-choice]"))
+      plot.hidden = plot.dataset.choice !== one.value;
+  };
+  one.addEventListener("change", show);
+  if (one.checked) show();
+}
+
 document.getElementById("more")?.addEventListener("click", (event) => {
   event.target.setAttribute("aria-pressed", board.classList.toggle("all"));
 });

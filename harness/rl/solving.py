@@ -19,6 +19,7 @@ from envs import EnvSpec
 from envs.learners import DQN, PPO, SAC, Learner
 from harness.registry import PROTOCOLS, Library
 from harness.rl import models
+from harness.rl.budget import check_episodes, warm_up
 from harness.rl.on_policy import OnPolicy
 from harness.rl.seeds import training_seeds
 from harness.rl.simulator import Simulator
@@ -30,10 +31,8 @@ from methods.stochastic import EpsilonGreedy, SquashedGaussian
 Told = Callable[[int, Mapping[str, float]], None]
 """A function of the environment steps so far, and new points of curves by name."""
 PAY = "mean pay of a step"
-WARM_UP = 1000
-"""Random steps before learning; half of a solve that is shorter than twice that."""
-STEPS_PER_CHECK_EPISODE = 75
-"""A short solve checks a checkpoint on one episode for each of this many steps."""
+OWN, TRUE = "return of a checkpoint under its reward", "true return of a checkpoint"
+"""Curves of a solve."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,8 @@ class Agent:
     """A learner in one environment. It goes on with the same networks and experience under each new reward.
 
     `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
-    `told`: called at each checkpoint with the steps of the present solve so far, and the mean pay of a step
-    since the last one.
+    `told`: called at each checkpoint with the steps of the present solve so far, the mean pay of a step since
+    the last one, and in `solve` the checkpoint's mean returns.
     `env_steps`, `check_steps`: its totals, as in `Solution`.
     Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
     """
@@ -93,6 +92,8 @@ class Agent:
         self._progress = 0.0
         self._checkpoints: list[tuple[int, Network]] = []
         self._check_seeds: list[int] = []
+        self._scores: list[tuple[float, float]] | None = None
+        """Returns of the checkpoints in a solve, None where `best` scores them."""
 
     def whole(self, steps: int) -> int:
         """Return the least number of steps, at least `steps`, that `learn` takes."""
@@ -113,35 +114,34 @@ class Agent:
             raise ValueError("what the environment paid for demonstrations is not known")
         seed = int(self._rng.integers(1 << 31))
         self._env.reward = reward
-        warm_up = 0
+        start = 0
         if self._model is None:
-            warm_up = self._begin(steps, seed)
+            start = self._begin(steps, seed)
         else:
             self._model.set_random_seed(seed)
         models.follow_reward(self._built, self.settings.noise)
-        episodes = max(1, min(self.settings.check_episodes, steps // STEPS_PER_CHECK_EPISODE))
-        self._check_seeds = training_seeds(self._rng, episodes)
-        self._checkpoints = [(warm_up, self.policy)]
+        self._check_seeds = training_seeds(self._rng, check_episodes(self.settings, steps))
+        self._checkpoints = []
+        self._keep(start, {})
         if self._env.pays_nothing:
-            steps = warm_up
+            steps = start
         else:
-            self._go_on(warm_up, steps)
+            self._go_on(start, steps)
         self.env_steps += steps
 
     def _begin(self, steps: int, seed: int) -> int:
         """Build the model and let it take random steps. Return how many those are."""
-        s = self.settings
-        warm_up = 0 if isinstance(s, PPO) else min(WARM_UP, steps // 2) // s.unit * s.unit
+        random_steps = warm_up(self.settings, steps)
         model = models.build(
-            *(s, self._library, self._env, self._demonstrations, warm_up, seed),
+            *(self.settings, self._library, self._env, self._demonstrations, random_steps, seed),
             learning_rate=lambda: self._learning_rate,
         )
         if self._init is not None:
             models.begin(model, self._init)
-        if warm_up and not isinstance(model, OnPolicy):
-            model.learn(warm_up)
+        if random_steps and not isinstance(model, OnPolicy):
+            model.learn(random_steps)
         self._model = model
-        return warm_up
+        return random_steps
 
     def _go_on(self, start: int, steps: int) -> None:
         """Learn from step `start` of a solve to its end, and keep checkpoints."""
@@ -149,8 +149,7 @@ class Agent:
 
         def keep(done: int) -> None:
             if done % s.checkpoint_every == 0 or done == steps:
-                self._checkpoints.append((done, self.policy))
-                self._told(done, {PAY: self._env.mean_pay()})
+                self._keep(done, {PAY: self._env.mean_pay()})
 
         def after_step(*_: object) -> bool:
             nonlocal done
@@ -166,6 +165,15 @@ class Agent:
             model.learn(steps - start, callback=after_step, reset_num_timesteps=False)
             keep(steps)  # after the last gradient steps
 
+    def _keep(self, done: int, values: Mapping[str, float]) -> None:
+        """Keep the present policy as a checkpoint, and tell what is known of it."""
+        self._checkpoints.append((done, self.policy))
+        if self._scores is not None:
+            self._scores += self.check([self.policy])
+            values = {**values, **dict(zip((OWN, TRUE), self._scores[-1], strict=True))}
+        if values:
+            self._told(done, values)
+
     def best(self, reward: Reward | None) -> Solution:
         """Return the last solve's best checkpoint under the reward. Raises ValueError where nothing was
         learned yet."""
@@ -173,8 +181,13 @@ class Agent:
             raise ValueError("an agent that has not learned yet has no best policy")
         self._env.reward = reward
         before = self.check_steps
+        solution = self._chosen(self.check([policy for _, policy in self._checkpoints]))
+        return replace(solution, check_steps=self.check_steps - before)
+
+    def _chosen(self, returns: Sequence[tuple[float, float]]) -> Solution:
+        """Return the best checkpoint. `returns`: those of `check` for each."""
         steps, checkpoints = zip(*self._checkpoints, strict=True)
-        scores, truths = zip(*self.check(checkpoints), strict=True)
+        scores, truths = zip(*returns, strict=True)
         most = max(scores)
         equals = [i for i, score in enumerate(scores) if score == most]
         best = equals[0]
@@ -183,14 +196,16 @@ class Agent:
             best = max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
         done = [*map(float, steps)]
         curve, true_curve = [*zip(done, scores, strict=True)], [*zip(done, truths, strict=True)]
-        took = self.check_steps - before
-        return Solution(checkpoints[best], curve, true_curve, 0, took, checkpoints, best)
+        return Solution(checkpoints[best], curve, true_curve, checkpoints=checkpoints, best=best)
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
-        """Do as `learn` and `best`."""
-        before = self.env_steps
+        """Do as `learn` and `best`, but score each checkpoint before learning goes on."""
+        taken, checked, self._scores = self.env_steps, self.check_steps, []
         self.learn(steps, reward)
-        return replace(self.best(reward), env_steps=self.env_steps - before)
+        solution = self._chosen(self._scores)
+        self._scores = None
+        taken, checked = self.env_steps - taken, self.check_steps - checked
+        return replace(solution, env_steps=taken, check_steps=checked)
 
     def replay(self) -> Transitions:
         """Return the steps that it remembers; PPO remembers its last bout. Raises ValueError where nothing

@@ -18,6 +18,7 @@ from harness.process.environment import cache_folder
 from harness.records import REFERENCE, Cell, CellResult, Conditions, Status
 from harness.schedule.costs import FILE, SHARED, Costs, name_of
 from harness.schedule.grid import Grid, Schedule
+from harness.schedule.interactions import Interactions, by_env
 from harness.schedule.progress import NOTHING
 from harness.schedule.tally import clock
 
@@ -103,6 +104,7 @@ class Plan:
     `wall`: the wall time by the number of cores.
     `chain`: the longest chain of jobs that wait for each other, which no number of cores shortens.
     `solves`: numbers of RL solves of a learned reward, which take `retraining` seconds.
+    `interactions`: those of all cells, by environment.
     """
 
     lines: tuple[Line, ...]
@@ -110,6 +112,7 @@ class Plan:
     chain: tuple[tuple[str, float], ...]
     solves: tuple[int, ...]
     retraining: float
+    interactions: dict[str, Interactions]
 
 
 def plan(
@@ -135,7 +138,8 @@ def plan(
         Schedule(Grid(conditions, silent, engine), jobs, silent, costs).run()
         wall[count] = engine.now
     chain = _longest_chain(jobs, {job.name: seconds[name_of(job)] for job in jobs})
-    return Plan(tuple(lines), wall, chain, tuple(sorted(solves)), sum(map(costs.retraining, learned)))
+    retraining = sum(map(costs.retraining, learned))
+    return Plan(tuple(lines), wall, chain, tuple(sorted(solves)), retraining, by_env(cells, conditions))
 
 
 def _longest_chain(jobs: Sequence[Job], seconds: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
@@ -174,6 +178,10 @@ def as_lines(plan: Plan) -> list[str]:
         "task's cells here, what another machine took, or by its steps of RL",
         f"work: {clock(total)} of one core, {guessed / total:.0%} of it guessed",
         *[f"{solves} solves of a learned reward (--solves) take {clock(plan.retraining)}"] * bool(solves),
+        *(f"interactions of {env}: {its}" for env, its in plan.interactions.items()),
+        f"interactions in all: {sum(plan.interactions.values(), Interactions())}",
+        "fits count by their methods' settings: their rollouts and checks come on top, and a fit that ends "
+        "early takes less; experts and scores are not counted",
         *(f"wall time with {count:,} cores: {clock(took)}" for count, took in plan.wall.items()),
         f"no number of cores takes less than {clock(sum(s for _, s in plan.chain))}: {chain}",
         f"memory of a process: {LARGEST_PROCESS} MB at most where that was measured, cells of shaped at full "

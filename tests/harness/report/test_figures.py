@@ -9,7 +9,7 @@ import pytest
 
 from harness.cli.main import main
 from harness.records import NOMINAL, REFERENCE, Cell, CellResult, Shown, row_of
-from harness.report import charts, curves
+from harness.report import charts, curves, pareto
 from harness.report.figures import Chart, styled
 from harness.report.files import figure, table
 from harness.report.model import Board, build
@@ -71,7 +71,7 @@ def test_learning_curves_and_costs_count_the_steps_of_checks() -> None:
     results = changed(make_results(("cartpole",)), "shaped", check_steps=30_000)
     (board,) = build(REQUEST, results).boards
     with styled():
-        curve, cost = curves.learning(board, 60), charts.costs(board)
+        curve, cost = curves.learning(board, 60), pareto.costs(board)
     assert curve is not None
     assert curve.data is not None
     mine = curve.data[(curve.data["method"] == "shaped") & (curve.data["curve"] == "pi_R_true")]
@@ -80,7 +80,27 @@ def test_learning_curves_and_costs_count_the_steps_of_checks() -> None:
     means = [sum(y for _, y in points) / 3 for points in zip(*true, strict=True)]
     assert mine["mean"].tolist() == pytest.approx([(mean - 20) / 480 for mean in means])
     assert cost is not None
-    assert "shaped π_R 0.86 [0.32, 0.95], 90,000 interactions" in cost.plots[1]  # both fit and RL
+    plots = dict(zip(cost.choices, cost.plots, strict=True))
+    both = "shaped π_R 0.86 [0.32, 0.95], "  # fit and RL
+    assert f"{both}90,000 interactions" in plots["interactions"]
+    assert f"{both}30,000 environment steps" in plots["environment steps"]
+
+
+def test_scores_after_equal_interactions_count_the_fit_and_are_of_the_best_checkpoint_so_far() -> None:
+    results = changed(make_results(("cartpole",), seeds=1), "shaped", env_steps=20_000, check_steps=10_000)
+    for result in results:
+        if result.cell.method == "shaped":
+            result.curves["pi_R"] = [(0.0, 1.0), (5000.0, 3.0), (10_000.0, 2.0)]
+            result.curves["pi_R_true"] = [(0.0, 20.0), (5000.0, 260.0), (10_000.0, 500.0)]
+    (board,) = build(REQUEST, results).boards
+    with styled():
+        chart = pareto.equal(board)
+    assert chart is not None
+    assert chart.table is not None
+    scores = {(str(n), method, policy): str(text) for n, method, policy, text in chart.table.items}
+    assert {n for n, _, _ in scores} == {"15,000", "30,000", "60,000"}  # control_true, maxmargin, shaped
+    told = [scores[n, "shaped", policy] for policy in ("π_R", "π*") for n in ("15,000", "30,000", "60,000")]
+    assert told == ["none yet", "0.00", "0.50", "none yet", "0.92", "0.92"]
 
 
 def test_profiles_have_each_method_over_environments() -> None:
@@ -107,6 +127,20 @@ def test_figures_for_papers_are_equal_for_equal_results_and_mark_what_is_no_resu
     assert file == figure(report, kind, "cartpole")
     below = [replace(r, below_bar=r.cell.method == "reference") for r in report.results]
     assert file != figure(build(REQUEST, below), kind, "cartpole")
+
+
+def test_a_figure_for_papers_is_of_scores_against_each_cost_where_one_is_known(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = build(REQUEST, make_results(seeds=1))
+    assert len({figure(report, "svg", "cartpole", cost) for cost in (None, *pareto.UNITS)}) == 1 + len(
+        pareto.UNITS
+    )
+    drawn = figure(report, "svg", None, "env_steps").decode()
+    assert drawn.count("environment steps (log)") == len(ENVS)
+    for cost in pareto.UNITS:
+        assert main(["figure", str(run), "--cost", cost, "--to", str(tmp_path / "a.svg")]) == 2
+        assert f"is known to cost {pareto.UNITS[cost]}" in capsys.readouterr().err
 
 
 def test_tables_for_papers_have_the_boards_scores() -> None:

@@ -149,6 +149,25 @@ def test_columns_that_matter_are_there_at_once_and_the_others_behind_a_switch(pa
     assert headings.evaluate_all(keys) == FIRST
 
 
+def test_a_switch_shows_the_plots_of_one_cost_and_without_scripts_all_are_shown(
+    browser: Any, reported: Path
+) -> None:
+    plots = "#cost .plots > :visible"
+    with_script, without = (browser.new_context(java_script_enabled=on).new_page() for on in (True, False))
+    for page in (with_script, without):
+        page.goto((reported / "report.html").as_uri())
+    charts = with_script.locator("#cost figure").count()
+    for name in ("seconds", "environment steps", "RL solves", "interactions"):
+        with_script.get_by_role("radio", name=name, exact=True).check()
+        words = with_script.locator(plots).locator("svg").evaluate_all("all => all.map(one => one.ariaLabel)")
+        assert len(words) == charts > 1
+        assert all(f"against {name}." in one for one in words)
+    assert without.locator(plots).count() == 4 * charts
+    assert without.locator("#cost [type=radio]:visible").count() == 0
+    for page in (with_script, without):
+        page.context.close()
+
+
 def saved(page: Any, what: str) -> list[dict[str, str]]:
     """Click a button that saves; return the rows of the file."""
     with page.expect_download() as download:

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from harness.cell.run import prepare, run_cell
 from harness.engines.inline import Inline
 from harness.engines.jobs import Job, Outcome
 from harness.process.environment import numeric
 from harness.records import Cell, Shown
+from harness.registry import LearnerName
 from harness.schedule import plan
 from harness.schedule.costs import Costs
 from harness.schedule.grid import Grid, Schedule
+from harness.schedule.interactions import interactions
 from harness.store.request import Request
 from tests.harness.fake_runs import CONDITIONS
 
@@ -72,6 +75,43 @@ def test_solves_multiply_what_retraining_takes_and_nothing_else(tmp_path: Path) 
         assert told in plan.as_lines(found)
     alone = plan.plan(several, dataclasses.replace(CONDITIONS, retrain=False), VARIABLES)
     assert alone.solves == ()
+
+
+@pytest.mark.parametrize(
+    ("env", "method", "learner"),
+    [
+        *(("swingup", method, "own") for method in ("bc", "sqil", "shaped", "gail")),
+        *(("swingup", method, "ddpg") for method in ("shaped", "control_plus1")),
+        ("cartpole", "shaped", "own"),
+        ("gridworld", "maxent", "own"),
+    ],
+)
+def test_planned_interactions_are_those_that_rows_store(env: str, method: str, learner: LearnerName) -> None:
+    cell = Cell(env, method, 100)
+    conditions = dataclasses.replace(CONDITIONS, learner=learner, solves=2)
+    planned = interactions(cell, conditions)
+    rows = run_cell(cell, conditions, prepare([cell], conditions))[0].rows
+    took = {row.policy: (row.env_steps, row.check_steps) for row in rows if row.status == "ok"}
+    (fit, _), (rl, checks) = (took.get(policy, (0, 0)) for policy in ("pi_star", "pi_R"))
+    assert planned.rl == rl
+    assert planned.open == (method == "gail")
+    assert planned.fit < fit if planned.open else planned.fit == fit
+    ends_early = env == "cartpole"
+    assert planned.checks > checks if ends_early else planned.checks == checks
+
+
+def test_interactions_are_summed_by_task_and_in_all() -> None:
+    several = [*cells("sqil", 3), *cells("control_true", 2), Cell("swingup", "gail", 100)]
+    found = plan.plan(several, CONDITIONS, VARIABLES)
+    lines = plan.as_lines(found)
+    sqil, true = interactions(several[0], CONDITIONS), interactions(several[3], CONDITIONS)
+    assert found.interactions["cartpole"].fit == 3 * sqil.fit > 0
+    assert found.interactions["cartpole"].rl == 2 * true.rl > 0
+    assert f"interactions of cartpole: {found.interactions['cartpole']}" in lines
+    (total,) = [line for line in lines if line.startswith("interactions in all: ")]
+    assert f"{sum(its.rl for its in found.interactions.values()):,} of RL" in total
+    assert "at least" in total
+    assert "at least" not in str(found.interactions["cartpole"])
 
 
 def test_it_is_planned_in_the_order_in_which_it_would_be_computed() -> None:
