@@ -7,7 +7,7 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
-from harness.registry import ENVS, SPECS
+from harness.registry import BUILT_IN, SPECS
 
 ROOT = Path(__file__).parents[2]
 BOARDS = ROOT / "results/reference/board"
@@ -23,7 +23,7 @@ def rows() -> list[Row]:
         for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
             if row["score_mean"]:
                 found.append({**row, "run": file.parent.name})
-    tasks = list(ENVS)
+    tasks = BUILT_IN["env"]
     return sorted(
         found, key=lambda row: (tasks.index(row["env"]), row["dynamics"] != "nominal", row["dynamics"])
     )

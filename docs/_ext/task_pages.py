@@ -21,7 +21,7 @@ from envs import EnvSpec, encoders
 from envs.encoders import FEATURES
 from harness.registry import BUDGETS, KNOWN, all_specs
 
-COUNTS = {3: "Three", 5: "Five"}
+COUNTS = {1: "One is shipped,", 3: "Three are shipped, each", 5: "Five are shipped, each"}
 SHARED = ("envs.mujoco_tasks",)
 """Modules of several tasks, whose docstring is of none of them."""
 
@@ -148,7 +148,7 @@ def expert(spec: EnvSpec) -> str:
     ]
     shipped = spec.shipped
     text = (
-        f"{COUNTS[shipped.experts]} are shipped, each trained for {shipped.steps:,} steps"
+        f"{COUNTS[shipped.experts]} trained for {shipped.steps:,} steps"
         + (f" by {learner(shipped.rl)}" if shipped.rl else "")
         + f". Each returns {shipped.bar:g} or more"
         + (

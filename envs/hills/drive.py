@@ -13,9 +13,8 @@ import numpy as np
 
 from envs.hills.car import FRAME, FRAMES, LENGTH, STEER, WIDTH, Physics
 from envs.hills.environment import AHEAD, FAR, DriveBatch, rotated, why_ended
-from envs.hills.tracks import HALF_WIDTH
 from envs.learners import SMALL_PPO
-from envs.spec import EnvSpec, Quantity, Shape, register
+from envs.spec import EnvSpec, Quantity, Shape, Shipped, register
 
 NO_NUMBERS = {"draw": "It draws pictures."}
 
@@ -36,9 +35,7 @@ OBS_NAMES = (
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return a view from above, with the road's edges and the car, whose nose is a wedge."""
     inner: Any = env.unwrapped
-    points, tangents = inner.track.points, inner.track.tangents
-    left = np.column_stack([-tangents[:, 1], tangents[:, 0]]) * HALF_WIDTH
-    edges = [np.concatenate([edge, edge[:1]]) for edge in (points + left, points - left)]
+    edges = inner.edges()[..., :2]
     (ahead,), (aside,), _ = rotated(inner.data.qpos[None, 3:7])
     corners = [(-1, 1), (-1, -1), (0.5, -1), (1, 0), (0.5, 1), (-1, 1)]
     sides = [a * LENGTH / 2 * ahead[:2] + b * WIDTH / 2 * aside[:2] for a, b in corners]
@@ -59,6 +56,7 @@ SPEC = EnvSpec(
     act_names=(Quantity("steering to the left", f"{STEER:g} rad"), Quantity("throttle, or brake below 0")),
     obs_scale=(10.0, 1.0, 0.5, 0.2, 0.2, 0.3, 2.0, 0.3, 2.0, 4.0, 6.0, 8.0, 12.0, 1.0, 2.0),
     horizon=200,
+    gamma=0.98,
     time_step=FRAME * FRAMES,
     max_terminated={"smoke": 1.0, "quick": 0.5, "full": 0.1},
     rl_steps={"smoke": 8192, "quick": 122_880, "full": 245_760},
@@ -66,7 +64,8 @@ SPEC = EnvSpec(
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     draw=draw,
     why_ended=why_ended,
-    rl=replace(SMALL_PPO, std=0.5, checkpoint_every=20_480),
+    shipped=Shipped(steps=491_520, bar=185.0, terminated=0.05, experts=1, episodes=100),
+    rl=replace(SMALL_PPO, copies=64, batch=512, std=0.5, checkpoint_every=20_480),
     batch=DriveBatch,
     variants={
         "weak_tyres": {"physics": Physics(tyres=0.6)},

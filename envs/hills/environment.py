@@ -86,6 +86,13 @@ class Drive(MujocoEnv, EzPickle):
             qvel[self.model.joint(f"{wheel}_spin").dofadr] = speed / WHEEL
         self.set_state(qpos, qvel)  # type: ignore[no-untyped-call]
 
+    def edges(self) -> Array:
+        """Return the road's left and right edge, (2, POINTS + 1, 3) [m]."""
+        points, tangents, terrain = self.track.points, self.track.tangents, self.track.terrain
+        aside = HALF_WIDTH * np.column_stack([-tangents[:, 1], tangents[:, 0]])
+        closed = np.array([np.concatenate([edge, edge[:1]]) for edge in (points + aside, points - aside)])
+        return np.concatenate([closed, height(terrain, *np.moveaxis(closed, -1, 0))[..., None]], axis=-1)
+
     def step(self, action: NDArray[np.float32]) -> Any:
         (obs,), (reward,), (ended,) = drive([self], action[None])
         return obs, float(reward), bool(ended), False, {}

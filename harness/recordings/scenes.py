@@ -15,6 +15,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
 from envs import EnvSpec
+from envs.hills.environment import Drive
 from envs.point_maze import TARGET
 from envs.spec import Array, Shape
 from harness.recordings.common import GREEN, LONG, WHITE, Colour, send_columns
@@ -106,13 +107,14 @@ class Solid:
     """An episode of T steps in MuJoCo.
 
     `places`: (T+1, G, 3), the centre of each geometry [m]. `turns`: (T+1, G, 4), its quaternion, w first.
-    `target`: a place that the model does not show [m].
+    `target`: a place that the model does not show [m]. `edges`: lines (P, 3) that it does not show [m].
     """
 
     model: mujoco.MjModel
     places: Array
     turns: Array
     target: tuple[float, float, float] | None = None
+    edges: Sequence[Array] = ()
 
     @property
     def length(self) -> int:
@@ -129,6 +131,11 @@ class Solid:
         if self.target:
             mark = rr.Ellipsoids3D(radii=[0.02], centers=[self.target], colors=GREEN, fill_mode="solid")
             stream.log("scene/fixed/target", mark, static=True)
+        if len(self.edges):
+            lines = rr.LineStrips3D(self.edges, radii=_WIDTH, colors=WHITE)
+            stream.log("scene/fixed/edges", lines, static=True)
+        for field in range(self.model.nhfield):
+            stream.log(f"scene/fixed/ground_{field}", _ground(self.model, field), static=True)
         for kind, geoms in self._geometries(movable=False).items():
             if kind != "plane":
                 self._send(stream, f"scene/fixed/{kind}", kind, geoms)
@@ -233,12 +240,28 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         places[step] = inner.data.geom_xpos
         for geom in range(count):
             mujoco.mju_mat2Quat(turns[step, geom], inner.data.geom_xmat[geom])
-    solid = Solid(inner.model, places, turns, _TARGETS.get(name))
+    edges = inner.edges() if isinstance(inner, Drive) else ()
+    solid = Solid(inner.model, places, turns, _TARGETS.get(name), edges)
     return solid if solid.moving else None
 
 
 def _contents(actors: Sequence[str]) -> list[str]:
     return ["/scene/fixed/**", *(f"/scene/{actor}/**" for actor in actors)]
+
+
+def _ground(model: mujoco.MjModel, number: int) -> rr.Mesh3D:
+    """Return a height field, centred on 0, as a mesh of two triangles for each cell."""
+    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+    along, across, up, _ = model.hfield_size[number]
+    y, x = np.meshgrid(np.linspace(-across, across, rows), np.linspace(-along, along, columns), indexing="ij")
+    first = int(model.hfield_adr[number])
+    places = np.column_stack([x.ravel(), y.ravel(), up * model.hfield_data[first : first + rows * columns]])
+    corner = (columns * np.arange(rows - 1)[:, None] + np.arange(columns - 1)).ravel()
+    right, above = corner + 1, corner + columns
+    cells = np.column_stack([corner, right, above, above, right, above + 1]).reshape(-1, 3)
+    shade = np.round(70 + 130 * (places[:, 2] - places[:, 2].min()) / up).astype(np.uint8)
+    colours = np.column_stack([shade // 2, shade, shade // 3])
+    return rr.Mesh3D(vertex_positions=places, triangle_indices=cells, vertex_colors=colours)
 
 
 def _mirrored(points: Array) -> NDArray[np.float32]:

@@ -43,14 +43,15 @@ def test_help_and_list_import_nothing_heavy_and_answer_in_half_a_second(command:
 def test_the_registry_tells_the_truth() -> None:
     import envs
 
-    assert {n: (registry.SPECS[n].summary, (*registry.SPECS[n].variants,)) for n in registry.ENVS} == {
-        n: (e.summary, e.variants) for n, e in registry.ENVS.items()
+    tasks = registry.ENVS | registry.OTHER_ENVS
+    assert {n: (registry.SPECS[n].summary, (*registry.SPECS[n].variants,)) for n in tasks} == {
+        n: (e.summary, e.variants) for n, e in tasks.items()
     }
     assert envs.BUDGETS == registry.BUDGETS
     for name in (*registry.METHODS, *registry.VARIANTS):
         method = registry.load_method(name)
         assert dataclasses.is_dataclass(method)
-        for env, budget in itertools.product(registry.ENVS, registry.BUDGETS):
+        for env, budget in itertools.product(tasks, registry.BUDGETS):
             method(**settings_for(name, env, budget))
     with pytest.raises(registry.BadInput, match="did you mean 'maxmargin'"):
         registry.load_method("maxmagin")

@@ -171,3 +171,30 @@ def test_equal_episodes_give_equal_content_and_where_rerun_writes_nothing_there_
     monkeypatch.setenv("RERUN", "off")
     with pytest.raises(OSError, match="rerun wrote nothing"):
         record(SPEC, CELL, "pi_R", "median", episode)
+
+
+def test_a_height_field_and_the_edges_of_a_road_on_it_are_recorded(tmp_path: Path) -> None:
+    spec = SPECS["drive_state"]
+    (played,) = Simulator(spec, 1).run(lambda obs: np.zeros((len(obs), 2)), [3])
+    seen = scene(spec, 3, played.act)
+    assert isinstance(seen, Solid)
+    cell = Cell("drive_state", "bc", 0)
+    columns = read(tmp_path / "a.rrd", record(spec, cell, "pi_R", "worst", Episode(played, seen)))
+    ground = columns["/scene/fixed/ground_0"]
+    corners = values(ground["Mesh3D:vertex_positions"], (-1, 3))
+    cells = values(ground["Mesh3D:triangle_indices"], (-1, 3))
+    edges = values(columns["/scene/fixed/edges"]["LineStrips3D:strips"], (-1, 3))
+    assert len(corners) == 64**2
+    assert len(cells) == 2 * 63**2
+    data, down, group = mujoco.MjData(seen.model), np.array([0.0, 0.0, -1.0]), np.array([0, 1, 0, 0, 0, 0])
+    mujoco.mj_forward(seen.model, data)
+    for x, y, z in edges[::20]:
+        start, hit = np.array([x, y, z + 20.0]), np.zeros(1, np.int32)
+        below = mujoco.mj_ray(seen.model, data, start, down, group.astype(np.uint8), 1, -1, hit, None)
+        assert below == pytest.approx(20, abs=0.3)
+    sides = corners[cells]
+    areas = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])[:, 2] / 2
+    assert areas.sum() == pytest.approx((2 * 84.0) ** 2)
+    assert areas.min() > 0
+    heights = seen.model.hfield_data.reshape(64, 64) * seen.model.hfield_size[0, 2]
+    np.testing.assert_allclose(corners[:, 2].reshape(64, 64), heights, rtol=1e-6)

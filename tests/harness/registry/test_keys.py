@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from harness.records import Cell, Conditions
-from harness.registry import ENVS, KNOWN, METHODS, VARIANTS, keys, sources
+from harness.registry import ENVS, KNOWN, METHODS, OTHER_ENVS, VARIANTS, keys, sources
 from harness.registry.keys import ROOT
 from harness.registry.ours import PROGRAM
 from methods import settings
@@ -161,7 +161,7 @@ def test_what_is_left_out_of_keys_is_there_and_has_a_reason() -> None:
 
 
 def test_another_number_anywhere_between_a_request_and_a_row_is_another_key() -> None:
-    targets = (entry.target.partition(":")[0] for entry in (METHODS | VARIANTS | ENVS).values())
+    targets = (entry.target.partition(":")[0] for entry in (METHODS | VARIANTS | ENVS | OTHER_ENVS).values())
     edited = 0
     for file in keys.sources(*keys.RUNNING, *targets):
         source = keys.program()[file]

@@ -14,7 +14,18 @@ from harness.engines.jobs import Job
 from harness.judge import effort
 from harness.process.environment import of_this_process
 from harness.records import Cell, CellResult, Row
-from harness.registry import ENVS, KNOWN, METHODS, SPECS, BadInput, keys, load_method, loading, plugins
+from harness.registry import (
+    BUILT_IN,
+    ENVS,
+    KNOWN,
+    METHODS,
+    SPECS,
+    BadInput,
+    keys,
+    load_method,
+    loading,
+    plugins,
+)
 from harness.registry.known import Offer, Plugin
 from methods import settings
 from methods.settings import settings_for
@@ -32,6 +43,8 @@ def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> 
     assert KNOWN.chosen_methods("all") == (*METHODS,)
     assert KNOWN.chosen_methods("plugins") == ("mine",)
     assert KNOWN.chosen_envs("plugins") == ("moon",)
+    assert KNOWN.chosen_envs("all") == (*ENVS,)
+    assert KNOWN.chosen_envs("moon,driving,cartpole") == ("cartpole", "drive_state", "moon")
     assert plugins.needed(["mine"], []) == plugins.needed([], ["moon"]) == (Plugin(str(mine), str(mine)),)
     assert not plugins.needed(["bc"], ["swingup"])
     facts, spec = plugins.task("moon"), SPECS["moon"]
@@ -49,7 +62,7 @@ def test_every_task_can_be_made_by_gymnasium() -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     *obs, count = done.stdout.split()
     assert np.array_equal([*map(float, obs)], SPECS["swingup"].make().reset(seed=3)[0].tolist())
-    assert int(count) == len(ENVS)
+    assert int(count) == len(BUILT_IN["env"])
 
 
 def test_a_file_that_was_edited_is_read_anew(mine: Path) -> None:
