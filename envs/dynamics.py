@@ -107,13 +107,9 @@ class DynamicsBatch:
         obs = physics.observe(after).astype(np.float32).astype(np.float64).T
         return obs, physics.pay(before, clipped, after), physics.fails(after)
 
-    def state(self, place: int) -> Array:
-        """Return a copy's state, (S,)."""
-        assert self._states is not None
-        return self._states[:, place]
-
     def why_ended(self, place: int) -> str:
-        return self._env.physics.failure(self.state(place))
+        assert self._states is not None
+        return self._env.physics.failure(self._states[:, place])
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:

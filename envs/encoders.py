@@ -139,6 +139,11 @@ class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         obs, *others = self.env.step(action)
         return self._seen(self._image(obs)), *others  # type: ignore[return-value]
 
+    @property
+    def image(self) -> Images:
+        """The latest image, (H, W, C)."""
+        return self._latest
+
     def encoded(self, images: NDArray[Any]) -> Array:
         """Return the observations, (T, FEATURES), of an episode's native ones, (T, ...)."""
         seen = np.stack([self._image(image) for image in images])

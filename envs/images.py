@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 
 from envs.encoders import EXAMPLES, FEATURES, Encoder, Images, made
-from envs.spec import Array, EnvSpec, Flags, Floats, Quantity, Shape, register
+from envs.spec import Array, EnvSpec, Flags, Floats, Quantity, register
 
 FEATURE_SCALE = 1.0
 """Typical size of a feature."""
@@ -35,9 +35,6 @@ class View(Protocol):
     def step(self, places: Sequence[int], act: Array) -> tuple[Images, Array, Array, Flags]:
         """Step the copies by actions (B, A). Return images (B, H, W, C), numbers (B, F), rewards (B,), and
         flags of termination (B,)."""
-
-    def drawing(self, place: int) -> dict[str, Shape]:
-        """Return the copy's scene, as `envs.spec.EnvSpec.draw` does."""
 
     def why_ended(self, place: int) -> str:
         """Return why the copy's episode just terminated."""
@@ -90,6 +87,12 @@ class SeenBatch:
         obs: Floats = np.column_stack([self._encode(images), numbers]).astype(np.float32)
         return obs.astype(np.float64)
 
+    def image(self, place: int) -> Images:
+        """Return the copy's latest image, (H, W, C)."""
+        assert self._latest is not None
+        latest: Images = self._latest[place]
+        return latest
+
     def why_ended(self, place: int) -> str:
         return self.view.why_ended(place)
 
@@ -114,12 +117,10 @@ class SeenEnv(gym.Env[Floats, Floats]):
         obs, rewards, terminated = self._batch.step([0], action[None].astype(np.float64))
         return obs[0].astype(np.float32), float(rewards[0]), bool(terminated[0]), False, {}
 
-
-def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
-    """Return the scene of a `SeenEnv`."""
-    inner: Any = env.unwrapped
-    drawing: dict[str, Shape] = inner.view.drawing(0)
-    return drawing
+    @property
+    def image(self) -> Images:
+        """The latest image, (H, W, C)."""
+        return self._batch.image(0)
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:
@@ -146,7 +147,7 @@ def seen(
         obs_names=(*features, *numbers),
         obs_scale=(FEATURE_SCALE,) * FEATURES + (*numbers.values(),),
         phi=None,
-        draw=draw,
+        draw=EnvSpec.draw,
         why_ended=why_ended,
         kwargs={**shown, "numbers": len(numbers)},
         batch=partial(SeenBatch, **shown),

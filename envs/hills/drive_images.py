@@ -11,7 +11,7 @@ from envs.hills.car import Physics
 from envs.hills.environment import NOMINAL, Drive, why_ended
 from envs.hills.environment import drive as driven
 from envs.images import seen as seen_in_images
-from envs.spec import Array, Flags, Shape
+from envs.spec import Array, Flags
 
 
 class View:
@@ -31,9 +31,6 @@ class View:
         cars = [self._cars[place] for place in places]
         obs, rewards, terminated = driven(cars, act)
         return np.stack([*map(picture, cars)]), obs[:, :OWN], rewards, terminated
-
-    def drawing(self, place: int) -> dict[str, Shape]:
-        return drive.draw(self._cars[place])
 
     def why_ended(self, place: int) -> str:
         return why_ended(self._cars[place])

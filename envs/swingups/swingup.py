@@ -12,7 +12,7 @@ from envs.dynamics import Draws, DynamicsBatch, namespace, never
 from envs.learners import DDPG, SMALL_PPO
 from envs.spec import Array, EnvSpec, Quantity, Shape, Shipped, register
 
-NO_NUMBERS = {"draw": "It draws pictures.", "shapes": "It draws pictures."}
+NO_NUMBERS = {"draw": "It draws pictures."}
 
 HORIZON = 200
 
@@ -81,11 +81,7 @@ def phi(obs: Array, act: Array) -> Array:
 def draw(env: gym.Env[Any, Any]) -> dict[str, Shape]:
     """Return the rod as a line, and the point that it turns about."""
     inner: Any = env.unwrapped
-    return shapes(float(inner.state[0]), inner.physics.length)
-
-
-def shapes(angle: float, length: float) -> dict[str, Shape]:
-    """Return the same of a rod at an angle from upright [rad], of a length [m]."""
+    angle, length = float(inner.state[0]), inner.physics.length
     tip = [-length * np.sin(angle), length * np.cos(angle)]
     return {
         "motor": Shape(np.array([[-0.05, 0.0], [0.05, 0.0]]), (140, 140, 140)),

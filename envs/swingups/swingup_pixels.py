@@ -8,7 +8,7 @@ import numpy as np
 from envs.dynamics import DynamicsBatch
 from envs.encoders import Images
 from envs.images import seen
-from envs.spec import Array, Flags, Shape
+from envs.spec import Array, Flags
 from envs.swingups import swingup
 from envs.swingups.swingup import NOMINAL, Physics
 
@@ -37,9 +37,6 @@ class View:
     def step(self, places: Sequence[int], act: Array) -> tuple[Images, Array, Array, Flags]:
         obs, rewards, terminated = self._batch.step(places, act)
         return drawn(obs, self._length), np.zeros((len(obs), 0)), rewards, terminated
-
-    def drawing(self, place: int) -> dict[str, Shape]:
-        return swingup.shapes(float(self._batch.state(place)[0]), self._length)
 
     def why_ended(self, place: int) -> str:
         return self._batch.why_ended(place)

@@ -25,6 +25,7 @@ from harness.records import NOMINAL, REFERENCE, CellResult, PolicyName
 from harness.registry import KNOWN, SPECS, BadInput, Entry, choose, ours, plugins
 from harness.registry.gymnasium_tasks import as_json, kwargs_of, task_or_name
 from harness.registry.known import id_of
+from harness.registry.tasks import seen_through
 from harness.rl.stored import from_arrays, to_arrays
 from harness.store.artifacts import NOT_KEPT
 from harness.store.cache import Kept, as_bytes, from_bytes
@@ -133,12 +134,13 @@ def export(
     """
     directory = Path(directory)
     with open_to_verify(directory) as run:
-        env = task_or_name(env, run.request.conditions.env_kwargs)
+        conditions = run.request.conditions
+    env = task_or_name(env, conditions.env_kwargs)
     result, learned = _learned(directory, env, method, seed)
     cell, reward = result.cell, learned.get("reward")
     if learned.get(policy) is None:
         raise BadInput(f"{cell.name} has no {policy}; it has {', '.join(n for n in learned if learned[n])}")
-    facts, files = _facts(result, policy, reward), dict[str, bytes]()
+    facts, files = _facts(result, policy, reward, conditions.encoder), dict[str, bytes]()
     for name, thing in zip(PARTS, (learned[policy], reward), strict=True):
         arrays, facts[name] = to_arrays(thing, name)
         if thing is not None:
@@ -191,7 +193,7 @@ def load_learned(folder: Path | str) -> Exported:
         env = task_or_name(str(facts["env"]), str(facts.get("env_kwargs", "")))
         if isinstance(facts["env"], str) and env not in KNOWN.entries["env"]:
             raise BadInput(f"{folder} is of the task {env!r:.80} of a plug-in: irl_bench.add_plugins([...])")
-        spec = SPECS[env]
+        spec = seen_through(env, str(facts.get("encoder", "")))
         policy, reward = (_part(folder, name, facts) for name in PARTS)
         if not callable(policy) or not (reward is None or callable(reward)):
             raise ValueError("it is neither a policy nor a reward")
@@ -224,13 +226,15 @@ def make(env: str, **kwargs: Any) -> gym.Env[Any, Any]:
     return SPECS[env].make()
 
 
-def _facts(result: CellResult, policy: str, reward: Reward | None) -> dict[str, Any]:
+def _facts(result: CellResult, policy: str, reward: Reward | None, encoder: str) -> dict[str, Any]:
     """Return what learned.json says besides the parts."""
-    cell, spec = result.cell, SPECS[result.cell.env]
+    cell, spec = result.cell, seen_through(result.cell.env, encoder)
+    spec = spec.expert_sees if cell.method == REFERENCE else spec
     env = spec.make()
     facts = {
         "format": FORMAT,
-        "env": cell.env,
+        "env": spec.name,
+        "encoder": encoder if spec.encoder else "",
         "env_kwargs": kwargs_of(KNOWN.entries["env"][cell.env]),
         "gymnasium_id": spec.env_id,
         "cell": asdict(cell),

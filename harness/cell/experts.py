@@ -27,6 +27,7 @@ from harness.records import ALL_SHOWN, UNSHOWN, Conditions, Shown
 from harness.registry import SPECS, BadInput, Demonstrator
 from harness.registry.keys import experts_version
 from harness.registry.plugins import method_for
+from harness.registry.tasks import task_for
 from harness.rl.learned import check_learned
 from harness.rl.seeds import demonstration_seeds, rng_for
 from harness.rl.simulator import Simulator, Trajectory
@@ -245,12 +246,6 @@ def played_for(env: str, seed: int, conditions: Conditions) -> Played:
     """Return a run seed's expert: a shipped one, unless the task has none or conditions say 'trained'."""
     known = conditions.experts == "shipped" and not SPECS[env].tabular and experts_version(env)
     return (Shipped if known else Trained)(env, seed, conditions)
-
-
-def task_for(env: str, conditions: Conditions) -> EnvSpec:
-    """Return a task with the learner and the encoder that the conditions say."""
-    spec = SPECS[env].encoded_by(conditions.encoder) if conditions.encoder else SPECS[env]
-    return spec.by_ddpg() if conditions.learner == "ddpg" else spec
 
 
 def _curve(points: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:

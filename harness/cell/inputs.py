@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 
 from envs import EnvSpec
-from harness.cell.experts import task_for
 from harness.cell.phases import Phase
 from harness.cell.shared import Shared
 from harness.cell.sharing import takes_one_solve
 from harness.records import NOMINAL, REFERENCE, Cell, Conditions
 from harness.registry import ASKING, base
+from harness.registry.tasks import task_for
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.rl.world import TaskWorld
 from methods.base import Policy

@@ -17,6 +17,7 @@ from harness.judge.evaluation import Evaluation
 from harness.recordings.episode import Advantage, Episode
 from harness.recordings.episode import record as recording
 from harness.recordings.maps import maps
+from harness.recordings.pictures import pictures
 from harness.recordings.scenes import scene
 from harness.registry import Record
 from harness.registry.bounds import LARGEST, MOST_EPISODES
@@ -59,7 +60,8 @@ def record(inputs: Inputs, candidate: Candidate, evaluation: Evaluation) -> dict
             f=f,
             precision=precision,
             advantage=advantage,
-            maps=maps(spec, policy, reward, trajectory.obs),
+            maps=None if spec.encoder else maps(spec, policy, reward, trajectory.obs),
+            pictures=pictures(spec, seed, trajectory.act) if spec.encoder else None,
             facts=_place(evaluation, numbers[which]),
         )
         name = recording_of(inputs.cell, candidate.name, which)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from harness.cell.experts import task_for
 from harness.records import CONTROL_METHODS, CONTROLS, REFERENCE, Conditions
 from harness.registry import plugins
 from harness.registry.bounds import LONGEST_TEXT, Setting, Settings, usable
+from harness.registry.tasks import task_for
 from harness.store.codec import printable
 
 NO_NUMBERS = "It tells people what keys are of already."

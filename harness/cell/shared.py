@@ -16,7 +16,6 @@ from harness.cell.shipped import shipped_policies
 from harness.demonstrations.arrays import from_arrays, to_arrays
 from harness.judge.advantage import Ranked, Replays, ranked, replay
 from harness.records import LEARNED, RESULT, CellResult, Conditions, Shown
-from harness.registry import SPECS
 from harness.registry.keys import experts_version
 from harness.rl.seeds import evaluation_seeds, rng_for
 from harness.store.artifacts import learned_in
@@ -34,7 +33,8 @@ EXPERT, REPLAYED, RANKING = "expert", "replays", "ranking"
 
 def prepare(env: str, seed: int, shown: Iterable[Shown], conditions: Conditions) -> dict[str, bytes]:
     """Return what `Shared` reads, with these demonstrations; made now, or from the cache."""
-    source, spec, budget = source_for(env, seed, conditions), SPECS[env], conditions.budget
+    source, budget = source_for(env, seed, conditions), conditions.budget
+    spec = source.spec
     inputs = {EXPERT: to_kept(source.expert)}
     inputs |= {name_of(one): Kept(to_arrays(source.demonstrations(one)), {}) for one in shown}
 

@@ -3,6 +3,7 @@
 `scene`: the scene.
 `signal`: one component for each `Plot`.
 `advantage`: under both rewards, each in units of its largest.
+`camera`: images that are observed.
 `map/true`, `map/learned`: both rewards over two axes of the state, with the episode's path.
 `ending`: the reason, at step T.
 `episode`: the facts, as a table.
@@ -25,6 +26,7 @@ from envs import EnvSpec
 from envs.spec import Array
 from harness.recordings import common
 from harness.recordings.maps import Maps
+from harness.recordings.pictures import send_pictures
 from harness.recordings.scenes import Scene
 from harness.records import Cell
 from harness.rl.simulator import Trajectory
@@ -54,7 +56,7 @@ class Episode:
 
     `learned`: (T,), R*(s, a) less what absorption pays. `expert`: (T, A), its actions in the same states.
     `f`: (T, A), f(s) of a shaped reward. `precision`: (T, A), the ascending eigenvalues of its L Lᵀ + I.
-    `facts`: further lines of the table.
+    `pictures`: (T+1, H, W, C), images that are observed. `facts`: further lines of the table.
     """
 
     trajectory: Trajectory
@@ -65,6 +67,7 @@ class Episode:
     precision: Array | None = None
     advantage: Advantage | None = None
     maps: Maps | None = None
+    pictures: NDArray[np.uint8] | None = None
     facts: Mapping[str, str | float] = field(default_factory=dict)
 
 
@@ -118,6 +121,8 @@ def record(spec: EnvSpec, cell: Cell, policy: str, which: str, episode: Episode)
             episode.scene.send_moving(stream, "policy")
         if episode.maps:
             episode.maps.send(stream)
+        if episode.pictures is not None:
+            send_pictures(stream, episode.pictures)
         _send_plots(stream, plots)
         if episode.advantage:
             _send_advantage(stream, episode.advantage)
@@ -193,6 +198,7 @@ def _layout(spec: EnvSpec, episode: Episode, plots: Sequence[Plot]) -> rrb.Bluep
     )
     left: list[Any] = [episode.scene.view(spec.name)] if episode.scene else []
     left += [rrb.Horizontal(*episode.maps.views())] if episode.maps else []
+    left += [] if episode.pictures is None else [rrb.Spatial2DView(origin="camera", name="What is seen")]
     views = {plot.component: plot.view() for plot in plots}
     if episode.advantage:
         views["advantage"] = rrb.TimeSeriesView(origin="/advantage", name="Advantage over the expert, scaled")

@@ -25,7 +25,8 @@ from harness.recordings import common
 from harness.recordings.episode import send_ending
 from harness.recordings.scenes import Scene, scene
 from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, CellResult
-from harness.registry import KNOWN, SPECS, BadInput
+from harness.registry import KNOWN, BadInput
+from harness.registry.tasks import seen_through
 from harness.rl.seeds import evaluation_seeds
 from harness.rl.simulator import Simulator, Trajectory
 from harness.store.files import write_atomic
@@ -73,7 +74,7 @@ def write_compared(run: Store, results: Iterable[CellResult]) -> list[Path]:
         if not (run.is_as_written(file) and identity_of(file) == identity):
             if len(ghosts := _ghosts(run, env, group)) < 2:
                 continue
-            write_atomic(file, record(SPECS[env], identity, ghosts))
+            write_atomic(file, record(_task(run, env), identity, ghosts))
         files.append(file)
     return files
 
@@ -110,7 +111,7 @@ def record(spec: EnvSpec, identity: str, ghosts: Sequence[Ghost]) -> bytes:
 
 def _ghosts(run: Store, env: str, results: Sequence[CellResult]) -> list[Ghost]:
     """Return an episode of each policy that can be read; `verify` reports the others."""
-    spec, seed = SPECS[env], evaluation_seeds(SEED, 1)[0]
+    spec, seed = _task(run, env), evaluation_seeds(SEED, 1)[0]
     policies = []
     for result in results:
         try:
@@ -120,11 +121,17 @@ def _ghosts(run: Store, env: str, results: Sequence[CellResult]) -> list[Ghost]:
         for name in _TITLES:
             if (policy := learned.get(name)) is not None:
                 policies.append(("" if name == "expert" else result.cell.method, name, policy))
-    episodes = Simulator(spec, len(policies)).run_each([policy for *_, policy in policies], [seed])
-    return [
-        Ghost(method, name, trajectory, scene(spec, seed, trajectory.act))
-        for (method, name, _), (trajectory,) in zip(policies, episodes, strict=True)
-    ]
+    ghosts = []
+    for is_expert, group in groupby(policies, lambda one: one[1] == "expert"):
+        some, place = [*group], spec.expert_sees if is_expert else spec
+        episodes = Simulator(place, len(some)).run_each([policy for *_, policy in some], [seed])
+        for (method, name, _), (trajectory,) in zip(some, episodes, strict=True):
+            ghosts.append(Ghost(method, name, trajectory, scene(place, seed, trajectory.act)))
+    return ghosts
+
+
+def _task(run: Store, env: str) -> EnvSpec:
+    return seen_through(env, run.request.conditions.encoder)
 
 
 def _send_earned(stream: rr.RecordingStream, ghost: Ghost) -> None:

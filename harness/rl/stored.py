@@ -46,6 +46,8 @@ def _described(thing: object, name: str, arrays: dict[str, NDArray[Any]]) -> Any
         return {"tuple": [_described(item, f"{name}.{i}", arrays) for i, item in enumerate(thing)]}
     if isinstance(thing, EnvSpec):
         known = SPECS[thing.name] if thing.name in KNOWN.entries["env"] else None
+        if known is not None and thing.encoder != known.encoder:
+            return {"env": thing.name, "encoder": thing.encoder}
         # What is stored asks no learner, so a task with another one is the same.
         if known is None or dataclasses.replace(thing, rl=known.rl, rl_steps=known.rl_steps) != known:
             raise TypeError(f"{thing.name} is no registered environment")
@@ -67,6 +69,8 @@ def _built(arrays: Mapping[str, NDArray[Any]], described: Any) -> Any:
             return array.astype(np.float64) if array.dtype == np.float32 else array
         case {"tuple": list(items)}:
             return tuple(_built(arrays, item) for item in items)
+        case {"env": str(name), "encoder": str(encoder)}:
+            return SPECS[name].encoded_by(encoder)
         case {"env": str(name)}:
             return SPECS[name]
         case {"class": str(target), "fields": dict(fields)}:

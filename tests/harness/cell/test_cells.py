@@ -14,7 +14,7 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
-from harness.cell.experts import source_for, task_for
+from harness.cell.experts import source_for
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
@@ -23,6 +23,7 @@ from harness.cell.shared import Shared
 from harness.judge.evaluation import evaluate, totals
 from harness.records import LEARNED, NOMINAL, REFERENCE, Cell, CellResult, Conditions
 from harness.registry import BUDGETS, SPECS
+from harness.registry.tasks import task_for
 from harness.rl.seeds import evaluation_seeds, judging_seeds, rng_for
 from harness.rl.solving import Solution
 from harness.rl.world import solver_for
