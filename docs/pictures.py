@@ -23,6 +23,7 @@ from harness.cell.run import prepare
 from harness.cell.shared import Shared
 from harness.recordings.episode import Episode, record
 from harness.recordings.maps import maps
+from harness.recordings.pictures import pictures
 from harness.recordings.scenes import scene
 from harness.recordings.viewer import HERE, export
 from harness.records import Cell, Conditions
@@ -88,7 +89,8 @@ def played(
 ) -> bytes:
     """One evaluation episode, recorded."""
     seed = evaluation_seeds(0, 1)[0]
-    (trajectory,) = Simulator(spec, 1).run(policy, [seed])
+    place = spec.expert_sees if name == "expert" else spec
+    (trajectory,) = Simulator(spec, 1).shown(Simulator(place, 1).run(policy, [seed]), [seed])
     obs = trajectory.obs
     f, precision = shaped_parts(reward, obs[:-1])
     episode = Episode(
@@ -98,7 +100,8 @@ def played(
         expert=None if reward is None else expert(obs[:-1]),
         f=f,
         precision=precision,
-        maps=maps(spec, policy, reward, obs),
+        maps=None if spec.encoder else maps(spec, policy, reward, obs),
+        pictures=pictures(spec, seed, trajectory.act) if spec.encoder else None,
     )
     return record(spec, Cell(spec.name, method, 0), name, "first", episode)
 

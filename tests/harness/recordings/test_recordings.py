@@ -12,6 +12,7 @@ from rerun.chunk import RrdReader
 
 from envs.spec import Array
 from harness.recordings.episode import Advantage, Episode, record
+from harness.recordings.pictures import pictures
 from harness.recordings.scenes import Flat, Solid, scene
 from harness.records import Cell
 from harness.registry import SPECS
@@ -198,3 +199,17 @@ def test_a_height_field_and_the_edges_of_a_road_on_it_are_recorded(tmp_path: Pat
     assert areas.min() > 0
     heights = seen.model.hfield_data.reshape(64, 64) * seen.model.hfield_size[0, 2]
     np.testing.assert_allclose(corners[:, 2].reshape(64, 64), heights, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "channels"), [("swingup_pixels", 1), ("drive", 2)])
+def test_images_are_recorded_as_they_are_seen(tmp_path: Path, name: str, channels: int) -> None:
+    spec = SPECS[name]
+    (played,) = Simulator(spec, 1).run(lambda obs: np.zeros((len(obs), spec.act_size)), [3], most=4)
+    images = pictures(spec, 3, played.act)
+    assert images.shape[::3] == (5, channels)
+    assert len(np.unique(images.reshape(5, -1), axis=0)) == 5
+    episode = Episode(played, scene(spec, 3, played.act), pictures=images)
+    seen = read(tmp_path / "a.rrd", record(spec, Cell(name, "bc", 0), "pi_R", "worst", episode))["/camera"]
+    shown = values(seen["Image:buffer"], (*images.shape[:3], -1))
+    assert np.array_equal(shown[..., :channels], images)
+    assert not shown[..., channels:].any()
