@@ -70,7 +70,8 @@ def read(data: Path, how: Reading) -> Recording:
     if space.type == "Box":
         low, high = (np.array(end, np.float64).ravel() for end in (space.low, space.high))
         bounds = np.array([low, high])
-    first = int(np.ravel(space.start)[0]) if bounds is None else None
+    starts = np.ravel(space.start)  # combinations are numbered from 0 on
+    first = (int(starts[0]) if len(starts) == 1 else 0) if bounds is None else None
     seen = checked(facts.observation_space, Observed)
     states = (int(seen.start), int(seen.n)) if seen.type == "Discrete" else None
     return Recording(f"Minari {facts.data_format}", arrays, bounds, first, tuple(unended), states)

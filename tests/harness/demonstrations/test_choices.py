@@ -53,9 +53,9 @@ def test_what_is_no_number_of_a_choice_is_refused(tmp_path: Path, act: Any, why:
     refused(path, why, CHOICES, how=Reading("repeat"))
 
 
-PARTS = spaces.MultiDiscrete([2, 3], start=[0, 5])
+PARTS = spaces.MultiDiscrete([2, 3], start=[3, 5])
 COMBINED: dict[str, tuple[spaces.Space[Any], Any, list[int]]] = {
-    "parts": (PARTS, [[0, 5], [1, 7]], [0, 5]),
+    "parts": (PARTS, [[3, 5], [4, 7]], [0, 5]),
     "numbers of combinations": (PARTS, [0, 5], [0, 5]),
     "flags": (spaces.MultiBinary(2), [[0, 1], [1, 1]], [1, 3]),
     "whole numbers": (spaces.Box(-1, 1, (1,), np.int32), [[-1], [1]], [0, 2]),
@@ -79,10 +79,10 @@ def test_minaris_parts_of_choices_are_read_as_the_combination(
 ) -> None:
     spec = from_gymnasium(task(act=PARTS), "odd")
     content = Episodes((np.zeros((3, 2)),), (np.eye(6)[[5, 0]],), (True,)), [np.zeros(2)]
-    path = minari_folder(tmp_path / "d", form, content, PARTS, actions=np.array([[1, 7], [0, 5]]))
+    path = minari_folder(tmp_path / "d", form, content, PARTS, actions=np.array([[4, 7], [3, 5]]))
     assert read(path, spec).episodes.act[0].argmax(axis=1).tolist() == [5, 0]
-    path = of_steps(tmp_path / "odd.npz", np.array([[0, 5], [0, 8]]))
-    refused(path, "has the action [0, 8], which is none of the task's 6", spec, how=Reading("repeat"))
+    path = of_steps(tmp_path / "odd.npz", np.array([[3, 5], [3, 8]]))
+    refused(path, "has the action [3, 8], which is none of the task's 6", spec, how=Reading("repeat"))
 
 
 @pytest.mark.parametrize("form", FORMS)
