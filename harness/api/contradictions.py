@@ -31,6 +31,8 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
             yield f"{asking[0]} asks the expert while it learns; leave out --experts none"
     if asked.files and (len(envs) != 1 or asked.demonstrator != "expert"):
         yield "--demos-from is for one environment, and leaves out --demonstrator"
+    if len({path.resolve() for path in asked.files}) < len(asked.files):
+        yield "--demos-from names a file twice, whose demonstrations would count twice; leave one out"
     of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
     for option in of_file:
         if getattr(asked, option) and not asked.files:

@@ -59,7 +59,14 @@ def recording_in(path: Path, how: Reading = AS_IT_IS) -> Recording:
             raise ValueError(why) from error
     if "refused" in facts:
         raise (BadInput if facts["bad_input"] else ValueError)(facts["refused"])
-    return Recording(facts["form"], arrays, arrays.pop(BOUNDS, None), facts["first"], tuple(facts["unended"]))
+    return Recording(
+        facts["form"],
+        arrays,
+        arrays.pop(BOUNDS, None),
+        facts["first"],
+        tuple(facts["unended"]),
+        facts["states"] and tuple(facts["states"]),
+    )
 
 
 def recording_here(path: Path, how: Reading = AS_IT_IS) -> Recording:
@@ -90,7 +97,7 @@ def answer(path: str, memory: str, how: str) -> None:
             recording = recording_here(Path(path), Reading(**json.loads(how)))
             arrays = recording.arrays | ({} if recording.bounds is None else {BOUNDS: recording.bounds})
             facts: dict[str, object] = {
-                name: getattr(recording, name) for name in ("form", "first", "unended")
+                name: getattr(recording, name) for name in ("form", "first", "unended", "states")
             }
         except (BadInput, ValueError) as error:
             facts, arrays = {"refused": str(error), "bad_input": isinstance(error, BadInput)}, {}

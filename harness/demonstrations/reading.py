@@ -15,11 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import EnvSpec
+from envs.flat import vectors
 from harness.demonstrations import apart, preferences
 from harness.demonstrations.arrays import from_arrays, split, to_arrays
 from harness.demonstrations.forms.npz import ACT_BOUNDS
-from harness.demonstrations.recording import AS_IT_IS, Bounds, Reading, Recording
-from harness.demonstrations.units import OPTION, SCALED, SLACK, Units, units_of
+from harness.demonstrations.recording import AS_IT_IS, OWN_FORM, Bounds, Reading, Recording
+from harness.demonstrations.units import (
+    OPTION,
+    SCALED,
+    SLACK,
+    Units,
+    choices,
+    space_observed,
+    units_of,
+)
 from harness.registry import BadInput
 from harness.store.codec import printable
 from harness.store.files import write_atomic
@@ -165,7 +174,7 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
     if lengths.max() > spec.horizon:
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
-    obs = _numbers(arrays["obs"], spec.obs_size, "observations")
+    obs = _numbers(_observed(recording, space_observed(env)), spec.obs_size, "observations")
     units, clipped = None, 0
     if not recording.has_actions:
         if bounds is not None:
@@ -174,7 +183,7 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
     else:
         units = units_of(recording, spec, env, bounds)
         if spec.discrete:
-            act = _choices(arrays["act"], lengths, spec, units.first)
+            act = _choices(recording, spec, choices(env))
         else:
             act, clipped = _scaled(arrays["act"], spec, units)
     _check_possible(obs, lengths, spec, env.observation_space)
@@ -194,6 +203,18 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
     episodes = from_arrays({"obs": obs, "act": act, "lengths": lengths, "terminated": terminated})
     cut = int((~terminated & ~full).sum())
     return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units, clipped)
+
+
+def _observed(recording: Recording, space: gym.Space[Any] | None) -> NDArray[Any]:
+    """Return a file's observations, which the task makes vectors if they are of a space. Raises ValueError
+    for choices that the space does not have, and for a file with others."""
+    rows, states = recording.arrays["obs"], recording.states
+    if states is not None:
+        known = isinstance(space, gym.spaces.Discrete) and (int(space.start), int(space.n))
+        if known != states:
+            its = f"numbers from {states[0]} to {sum(states) - 1}"
+            raise ValueError(f"its observations are {its}, and the task's are {space or 'vectors'}")
+    return rows if space is None else vectors(space, rows)
 
 
 def _check_possible(obs: Array, lengths: NDArray[Any], spec: EnvSpec, space: gym.Space[Any]) -> None:
@@ -219,7 +240,8 @@ def _numbers(rows: NDArray[Any], size: int, name: str) -> Array:
         raise ValueError(f"it has {name} {rows.dtype} {rows.shape}; ({len(rows)}, {size}) are needed")
     values = np.array(rows, np.float64)
     if not np.isfinite(values).all():
-        raise ValueError(f"it has {name} that are not finite")
+        row = int(np.argwhere(~np.isfinite(values))[0, 0])
+        raise ValueError(f"it has {name} that are not finite, the first in row {row} of all")
     return values
 
 
@@ -238,17 +260,33 @@ def _scaled(rows: NDArray[Any], spec: EnvSpec, units: Units) -> tuple[Array, int
     return units.scaled(act), int((units.beyond(act) > 0).any(axis=1).sum())
 
 
-def _choices(rows: NDArray[Any], lengths: NDArray[Any], spec: EnvSpec, first: int) -> Array:
-    """Return choices (T, A) of the file, numbers (T,) or rows of one 1 among 0s. Raises ValueError for
-    others."""
-    if rows.ndim == 1:
-        last = first + spec.act_size - 1
-        if rows.dtype.kind not in "iu" or not first <= rows.min() <= rows.max() <= last:
-            raise ValueError(f"its choices must be whole numbers from {first} to {last}")
-        return np.asarray(np.eye(spec.act_size)[rows.astype(np.int64) - first])
-    act = _numbers(rows, spec.act_size, "actions")
-    odd = ~((act == 0) | (act == 1)).all(axis=1) | (act.sum(axis=1) != 1)
-    if odd.any():
-        number = _episode(int(odd.argmax()), lengths)
-        raise ValueError(f"episode {number} has actions that are no choice: one 1 among 0s is needed")
-    return act
+def _choices(recording: Recording, spec: EnvSpec, table: NDArray[Any]) -> Array:
+    """Return the choices of a file (T, A). They are numbers (T,) or (T, 1), the parts of the task's own
+    choices (T, P), or rows of one 1 among 0s (T, A). Raises ValueError for others.
+
+    table: as of `harness.demonstrations.units.choices`.
+    """
+    rows, lengths, own_width = recording.arrays["act"], recording.arrays["lengths"], table.shape[1]
+    own = recording.form == OWN_FORM
+    if rows.ndim == 2 and rows.shape[1] == spec.act_size and (own or own_width != spec.act_size):
+        act = _numbers(rows, spec.act_size, "actions")
+        odd = ~((act == 0) | (act == 1)).all(axis=1) | (act.sum(axis=1) != 1)
+        if odd.any():
+            number = _episode(int(odd.argmax()), lengths)
+            raise ValueError(f"episode {number} has actions that are no choice: one 1 among 0s is needed")
+        return act
+    rows = rows[:, None] if rows.ndim == 1 else rows
+    if rows.shape[1:] == (1,) and own_width > 1:
+        table = np.arange(len(table))[:, None]
+    if rows.shape[1:] != table.shape[1:]:
+        raise ValueError(
+            f"it has actions {rows.dtype} {rows.shape}; for each step the number of a choice is needed"
+            f"{f', or its {own_width} parts' * (own_width > 1)}"
+        )
+    chosen = (rows[:, None] == table).all(axis=2)
+    if (odd := ~chosen.any(axis=1)).any():
+        if table.shape[1] == 1:
+            raise ValueError(f"its choices must be whole numbers from {table[0, 0]} to {table[-1, 0]}")
+        row, number = rows[odd][0].tolist(), _episode(int(odd.argmax()), lengths)
+        raise ValueError(f"episode {number} has the action {row}, which is none of the task's {len(table)}")
+    return np.asarray(chosen, np.float64)

@@ -46,8 +46,9 @@ class Recording:
     `form`: name of the file's form. `arrays`: as of `harness.demonstrations.arrays`, with the file's types
     and units; choices may be whole numbers (sum of T,), and act is (sum of T, 0) where actions are not known.
     `bounds`: None where a file has none, infinite where Minari lacks them. `first`: number of the first
-    choice, if the file says it. `unended`: episodes that neither terminated nor were cut. Raises ValueError
-    for arrays of different episodes, and for bounds whose low one is above the high one.
+    choice, if the file says it. `unended`: episodes that neither terminated nor were cut. `states`: the first
+    number of an observation and how many there are, if the file says that observations are single numbers.
+    Raises ValueError for arrays of different episodes, and for bounds whose low one is above the high one.
     """
 
     form: str
@@ -55,6 +56,7 @@ class Recording:
     bounds: Bounds | None = None
     first: int | None = None
     unended: tuple[int, ...] = ()
+    states: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         bounds = {} if self.bounds is None else {"bounds": self.bounds}
@@ -64,10 +66,16 @@ class Recording:
         lengths, steps, ends = self.arrays["lengths"], len(self.arrays["act"]), self.arrays["terminated"]
         if lengths.dtype.kind not in "iu" or lengths.ndim != 1:
             raise ValueError(f"its lengths are {lengths.dtype} {lengths.shape}; whole numbers are needed")
-        if not len(lengths) or ends.shape != lengths.shape or not np.isin(ends, (0, 1)).all():
+        if not len(lengths):
+            raise ValueError("it holds no episode")
+        if ends.shape != lengths.shape or not np.isin(ends, (0, 1)).all():
             raise ValueError("its endings must be true or false, one for each episode")
-        if lengths.min() < 1 or lengths.max() > steps or lengths.sum() != steps:
-            raise ValueError(f"its {steps} actions are not those of its episodes, each of a step or more")
+        if (shortest := lengths.min()) < 1:
+            raise ValueError(
+                f"episode {lengths.argmin()} has {shortest} steps; leave out episodes without any"
+            )
+        if lengths.max() > steps or lengths.sum() != steps:
+            raise ValueError(f"its lengths do not sum to its {steps} actions")
         observed = len(self.arrays["obs"])
         if observed != steps + len(lengths):
             hint = f"; {ONE_MORE}" if observed == steps else ""
@@ -128,7 +136,8 @@ def completed(arrays: dict[str, NDArray[Any]], how: LastObservation | None) -> d
     """Return arrays whose episodes end with an observation, of ones that end with an action.
 
     how: as of `Reading`. None leaves arrays as they are. Where actions are not known, it is 'drop'.
-    Arrays that need no change, or that `Recording` refuses, are returned as they are.
+    Arrays that need no change, or that `Recording` refuses, are returned as they are. Raises ValueError for
+    'drop' where an episode has one step.
     """
     obs, act, lengths = (arrays[name] for name in ("obs", "act", "lengths"))
     how = how or ("drop" if act.shape[1:] == (0,) else None)
@@ -139,6 +148,11 @@ def completed(arrays: dict[str, NDArray[Any]], how: LastObservation | None) -> d
     is_last[ends.astype(np.int64) - 1] = True
     if how == "repeat":
         return arrays | {"obs": obs.repeat(1 + is_last, axis=0)}
+    if lengths.min() == 1:
+        raise ValueError(
+            f"episode {lengths.argmin()} has one step, which is its last; leave it out of the file, or give "
+            "--last-observation repeat"
+        )
     shorter = {
         name: arrays[name][~is_last] for name in ("act", "rewards") if len(arrays.get(name, ())) == len(act)
     }

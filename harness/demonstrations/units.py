@@ -8,11 +8,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers import FlattenObservation, RescaleAction
 from numpy.typing import NDArray
 
 from envs import EnvSpec
-from envs.scaled import Scaled, wrappers
+from envs.scaled import Scaled, combinations, wrappers
 from harness.demonstrations.recording import OWN_FORM, Bounds, Recording
 from harness.registry import BadInput
 from methods.base import Array
@@ -102,12 +102,31 @@ def units_of(recording: Recording, spec: EnvSpec, env: gym.Env[Any, Any], asked:
 
 
 def first_choice(env: gym.Env[Any, Any]) -> int:
-    """Return the number of the first choice beneath the wrappers of a discrete task. Raises BadInput where a
-    wrapper hides it."""
+    """Return the number of the first choice of a discrete task: its own, or 0 for the first of combinations.
+    Raises BadInput as `choices`."""
+    table = choices(env)
+    return int(table[0, 0]) if table.shape[1] == 1 else 0
+
+
+def choices(env: gym.Env[Any, Any]) -> NDArray[Any]:
+    """Return the choices of a discrete task as its own environment has them, (N, P) of P whole numbers each.
+    Raises BadInput where a wrapper hides them."""
     space = _space_beneath(env)
-    if not isinstance(space, spaces.Discrete):
+    if space is None:
         raise BadInput("a wrapper of the task changes its choices, so their numbers are not known")
-    return int(space.start)
+    if isinstance(space, spaces.Discrete):
+        return np.arange(space.start, space.start + space.n)[:, None]
+    table = combinations(space)
+    return table.reshape(len(table), -1)
+
+
+def space_observed(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
+    """Return the space of the observations that a task makes vectors; None where it makes none, or changes
+    the vectors."""
+    for wrapper in wrappers(env):
+        if isinstance(wrapper, gym.ObservationWrapper):
+            return wrapper.env.observation_space if isinstance(wrapper, FlattenObservation) else None
+    return None
 
 
 def _as_asked(asked: Bounds, recorded: Bounds | None, native: Bounds | None, size: int) -> Bounds:

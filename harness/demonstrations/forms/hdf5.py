@@ -49,9 +49,16 @@ def _robomimic(data: Any, how: Reading) -> list[Episode]:
 
 
 def widths(group: Any) -> dict[str, int]:
-    """Return how many numbers of each key of a group there are in a row; images are left out."""
-    flat = {key: one for key, one in group.items() if one.ndim in (1, 2) and one.dtype.kind in NUMBERS}
-    return {key: 1 if one.ndim == 1 else one.shape[1] for key, one in flat.items()}
+    """Return how many numbers of each key of a group there are in a row; images are left out. Keys of nested
+    groups have / between them."""
+    flat = dict[str, int]()
+
+    def add(key: str, one: Any) -> None:
+        if getattr(one, "ndim", 0) in (1, 2) and one.dtype.kind in NUMBERS:
+            flat[key] = 1 if one.ndim == 1 else one.shape[1]
+
+    group.visititems(add)
+    return flat
 
 
 def columns(group: Any, keys: Any) -> NDArray[Any]:

@@ -1,5 +1,5 @@
 """Datasets of Minari 0.5: metadata.json, and episodes in main_data.hdf5, or in <number>/part-0.parquet or
-.arrow. Where observations are of a `Dict`, they are chosen by key."""
+.arrow. Where observations have parts, these are chosen by key, with / between the keys of nested ones."""
 
 from __future__ import annotations
 
@@ -28,15 +28,24 @@ class Metadata(msgspec.Struct):
     total_episodes: Annotated[int, msgspec.Meta(ge=1)]
     total_steps: int | None = None
     action_space: str = '{"type": "Box"}'
+    observation_space: str = '{"type": "Box"}'
 
 
 class Space(msgspec.Struct):
-    """A space of actions in Minari's JSON. `low`, `high`: nested lists of numbers."""
+    """A space of actions in Minari's JSON. `start`, `low`, `high`: nested lists of numbers."""
 
-    type: Literal["Box", "Discrete"]
-    start: int = 0
+    type: Literal["Box", "Discrete", "MultiDiscrete", "MultiBinary"]
+    start: Any = 0
     low: Any = -math.inf
     high: Any = math.inf
+
+
+class Observed(msgspec.Struct):
+    """A space of observations in Minari's JSON. `start`, `n`: whole numbers where it is 'Discrete'."""
+
+    type: str
+    start: Any = 0
+    n: Any = 0
 
 
 def read(data: Path, how: Reading) -> Recording:
@@ -61,8 +70,11 @@ def read(data: Path, how: Reading) -> Recording:
     if space.type == "Box":
         low, high = (np.array(end, np.float64).ravel() for end in (space.low, space.high))
         bounds = np.array([low, high])
-    first = space.start if bounds is None else None
-    return Recording(f"Minari {facts.data_format}", arrays, bounds, first, tuple(unended))
+    starts = np.ravel(space.start)  # combinations are numbered from 0 on
+    first = (int(starts[0]) if len(starts) == 1 else 0) if bounds is None else None
+    seen = checked(facts.observation_space, Observed)
+    states = (int(seen.start), int(seen.n)) if seen.type == "Discrete" else None
+    return Recording(f"Minari {facts.data_format}", arrays, bounds, first, tuple(unended), states)
 
 
 def _tables(data: Path, facts: Metadata, how: Reading) -> Iterator[dict[str, NDArray[Any]]]:
@@ -71,15 +83,23 @@ def _tables(data: Path, facts: Metadata, how: Reading) -> Iterator[dict[str, NDA
         content = table(data / str(i) / f"part-0.{facts.data_format}", facts.data_format)
         steps = {name: rows(content[name].combine_chunks())[:-1] for name in STEPS}
         seen = content["observations"].combine_chunks()
-        fields = (
-            {field.name: seen.field(field.name) for field in seen.type} if seen.type.num_fields > 1 else {}
-        )
-        if not fields:
-            yield steps | {"observations": rows(seen)}
+        columns = dict(_parts(seen, ""))
+        if "" in columns:
+            yield steps | {"observations": columns[""]}
             continue
-        columns = {key: rows(field) for key, field in fields.items()}
         widths = {key: one.size // max(1, len(one)) for key, one in columns.items()}
         yield steps | {"observations": beside([columns[key] for key in observed(widths, how)])}
+
+
+def _parts(seen: Any, key: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the key and the rows of each part of an Arrow array, '' for one without parts."""
+    from pyarrow import types
+
+    if not types.is_struct(seen.type):
+        yield key, rows(seen)
+        return
+    for field in seen.type:
+        yield from _parts(seen.field(field.name), f"{key}/{field.name}".strip("/"))
 
 
 def _hdf5(data: Path, facts: Metadata, how: Reading) -> Iterator[dict[str, NDArray[Any]]]:

@@ -61,6 +61,11 @@ def test_a_request_that_no_run_can_have_is_refused_and_nothing_is_written(
     assert not [*tmp_path.iterdir()]
 
 
+def test_a_class_is_no_name_of_a_method_and_the_refusal_says_where_it_goes() -> None:
+    with pytest.raises(BadInput, match="put a class or task of yours into a file that names it in METHODS"):
+        irl_bench.RunRequest(methods=[int])  # type: ignore[list-item]
+
+
 def test_the_command_line_without_options_is_the_request_without_arguments() -> None:
     args = parser().parse_args(["run"])
     assert request_of(args) == irl_bench.RunRequest(

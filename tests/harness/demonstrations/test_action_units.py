@@ -122,6 +122,19 @@ def test_own_files_are_scaled_and_say_so(tmp_path: Path, pair: EnvSpec) -> None:
         is_refused(tmp_path / f"{name}.npz", said, pair)
 
 
+def test_a_few_actions_outside_are_refused_with_the_advice_to_clip_them(
+    tmp_path: Path, pair: EnvSpec
+) -> None:
+    act = np.zeros((75, 2))
+    act[40] = [1.25, 0]
+    is_refused(
+        old_imitation(tmp_path / "d.npz", act),
+        "1 of 75 actions (1.3 %) are outside of [-2, 1] x [0, 5], by 0.25 at most, in act 0; if the "
+        "environment clipped them, clip them in the file",
+        pair,
+    )
+
+
 def test_actions_that_rounding_put_outside_are_clipped_and_counted(tmp_path: Path, pair: EnvSpec) -> None:
     rounded = NATIVE + np.array([[0, 0], [1e-7, 0], [0, 0], [0, 0]])
     demonstrations = read(old_imitation(tmp_path / "d.npz", rounded), pair)

@@ -123,10 +123,27 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
     "fewer obs": (lambda good: {"obs": good["obs"][:-1]}, "it has 10 observations for 9 actions"),
     "as many": (lambda good: {"obs": good["obs"][:9]}, "one observation more than actions"),
     "text obs": (lambda good: {"obs": good["obs"].astype(str)}, "rows of numbers are needed"),
-    "nan obs": (lambda good: {"obs": good["obs"] * np.nan}, "not finite"),
+    "nan obs": (
+        lambda good: {"obs": np.where(np.arange(11)[:, None] == 4, np.nan, good["obs"])},
+        "it has observations that are not finite, the first in row 4 of all",
+    ),
+    "an empty episode": (
+        lambda good: {
+            **{"lengths": np.array([5, 0, 4]), "terminated": np.ones(3, bool)},
+            "obs": np.zeros((12, 3)),
+        },
+        "episode 1 has 0 steps; leave out episodes without any",
+    ),
+    "no episode": (
+        lambda good: {name: column[:0] for name, column in good.items()},
+        "it holds no episode",
+    ),
     "impossible obs": (lambda good: {"obs": good["obs"] + [0, 0, 8.1]}, "episode 0 observes "),
     "huge act": (lambda good: {"act": good["act"] * 0 + 1e300}, "by 1e+300 at most"),
-    "wrapping": (lambda good: {"lengths": np.array([2**63 - 1, 11])}, "not those of its episodes"),
+    "wrapping": (
+        lambda good: {"lengths": np.array([2**63 - 1, 11])},
+        "do not sum to its 9 actions",
+    ),
     "numbers as endings": (lambda good: {"terminated": np.array([2, -5])}, "true or false"),
     "other rewards": (lambda good: {"rewards": np.zeros(3)}, "it has rewards (3,) for 9 steps"),
     "vast rewards": (lambda good: {"rewards": np.full(9, 1e308)}, "sum to more than 1e+100"),
@@ -167,7 +184,9 @@ def test_no_pickle_is_read(tmp_path: Path) -> None:
     (tmp_path / "bomb.npz").write_bytes(pickle.dumps(Bomb()))
     np.savez(tmp_path / "objects.npz", **good_arrays() | {"act": np.array([Bomb()] * 9)[:, None]})
     refused(tmp_path / "bomb.npz", "pickles are not read")
-    refused(tmp_path / "objects.npz", "allow_pickle=False")
+    refused(
+        tmp_path / "objects.npz", "its act cannot be read: Object arrays cannot be loaded when allow_pickle"
+    )
 
 
 def test_folders_that_are_no_whole_dataset_are_refused(tmp_path: Path) -> None:

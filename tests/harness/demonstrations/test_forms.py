@@ -141,6 +141,10 @@ ODD_STEPS: dict[str, tuple[dict[str, Any], str]] = {
     "fewer flags": ({"timeouts": np.zeros(3)}, "its timeouts must be true or false, one for each of 4"),
     "fewer actions": ({"actions": np.zeros((3, 1))}, "it has actions float64 (3, 1) for 4 steps"),
     "other observations": ({"next_observations": np.zeros((4, 2))}, "(4, 3) before and (4, 2) after steps"),
+    "an episode of one step": (
+        {"terminals": np.array([0, 1, 1, 0])},
+        "episode 1 has one step, which is its last; leave it out of the file, or give --last-observation rep",
+    ),
     "no episode": ({name: column[:0] for name, column in STEPS.items()}, "it holds no episode"),
 }
 
@@ -217,6 +221,15 @@ def test_a_run_takes_several_files_and_says_which(tmp_path: Path) -> None:
     assert demonstrations is not None
     assert len(demonstrations.episodes) == 6
     assert request.conditions.demonstrations.endswith(" of one.npz, two.npz")
+
+
+def test_a_file_that_is_named_twice_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(Path("d.npz"), *made())
+    (tmp_path / "link.npz").symlink_to("d.npz")
+    for other in ("d.npz", "./d.npz", "link.npz"):
+        with pytest.raises(BadInput, match="--demos-from names a file twice"):
+            resolve(RunRequest(methods=["bc"], envs=["swingup"], demos_from=["d.npz", other]), True)
 
 
 @pytest.mark.parametrize("option", [{"last_observation": "drop"}, {"obs_keys": ["a"]}])

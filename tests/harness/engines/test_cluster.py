@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import psutil
 import pytest
 
@@ -35,10 +36,14 @@ def cluster() -> Iterator[LocalCluster]:
 
 
 def start(out: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "harness", "run", "--plugin", str(PLUGIN), *ASKED, "--out", str(out)]
-    environment, pipe = {**os.environ, "RAY_AUTH_MODE": "disabled"}, subprocess.PIPE
+    return command("run", "--plugin", str(PLUGIN), *ASKED, "--out", str(out), *more)
+
+
+def command(*words: str) -> subprocess.Popen:
+    program, pipe = [sys.executable, "-m", "harness"], subprocess.PIPE
+    environment = {**os.environ, "RAY_AUTH_MODE": "disabled"}
     return subprocess.Popen(
-        [*command, *more], env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True
+        [*program, *words], env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True
     )
 
 
@@ -86,6 +91,18 @@ def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: LocalCluster, tmp_pa
     finish(start(tmp_path / "here", *asked), 0)
     assert len(stored(tmp_path / "there")) == 8
     assert stored(tmp_path / "there") == stored(tmp_path / "here")
+
+
+def test_a_search_has_the_same_trials_as_on_this_machine(cluster: LocalCluster, tmp_path: Path) -> None:
+    asked = ["--methods", "bc", "--envs", "cartpole", "--seeds", "100-100", "--trials", "2"]
+    asked += ["--budget", "smoke", "--no-retrain"]
+    tables = []
+    for name, engine in (("there", ["--engine", "ray", "--address", cluster.address]), ("here", [])):
+        storage = tmp_path / f"{name}.db"
+        finish(command("tune", *asked, "--storage", str(storage), *engine), 0)
+        tables.append(pd.read_csv(f"{storage}.csv").drop(columns="seconds"))
+    assert tables[0]["trial"].tolist() == [-1, 0, 1]
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
 def test_a_cell_that_hangs_is_a_failed_row(cluster: LocalCluster, tmp_path: Path) -> None:
