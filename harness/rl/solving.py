@@ -31,6 +31,8 @@ from methods.stochastic import EpsilonGreedy, SquashedGaussian
 Told = Callable[[int, Mapping[str, float]], None]
 """A function of the environment steps so far, and new points of curves by name."""
 PAY = "mean pay of a step"
+OWN, TRUE = "return of a checkpoint under its reward", "true return of a checkpoint"
+"""Curves of a solve."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Agent:
 
     `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
     `told`: called at each checkpoint with the steps of the present solve so far, and the mean pay of a step
-    since the last one.
+    since the last one. In `solve` it receives the checkpoint's mean returns, too.
     `env_steps`, `check_steps`: its totals, as in `Solution`.
     Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
     """
@@ -90,6 +92,8 @@ class Agent:
         self._progress = 0.0
         self._checkpoints: list[tuple[int, Network]] = []
         self._check_seeds: list[int] = []
+        self._scores: list[tuple[float, float]] | None = None
+        """Returns of the checkpoints in a solve, None where `best` scores them."""
 
     def whole(self, steps: int) -> int:
         """Return the least number of steps, at least `steps`, that `learn` takes."""
@@ -117,7 +121,8 @@ class Agent:
             self._model.set_random_seed(seed)
         models.follow_reward(self._built, self.settings.noise)
         self._check_seeds = training_seeds(self._rng, check_episodes(self.settings, steps))
-        self._checkpoints = [(start, self.policy)]
+        self._checkpoints = []
+        self._keep(start, {})
         if self._env.pays_nothing:
             steps = start
         else:
@@ -144,8 +149,7 @@ class Agent:
 
         def keep(done: int) -> None:
             if done % s.checkpoint_every == 0 or done == steps:
-                self._checkpoints.append((done, self.policy))
-                self._told(done, {PAY: self._env.mean_pay()})
+                self._keep(done, {PAY: self._env.mean_pay()})
 
         def after_step(*_: object) -> bool:
             nonlocal done
@@ -161,6 +165,16 @@ class Agent:
             model.learn(steps - start, callback=after_step, reset_num_timesteps=False)
             keep(steps)  # after the last gradient steps
 
+    def _keep(self, done: int, values: Mapping[str, float]) -> None:
+        """Keep the present policy as a checkpoint, and tell what is known of it."""
+        policy = self.policy
+        self._checkpoints.append((done, policy))
+        if self._scores is not None:
+            self._scores += self.check([policy])
+            values = {**values, **dict(zip((OWN, TRUE), self._scores[-1], strict=True))}
+        if values:
+            self._told(done, values)
+
     def best(self, reward: Reward | None) -> Solution:
         """Return the last solve's best checkpoint under the reward. Raises ValueError where nothing was
         learned yet."""
@@ -168,8 +182,13 @@ class Agent:
             raise ValueError("an agent that has not learned yet has no best policy")
         self._env.reward = reward
         before = self.check_steps
+        solution = self._chosen(self.check([policy for _, policy in self._checkpoints]))
+        return replace(solution, check_steps=self.check_steps - before)
+
+    def _chosen(self, returns: Sequence[tuple[float, float]]) -> Solution:
+        """Return the best checkpoint. `returns`: those of `check` for each."""
         steps, checkpoints = zip(*self._checkpoints, strict=True)
-        scores, truths = zip(*self.check(checkpoints), strict=True)
+        scores, truths = zip(*returns, strict=True)
         most = max(scores)
         equals = [i for i, score in enumerate(scores) if score == most]
         best = equals[0]
@@ -178,14 +197,16 @@ class Agent:
             best = max(zip((score for score, _ in self.check(noisy)), equals, strict=True))[1]
         done = [*map(float, steps)]
         curve, true_curve = [*zip(done, scores, strict=True)], [*zip(done, truths, strict=True)]
-        took = self.check_steps - before
-        return Solution(checkpoints[best], curve, true_curve, 0, took, checkpoints, best)
+        return Solution(checkpoints[best], curve, true_curve, checkpoints=checkpoints, best=best)
 
     def solve(self, reward: Reward | None, steps: int) -> Solution:
-        """Do as `learn` and `best`."""
-        before = self.env_steps
+        """Do as `learn` and `best`, but score each checkpoint before learning goes on."""
+        taken, checked, self._scores = self.env_steps, self.check_steps, []
         self.learn(steps, reward)
-        return replace(self.best(reward), env_steps=self.env_steps - before)
+        solution = self._chosen(self._scores)
+        self._scores = None
+        taken, checked = self.env_steps - taken, self.check_steps - checked
+        return replace(solution, env_steps=taken, check_steps=checked)
 
     def replay(self) -> Transitions:
         """Return the steps that it remembers; PPO remembers its last bout. Raises ValueError where nothing

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from envs.copies import Copies
 from envs.learners import DDPG, PPO, SAC, TD3, Learner
 from harness.registry import LIBRARIES, Library, all_specs
 from harness.rl.seeds import TRAINING, evaluation_seeds
-from harness.rl.solving import Agent, Solution
+from harness.rl.solving import OWN, PAY, TRUE, Agent, Solution
 from methods.base import Array, Policy
 from methods.network import Network
 from methods.rewards import Constant
@@ -76,6 +76,33 @@ def test_the_generator_decides_everything(steady: EnvSpec, library: Library, set
     assert same(one.policy, again.policy)
     assert not same(one.policy, other.policy)
     assert one.curve != other.curve
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("settings", [TD3(), PPO(copies=10, steps=2, batch=10)], ids=["TD3", "PPO"])
+def test_checkpoints_that_are_scored_while_it_learns_are_those_that_are_scored_afterwards(
+    fragile: EnvSpec, library: Library, settings: Learner
+) -> None:
+    told, spec = (
+        list[tuple[float, float, float]](),
+        replace(fragile, rl=replace(settings, checkpoint_every=100)),
+    )
+
+    def tell(done: int, values: Mapping[str, float]) -> None:
+        assert values.keys() == {OWN, TRUE} | ({PAY} if told else set())
+        told.append((done, values[OWN], values[TRUE]))
+
+    one = Agent(spec, "absorbing", np.random.default_rng(0), library, told=tell)
+    other = Agent(spec, "absorbing", np.random.default_rng(0), library)
+    solution = one.solve(Seek(), 400)
+    other.learn(400, Seek())
+    assert other.check_steps == 0
+    later = other.best(Seek())
+    assert (solution.curve, solution.true_curve, solution.best) == (later.curve, later.true_curve, later.best)
+    assert solution.check_steps == later.check_steps == one.check_steps > 0
+    assert same(solution.policy, later.policy)
+    assert told == [(*own, true) for own, (_, true) in zip(later.curve, later.true_curve, strict=True)]
+    assert len(told) > 2
 
 
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:

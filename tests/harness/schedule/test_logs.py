@@ -10,6 +10,7 @@ import irl_bench
 from harness.cell.phases import Phase
 from harness.records import Cell, CellResult
 from harness.registry import LOGS, BadInput
+from harness.rl.solving import OWN, TRUE
 from harness.schedule import logs
 from harness.schedule.logs import Logged
 from tests.harness.fake_runs import Found
@@ -45,6 +46,13 @@ def test_tensorboard_has_the_points_of_a_fit_and_of_rl(logged: tuple[Path, irl_b
     assert 0 <= found["fit/discriminator's entropy"][0][1] <= 0.694
     steps = [step for step, _ in found["retrain/mean pay of a step"]]
     assert steps == sorted(steps)
+    curves = logged[1].curves.query("method == 'gail'").groupby("curve")
+    for name, curve in ((OWN, "pi_R"), (TRUE, "pi_R_true")):
+        stored = curves.get_group(curve)
+        live = found[f"retrain/{name}"]
+        assert [step for step, _ in live] == stored["x"].tolist()
+        assert [value for _, value in live] == pytest.approx(stored["y"].tolist(), rel=1e-5)
+        assert f"fit/{name}" not in found, "methods' own agents do not see the true return"
     scores = logged[1].scores
     of_gail = scores[(scores["method"] == "gail") & (scores["policy"] == "pi_R")]
     assert found["return/pi_R"][0][1] == pytest.approx(float(of_gail["return_mean"].iloc[0]), rel=1e-5)
