@@ -58,8 +58,8 @@ class Agent:
     """A learner in one environment. It goes on with the same networks and experience under each new reward.
 
     `settings`: by default the task's. `init`, `demonstrations`, `entropy`: as for `methods.base.World.agent`.
-    `told`: called at each checkpoint with the steps of the present solve so far, the mean pay of a step since
-    the last one, and in `solve` the checkpoint's mean returns.
+    `told`: called at each checkpoint with the steps of the present solve so far, and the mean pay of a step
+    since the last one. In `solve` it receives the checkpoint's mean returns, too.
     `env_steps`, `check_steps`: its totals, as in `Solution`.
     Raises ValueError for an unknown protocol, and for an `init` that its actor cannot be.
     """
@@ -167,9 +167,10 @@ class Agent:
 
     def _keep(self, done: int, values: Mapping[str, float]) -> None:
         """Keep the present policy as a checkpoint, and tell what is known of it."""
-        self._checkpoints.append((done, self.policy))
+        policy = self.policy
+        self._checkpoints.append((done, policy))
         if self._scores is not None:
-            self._scores += self.check([self.policy])
+            self._scores += self.check([policy])
             values = {**values, **dict(zip((OWN, TRUE), self._scores[-1], strict=True))}
         if values:
             self._told(done, values)

@@ -102,7 +102,7 @@ def test_checkpoints_that_are_scored_while_it_learns_are_those_that_are_scored_a
     assert solution.check_steps == later.check_steps == one.check_steps > 0
     assert same(solution.policy, later.policy)
     assert told == [(*own, true) for own, (_, true) in zip(later.curve, later.true_curve, strict=True)]
-    assert len(told) > 3
+    assert len(told) > 2
 
 
 def test_it_never_sees_an_evaluation_episode(fragile: EnvSpec, monkeypatch: pytest.MonkeyPatch) -> None:
