@@ -1,8 +1,9 @@
-"""Measure policies on roads that nothing was trained on: the expert, clones of 5 of its episodes, and RL.
+"""Measure policies on roads that nothing was trained on: the expert, clones of it, and RL.
 
 python results/studies/drive_state.py FILE POLICY,POLICY [SEED ...]: a line for each policy, dynamics and
-seed, by default 100 to 102, appended to a CSV file. POLICY is expert, random, bc or control_true.
-score: 0 the random policy, 1 the seed's expert, on the same 50 episodes in the same dynamics.
+seed, by default 100 to 102, appended to a CSV file. POLICY is expert, random, control_true, or bc_5 for a
+clone of 5 episodes.
+score: 0 the random policy, 1 the expert in the task's own dynamics, on the same 50 episodes.
 to_the_end: share of episodes that last 200 steps. seconds: processor time of the fit or solve.
 """
 
@@ -32,8 +33,9 @@ def fitted(name: str, seed: int) -> Policy:
     source = source_for(ENV, seed, CONDITIONS)
     if name == "expert":
         return source.expert.policy
-    if name == "bc":
-        demos, method = source.demonstrations(Shown(demos=5)), method_for("bc", ENV, "full")
+    if name.startswith("bc_"):
+        demos = source.demonstrations(Shown(demos=int(name.removeprefix("bc_"))))
+        method = method_for("bc", ENV, "full")
         world = TaskWorld(SPEC, "absorbing", "sbx", solve_steps=SPEC.rl_steps["full"])
         return method.fit(demos, world, rng_for(seed, ENV, "bc", "fit")).policy
     if name == "random":
@@ -57,7 +59,10 @@ for seed in map(int, seeds or (100, 101, 102)):
         fitted(name, seed)
         took = time.process_time() - started
         for dynamics in ("", *SPEC.variants):
-            low, its, high = (scored(one, dynamics, seed) for one in ("random", name, "expert"))
+            low, its, high = (
+                scored(one, place, seed)
+                for one, place in (("random", dynamics), (name, dynamics), ("expert", ""))
+            )
             least, mean, most = (one.returns.mean() for one in (low, its, high))
             with open(path, "a", newline="", encoding="utf-8") as file:
                 row = [name, dynamics, seed, f"{mean:.2f}", f"{(mean - least) / (most - least):.3f}"]
