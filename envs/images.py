@@ -232,6 +232,7 @@ def seen(
         encoder="small",
         expert_task=states,
         shipped=None,
+        controller=None,
         **fields,
     )
     register(spec, f"{__name__}:SeenEnv")
