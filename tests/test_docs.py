@@ -16,7 +16,7 @@ import pytest
 from docutils.utils.math.latex2mathml import tex2mathml
 
 from harness.judge.statistics import mean_interval
-from harness.registry import BUILT_IN, ENVS, THESIS, load_method
+from harness.registry import BUILT_IN, KNOWN, THESIS, load_method
 
 ROOT = Path(__file__).parents[1]
 PAGES = (
@@ -123,7 +123,7 @@ def test_every_method_stands_beside_other_code(extension: Any) -> None:
 
 @pytest.mark.parametrize("name", BUILT_IN["env"])
 def test_every_task_says_what_pays(extension: Any, name: str) -> None:
-    module, _, variable = ENVS[name].target.partition(":")
+    module, _, variable = KNOWN.entries["env"][name].target.partition(":")
     importlib.import_module(module)
     assert extension("task_pages").doc_of(module, variable)
 

@@ -18,7 +18,7 @@ from method_pages import groups, text_of
 from plain_docstrings import inline, markdown
 
 from envs import EnvSpec
-from harness.registry import BUDGETS, ENVS, all_specs
+from harness.registry import BUDGETS, KNOWN, all_specs
 
 COUNTS = {3: "Three", 5: "Five"}
 SHARED = ("envs.mujoco_tasks",)
@@ -28,7 +28,7 @@ SHARED = ("envs.mujoco_tasks",)
 def pages() -> dict[str, str]:
     """Markdown by file name, `index` among them."""
     found = {spec.name: page(spec) for spec in all_specs()}
-    lines = [(f"[`{name}`]({name}.md)", inline(ENVS[name].summary)) for name in found]
+    lines = [(f"[`{name}`]({name}.md)", inline(KNOWN.entries["env"][name].summary)) for name in found]
     listed = "\n".join(found)
     found["index"] = (
         "# Tasks\n\nEach page shows a task, what pays there and what ends an episode, what is observed and "
@@ -40,7 +40,7 @@ def pages() -> dict[str, str]:
 
 
 def page(spec: EnvSpec) -> str:
-    module, _, name = ENVS[spec.name].target.partition(":")
+    module, _, name = KNOWN.entries["env"][spec.name].target.partition(":")
     picture = f"docs/pictures/{spec.name}.png"
     parts = [
         f"# {spec.name}",
@@ -132,6 +132,10 @@ def held_out() -> dict[str, float]:
 
 
 def expert(spec: EnvSpec) -> str:
+    spec = spec.expert_sees
+    if (controller := spec.controller) is not None:
+        settings = ", ".join(f"`{name}` {told(its)}" for name, its in vars(controller).items())
+        return f"{markdown(inspect.getdoc(type(controller)) or '')}\n\nIts settings are {settings}."
     if spec.shipped is None:
         return "The best policy, found exactly: the model is known."
     returns = [

@@ -90,7 +90,7 @@ STATES = EnvSpec(
     variants={"turned": {"turn": math.pi / 2}, "slippery": {"friction": 0.8}},
     controller=Driver(),
 )
-"""What the expert sees."""
+"""The same task in states."""
 register(STATES, "envs.racing.environment:Racing")
 
 SPEC = images.seen(

@@ -1,4 +1,4 @@
-"""A controller of the racing car: pure pursuit (Coulter 1992) at the speed that curves ahead allow."""
+"""A controller of the racing car."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,10 @@ AHEAD = (4.0, 8.0, 12.0, 18.0, 25.0, 35.0)
 
 @dataclass(frozen=True)
 class Driver:
-    """A driver who is called with observations of `carracing_state`, (B, 17), and returns actions (B, 3)."""
+    """A controller that sees states: pure pursuit (Coulter 1992) at a speed that curves ahead allow.
+
+    It is called with observations (B, 17), and returns actions (B, 3).
+    """
 
     look: float = 0.25
     """Seconds until the point that it steers to."""

@@ -103,8 +103,11 @@ class Racing(gym.Env[Floats, Floats]):
         return np.array([*own, offset, *np.column_stack([road @ ahead, road @ left]).ravel()], np.float32)
 
     def numbers(self) -> Array:
-        """Return what the bar in Gymnasium's picture shows, except the score: speed [m/s], the wheels' rates
-        [rad/s], the front wheels' angle [rad] and the yaw rate [rad/s], both to the left, (7,)."""
+        """Return what the bar in Gymnasium's picture shows, except the score, (7,).
+
+        They are speed [m/s], the wheels' rates [rad/s], the front wheels' angle [rad] and the yaw rate
+        [rad/s], both to the left.
+        """
         car = self.car.car
         rates = [float(wheel.omega) for wheel in car.wheels]
         turning = car.wheels[0].joint.angle, car.hull.angularVelocity

@@ -47,8 +47,8 @@ STAND_IN = "bc"
 class Expert:
     """An expert, and what its training took.
 
-    `name`: 'VERSION:NUMBER' if shipped, 'trained:SEED' if trained for this seed alone, 'exact' if the
-    model is known, 'controller' if the task has one, 'file:DIGEST' for a clone that stands in.
+    `name`: 'VERSION:NUMBER' if shipped, 'trained:SEED' if trained for this seed alone. It is 'exact' if the
+    model is known, 'controller' for a controller, 'file:DIGEST' for a clone that stands in.
     `curve`: (environment steps, mean true return) at checkpoints.
     `shown`: name of a file's demonstrations, or ''.
     `returns`: columns of scores.csv of what scores 1, where that is not what the policy returns.

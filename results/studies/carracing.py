@@ -23,11 +23,11 @@ from methods.bc import BehaviourCloning
 from methods.gail import GAIL
 from methods.sqil import SQIL
 
-ENV, SEEDS, DEMOS, EPISODES = "carracing", range(100, 103), 20, 10
-STEPS = 20_480
-"""Steps of a solve from scratch, from which GAIL's follow, and of SQIL."""
+ENV, SEEDS, DEMOS, EPISODES = "carracing", range(100, 103), 20, 5
+SQIL_STEPS, SOLVE_STEPS = 8000, 10_240
+"""Steps of SQIL, and of a solve from scratch, from which GAIL's follow."""
 CONDITIONS = Conditions("quick", "absorbing", "sbx")
-METHODS = {"bc": BehaviourCloning(), "sqil": SQIL(rl_steps=STEPS), "gail": GAIL()}
+METHODS = {"bc": BehaviourCloning(), "sqil": SQIL(rl_steps=SQIL_STEPS), "gail": GAIL()}
 PUBLISHED = {"expert": (704, 480), "bc": (698, -45), "sqil": (704, 375)}
 """Mean returns as trained and turned, by Reddy et al. 2020."""
 
@@ -40,7 +40,7 @@ def fitted(name: str, seed: int) -> tuple[Policy, int]:
         return lambda obs: spec.random_actions(len(obs), rng), 0
     if name == "expert":
         return source.expert.policy, 0
-    world = TaskWorld(spec, CONDITIONS.protocol, CONDITIONS.rl, solve_steps=STEPS)
+    world = TaskWorld(spec, CONDITIONS.protocol, CONDITIONS.rl, solve_steps=SOLVE_STEPS)
     demos = source.demonstrations(Shown(demos=DEMOS))
     policy = METHODS[name].fit(demos, world, rng_for(seed, ENV, name, "fit")).policy
     return policy, world.env_steps
@@ -69,8 +69,8 @@ with open(path, "a", newline="", encoding="utf-8") as file:
         writer.writerow((*columns, "seconds"))
         for method, values in PUBLISHED.items():
             for beginning, value in zip(("as trained", "turned"), values, strict=True):
-                writer.writerow(["Reddy", method, "", beginning, DEMOS, "", "", value, "", "", ""])
-    for method in names or ("expert", "random", *METHODS):
-        for number in SEEDS:
+                writer.writerow(["Reddy", method, "", beginning, "", "", "", value, "", "", ""])
+    for number in SEEDS:
+        for method in names or ("expert", "random", *METHODS):
             writer.writerows(lines(method, number))
             file.flush()
