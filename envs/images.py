@@ -154,6 +154,7 @@ def seen(
         encoder="small",
         expert_task=states,
         shipped=None,
+        controller=None,
         **fields,
     )
     register(spec, f"{__name__}:SeenEnv")

@@ -156,6 +156,8 @@ class EnvSpec:
     """True if an action is a choice among A."""
     shipped: Shipped | None = None
     """Training of the shipped experts, None where an exact solution is the expert."""
+    controller: Callable[[Array], Array] | None = None
+    """Expert that is not trained: a frozen dataclass, from observations (B, O) to actions (B, A)."""
     encoder: str = ""
     """Encoder of images (`envs.encoders`) in a task that is seen in images, '' in others."""
     expert_task: EnvSpec | None = None

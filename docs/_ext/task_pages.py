@@ -134,9 +134,13 @@ def held_out() -> dict[str, float]:
 
 
 def expert(spec: EnvSpec) -> str:
-    if spec.expert_task:
+    if spec.expert_task and spec.expert_task.name in KNOWN.entries["env"]:
         seen = spec.expert_task.name
         return f"That of [`{seen}`]({seen}.md), which sees the state. Its actions are taken here."
+    spec = spec.expert_sees
+    if (controller := spec.controller) is not None:
+        settings = ", ".join(f"`{name}` {told(its)}" for name, its in vars(controller).items())
+        return f"{markdown(inspect.getdoc(type(controller)) or '')}\n\nIts settings are {settings}."
     if spec.shipped is None and spec.tabular is None:
         return "None is shipped. A run trains its own."
     if spec.shipped is None:

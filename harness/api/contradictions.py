@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from harness.registry import ASKING, ENCODERS, base, keys, plugins
+from harness.registry import ASKING, ENCODERS, KNOWN, base, keys, plugins
 
 if TYPE_CHECKING:
     from harness.api.request import RunRequest
@@ -17,6 +18,9 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
         yield "--solves is how often RL solves R*; leave out --no-retrain"
     if asked.learner == "ddpg" and (discrete := [env for env in envs if plugins.task(env).discrete]):
         yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
+    for env in envs:
+        if (needs := KNOWN.entries["env"][env].needs) and not importlib.util.find_spec(needs):
+            yield f"{env} needs {needs}: pip install 'irl-bench[{needs.lower()}]'"
     if asked.encoder:
         if blind := [env for env in envs if not plugins.task(env).encoder]:
             yield f"{', '.join(blind)} has no images for --encoder"

@@ -1,8 +1,8 @@
-"""Sources of the expert and the demonstrations of a task and run seed: one type with four cases.
+"""Sources of the expert and the demonstrations of a task and run seed: one type with five cases.
 
-`Shipped`: one of the shipped experts is played. `Trained`: an expert is trained, or solved where the model
-is known, and played. `FromFile`: demonstrations are a file's, beside a shipped or trained expert.
-`NoExpert`: they are a file's, and what they return scores 1.
+`Shipped`: one of the shipped experts is played. `Controlled`: the task's controller is played. `Trained`:
+an expert is trained, or solved where the model is known, and played. `FromFile`: demonstrations are a
+file's, beside an expert of these. `NoExpert`: they are a file's, and what they return scores 1.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ STAND_IN = "bc"
 class Expert:
     """An expert, and what its training took.
 
-    `name`: 'VERSION:NUMBER' if shipped, 'trained:SEED' if trained for this seed alone, 'exact' if the
-    model is known, 'file:DIGEST' for a clone that stands in.
+    `name`: 'VERSION:NUMBER' if shipped, 'trained:SEED' if trained for this seed alone. It is 'exact' if the
+    model is known, 'controller' for a controller, 'file:DIGEST' for a clone that stands in.
     `curve`: (environment steps, mean true return) at checkpoints.
     `shown`: name of a file's demonstrations, or ''.
     `returns`: columns of scores.csv of what scores 1, where that is not what the policy returns.
@@ -171,6 +171,15 @@ class Shipped(Played):
         return self.shipped[1].medium
 
 
+class Controlled(Played):
+    """A task's controller, equal for all run seeds."""
+
+    @cached_property
+    def expert(self) -> Expert:
+        assert self.spec.expert_sees.controller is not None
+        return Expert("controller", self.spec.expert_sees.controller)
+
+
 class Trained(Played):
     """An expert that is trained for this run seed alone, which takes minutes, or is in the cache. Where the
     model is known, it is solved."""
@@ -243,9 +252,13 @@ def source_for(env: str, seed: int, conditions: Conditions) -> Source:
 
 
 def played_for(env: str, seed: int, conditions: Conditions) -> Played:
-    """Return a run seed's expert: a shipped one, unless the task has none or conditions say 'trained'."""
-    known = conditions.experts == "shipped" and not SPECS[env].tabular and experts_version(env)
-    return (Shipped if known else Trained)(env, seed, conditions)
+    """Return a run seed's expert: the controller or a shipped one, unless the task has none or conditions say
+    'trained'."""
+    spec = SPECS[env]
+    kind: type[Played] = Trained
+    if conditions.experts == "shipped" and not spec.tabular:
+        kind = Controlled if spec.expert_sees.controller else Shipped if experts_version(env) else Trained
+    return kind(env, seed, conditions)
 
 
 def _curve(points: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:

@@ -70,7 +70,7 @@ def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Dem
     if path.suffix != ".npz":
         extra("minari")
     spec = SPECS[env]
-    if not keys.experts_version(env) and not spec.tabular:
+    if not (keys.experts_version(env) or spec.tabular or spec.expert_sees.controller):
         tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
     played = played_for(env, seed, Conditions("full", "absorbing", "sbx")).play(count, kind)
     episodes, rewards = without_rewards(played), [one.rewards for one in played]

@@ -164,6 +164,8 @@ def _digest_of(kind: str, name: str, modules: Iterable[str], values: object) -> 
     target = _target(kind, name)
     others = plugins.sources(kind, name) if name in KNOWN.of_plugins(kind) else Sources()
     files = sources(*modules, *others.program, *filter(None, [target.partition(":")[0]]))
+    if (entry := KNOWN.entries[kind].get(name)) and entry.needs:
+        files |= packages.versions_of_module(entry.needs)
     return _digest([values, target, others.digests, files])
 
 

@@ -70,12 +70,14 @@ class Entry(NamedTuple):
     """The place of a method's class or a task's `EnvSpec` ('module:name'), and a summary of one line.
 
     variants: a task's other dynamics. experts: the task that has its shipped experts, '' for itself.
+    needs: a module that the extra of the same name in small letters installs, '' for none.
     """
 
     target: str
     summary: str
     variants: tuple[str, ...] = ()
     experts: str = ""
+    needs: str = ""
 
     @property
     def module(self) -> str:
@@ -224,6 +226,12 @@ IMAGES = {
         "swingup as a camera sees it, in 32 by 32 pixels",
         ENVS["swingup"].variants,
         experts="swingup",
+    ),
+    "carracing": Entry(
+        "envs.racing.carracing:SPEC",
+        "Gymnasium's CarRacing-v3 in 48 by 48 pixels: drive a lap of a new track within 20 s",
+        ("turned", "slippery"),
+        needs="Box2D",
     ),
 }
 """Tasks that are seen in images."""

@@ -12,7 +12,7 @@ import pytest
 
 from harness.benchmarks.expert_training import Candidate, is_good, measure
 from harness.cell import given
-from harness.cell.experts import Trained, source_for
+from harness.cell.experts import Trained, from_kept, source_for, to_kept
 from harness.cell.run import prepare, run_cell
 from harness.cell.shared import Shared
 from harness.cell.shipped import shipped_experts
@@ -45,6 +45,14 @@ def stored(lengths: tuple[int, ...], factor: float = 1.0) -> Demonstrations:
     found = read(Path("d.npz"), SWINGUP)
     given.store(str(found), found.episodes, found.rewards)
     return found
+
+
+def test_a_controller_is_the_expert_unless_one_is_to_be_trained() -> None:
+    conditions = Conditions("smoke", "absorbing", "sbx")
+    expert = source_for("carracing", 3, conditions).expert
+    assert expert.name == "controller"
+    assert from_kept(to_kept(expert)) == expert
+    assert isinstance(source_for("carracing", 3, replace(conditions, experts="trained")), Trained)
 
 
 def test_a_run_is_shown_what_a_file_holds() -> None:

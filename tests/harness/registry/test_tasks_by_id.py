@@ -215,6 +215,8 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "Box2D", None)
     with pytest.raises(BadInput, match=re.escape("pip install 'irl-bench[box2d]'")):
         plugins.add([], ["gym:LunarLander-v3"])
+    with pytest.raises(BadInput, match=re.escape("carracing needs Box2D: pip install 'irl-bench[box2d]'")):
+        resolve(RunRequest(methods=["bc"], envs=["carracing"]), True)
 
 
 def test_a_variable_is_in_keys_and_reaches_cells(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,1 @@
+"""Drive a racing car."""
