@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from harness.cli import values
 from harness.registry import (
@@ -24,46 +23,10 @@ from harness.registry import (
     PROTOCOLS,
     RECORDS,
     VARIANTS,
-    configured,
 )
-from harness.registry.names import SAMPLERS
-
-
-class _Settings(argparse.Action):
-    """Settings of methods, collected by method and field."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option: object = None,
-    ) -> None:
-        name, is_set, value = values.partition("=")
-        method, _, field = name.rpartition(".")
-        if not (is_set and method and field):
-            parser.error(f"{option} is given as METHOD.FIELD=VALUE, not {values[:80]!r}")
-        settings = {key: dict(own) for key, own in getattr(namespace, self.dest).items()}
-        if field in settings.setdefault(method, {}):
-            parser.error(f"{option} {name} is given twice; rows of their own are in --methods")
-        settings[method][field] = configured.value_in(value)
-        setattr(namespace, self.dest, settings)
-
-
-class _Named(argparse.Action):
-    """Values by name, each given once."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option: object = None,
-    ) -> None:
-        there = getattr(namespace, self.dest)
-        if (name := values[0]) in there:
-            parser.error(f"{option} {name} is given twice")
-        setattr(namespace, self.dest, there | dict([values]))
+from harness.registry.names import (
+    SAMPLERS,
+)
 
 
 def add_run(add: argparse.ArgumentParser) -> None:
@@ -78,7 +41,7 @@ def add_run(add: argparse.ArgumentParser) -> None:
     )
     add.add_argument(
         "--set",
-        action=_Settings,
+        action=values.Settings,
         default={},
         metavar="METHOD.FIELD=VALUE",
         help="a hyper-parameter in all rows of a method; may be given more than once",
@@ -249,7 +212,7 @@ def add_given(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--env-kwargs",
         type=values.named_value,
-        action=_Named,
+        action=values.Named,
         default={},
         metavar="KEY=VALUE",
         help="an argument of every task gym:ID, as JSON or as text, such as max_episode_steps=200; may be "

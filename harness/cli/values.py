@@ -99,3 +99,40 @@ def installed_version() -> str:
         return version("irl-bench")
     except PackageNotFoundError:
         return "(not installed)"
+
+
+class Settings(argparse.Action):
+    """Settings of methods, collected by method and field."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: object = None,
+    ) -> None:
+        name, is_set, value = values.partition("=")
+        method, _, field = name.rpartition(".")
+        if not (is_set and method and field):
+            parser.error(f"{option} is given as METHOD.FIELD=VALUE, not {values[:80]!r}")
+        settings = {key: dict(own) for key, own in getattr(namespace, self.dest).items()}
+        if field in settings.setdefault(method, {}):
+            parser.error(f"{option} {name} is given twice; rows of their own are in --methods")
+        settings[method][field] = configured.value_in(value)
+        setattr(namespace, self.dest, settings)
+
+
+class Named(argparse.Action):
+    """Values by name, each given once."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: object = None,
+    ) -> None:
+        there = getattr(namespace, self.dest)
+        if (name := values[0]) in there:
+            parser.error(f"{option} {name} is given twice")
+        setattr(namespace, self.dest, there | dict([values]))

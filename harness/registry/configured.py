@@ -17,7 +17,11 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from harness.registry.names import SETTING, BadInput, base
+from harness.registry.names import (
+    SETTING,
+    BadInput,
+    base,
+)
 from methods.ranges import Between, OneOf
 
 VALUE, ITEM = "-", "x"

@@ -14,8 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
 from harness.registry import configured
-from harness.registry.configured import Search
-from harness.registry.names import (
+from harness.registry.built_in import (
     BUILT_IN,
     ENVS,
     GROUPS,
@@ -23,8 +22,11 @@ from harness.registry.names import (
     METHODS,
     OTHER_ENVS,
     VARIANTS,
-    BadInput,
     Entry,
+)
+from harness.registry.configured import Search
+from harness.registry.names import (
+    BadInput,
     base,
     choose,
 )

@@ -8,10 +8,12 @@ from functools import partial
 
 import numpy as np
 
+from harness.registry.built_in import (
+    ASKING,
+)
 from harness.registry.contract import small
 from harness.registry.contract.check import Check, expect
 from harness.registry.known import load_method
-from harness.registry.names import ASKING
 from harness.rl.exact import ExactSolver
 from harness.rl.learned import check_learned, needs_actions
 from harness.rl.world import TaskWorld
