@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from harness.registry import configured
+
 MOST = 1000
 """Largest count that --seeds, --solves and --workers take; seeds lie below it."""
 NARROWEST = 1e-9

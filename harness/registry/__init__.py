@@ -10,6 +10,7 @@ from harness.registry.built_in import (
     OTHER_ENVS,
     RANKED,
     THESIS,
+    UNREWARDED,
     VARIANTS,
     Entry,
 )
@@ -26,7 +27,6 @@ from harness.registry.names import (
     LOGS,
     PROTOCOLS,
     RECORDS,
-    UNREWARDED,
     BadInput,
     Demonstrator,
     EngineName,
