@@ -174,7 +174,7 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
     if lengths.max() > spec.horizon:
         longest = int(lengths.argmax())
         raise ValueError(f"episode {longest} has {lengths[longest]} steps, and the horizon is {spec.horizon}")
-    obs = _numbers(_observed(recording, space_observed(env)), spec.obs_size, "observations")
+    obs = _numbers(_observed(recording, env), spec.obs_size, "observations")
     units, clipped = None, 0
     if not recording.has_actions:
         if bounds is not None:
@@ -205,10 +205,13 @@ def fitted(recording: Recording, spec: EnvSpec, bounds: Bounds | None) -> Demons
     return Demonstrations(episodes, rewards, recording.form, int(guessed.sum()), cut, units, clipped)
 
 
-def _observed(recording: Recording, space: gym.Space[Any] | None) -> NDArray[Any]:
-    """Return a file's observations, which the task makes vectors if they are of a space. Raises ValueError
-    for choices that the space does not have, and for a file with others."""
-    rows, states = recording.arrays["obs"], recording.states
+def _observed(recording: Recording, env: gym.Env[Any, Any]) -> NDArray[Any]:
+    """Return a file's observations, which the task makes vectors if they are of its space, or images. Raises
+    ValueError for choices that the space does not have, and for a file with others."""
+    rows, states, space = recording.arrays["obs"], recording.states, space_observed(env)
+    if rows.ndim == 4 and env.has_wrapper_attr("encoded"):
+        episodes = split(rows, recording.arrays["lengths"].astype(np.int64) + 1)
+        return np.concatenate([*map(env.get_wrapper_attr("encoded"), episodes)])
     if states is not None:
         known = isinstance(space, gym.spaces.Discrete) and (int(space.start), int(space.n))
         if known != states:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -14,6 +15,7 @@ from envs import from_gymnasium
 from envs.encoders import EXAMPLES, FEATURES, LAYERS, Convolutions, Images, _convolved, made
 from envs.swingups import swingup
 from envs.swingups.swingup_pixels import SIDE, SPEC, drawn
+from harness.demonstrations.reading import read
 from harness.registry import ENCODERS, SPECS
 from harness.rl.on_policy import dynamics_of
 from harness.rl.simulator import Simulator
@@ -174,3 +176,14 @@ def test_any_task_of_images_has_features(spots: None) -> None:
     native, _ = gym.make(last.env_id).reset(seed=5)
     assert np.array_equal(env.get_wrapper_attr("encoded")(native[None])[0], env.reset(seed=5)[0])
     assert EXAMPLES >= 2 * FEATURES
+
+
+def test_images_of_a_file_are_encoded(spots: None, tmp_path: Path) -> None:
+    spec, env = from_gymnasium(SPOTS[1], "spot"), gym.make(SPOTS[1])
+    shown, act = [env.reset(seed=3)[0]], np.where(np.arange(20) % 3, 0.5, -0.5)[:, None].astype(np.float32)
+    shown += [env.step(one)[0] for one in act]
+    ends = {"terminal": np.array([True]), "indices": np.zeros(0, np.int64), "infos": np.zeros(20)}
+    np.savez(tmp_path / "a.npz", obs=np.stack(shown), acts=act, rews=np.zeros(20), **ends)
+    (seen,) = read(tmp_path / "a.npz", spec).episodes.obs
+    (played,) = Simulator(spec).run(lambda obs: act[:1], [3], [act.astype(np.float64)])
+    assert np.array_equal(seen, played.obs)
