@@ -145,8 +145,13 @@ class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._latest
 
     def encoded(self, images: NDArray[Any]) -> Array:
-        """Return the observations, (T, FEATURES), of an episode's native ones, (T, ...)."""
-        seen = np.stack([self._image(image) for image in images])
+        """Return the observations, (T, FEATURES), of an episode's images, (T, ...), or as rows of pixels.
+        Raises ValueError for images of another size."""
+        shape = self.env.observation_space.shape
+        assert shape is not None
+        if math.prod(images.shape[1:]) != math.prod(shape):
+            raise ValueError(f"its images are {images.shape[1:]}, and the task's are {shape}")
+        seen = np.stack([self._image(image) for image in images.reshape(-1, *shape)])
         pairs = np.concatenate([seen[[0, *range(len(seen) - 1)]], seen], axis=-1)
         return np.asarray(self._encode(pairs).astype(np.float32).astype(np.float64))
 

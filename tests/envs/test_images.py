@@ -16,7 +16,7 @@ from envs.encoders import EXAMPLES, FEATURES, LAYERS, Convolutions, Images, _con
 from envs.swingups import swingup
 from envs.swingups.swingup_pixels import SIDE, SPEC, drawn
 from harness.demonstrations.reading import read
-from harness.registry import ENCODERS, SPECS
+from harness.registry import ENCODERS, SPECS, BadInput
 from harness.rl.on_policy import dynamics_of
 from harness.rl.simulator import Simulator
 from harness.rl.world import TaskWorld
@@ -183,7 +183,10 @@ def test_images_of_a_file_are_encoded(spots: None, tmp_path: Path) -> None:
     shown, act = [env.reset(seed=3)[0]], np.where(np.arange(20) % 3, 0.5, -0.5)[:, None].astype(np.float32)
     shown += [env.step(one)[0] for one in act]
     ends = {"terminal": np.array([True]), "indices": np.zeros(0, np.int64), "infos": np.zeros(20)}
-    np.savez(tmp_path / "a.npz", obs=np.stack(shown), acts=act, rews=np.zeros(20), **ends)
-    (seen,) = read(tmp_path / "a.npz", spec).episodes.obs
     (played,) = Simulator(spec).run(lambda obs: act[:1], [3], [act.astype(np.float64)])
-    assert np.array_equal(seen, played.obs)
+    for obs in (np.stack(shown), np.stack(shown).reshape(21, -1)):
+        np.savez(tmp_path / "a.npz", obs=obs, acts=act, rews=np.zeros(20), **ends)
+        assert np.array_equal(read(tmp_path / "a.npz", spec).episodes.obs[0], played.obs)
+    np.savez(tmp_path / "a.npz", obs=np.stack(shown)[..., :6], acts=act, rews=np.zeros(20), **ends)
+    with pytest.raises(BadInput, match=r"its images are \(1, 12, 6\), and the task's are \(1, 12, 12\)"):
+        read(tmp_path / "a.npz", spec)
