@@ -184,3 +184,18 @@ def test_the_table_of_the_thesiss_arms_is_that_of_the_file(extension: Any) -> No
             assert found == pytest.approx(expected, abs=0.0051), (env, arm, name)
         counts = [sum(row[f"solved_{name}"] == "1" for row in its) for name in ("pi_R", "zero", "variant")]
         assert solved == ", ".join(map(str, counts))
+
+
+def test_the_table_of_the_search_is_that_of_the_file(extension: Any) -> None:
+    with (ROOT / "results/studies/swingup_search.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    lines = extension("searches").trials().splitlines()[2:]
+    for line, row in zip(lines, rows, strict=True):
+        method, trial, settings, score, _ = (cell.strip() for cell in line[1:-1].split("|"))
+        assert (method, trial) == (f"`{row['method']}`", row["trial"].replace("-1", "as it is"))
+        assert settings.count("=") == row["name"].count("+")
+        scores = [float(one["score"] or "-inf") for one in rows if one["method"] == row["method"]]
+        number = float(row["score"] or "nan")
+        told = f"{number:z.2f}" if row["score"] else "failed"
+        assert score == (f"**{told}**" if number == max(scores) else told)
+    assert {row["trial"] for row in rows} == {"-1", "0", "1", "2", "3"}

@@ -11,9 +11,9 @@ from harness.engines.inline import Inline
 from harness.engines.jobs import Job, Outcome
 from harness.process.environment import numeric
 from harness.records import Cell, Shown
-from harness.registry import LearnerName
+from harness.registry import METHODS, RANKED, LearnerName
 from harness.schedule import plan
-from harness.schedule.costs import Costs
+from harness.schedule.costs import SHIPPED, Costs
 from harness.schedule.grid import Grid, Schedule
 from harness.schedule.interactions import interactions
 from harness.store.request import Request
@@ -35,6 +35,13 @@ def measured(tmp_path: Path, **seconds: float) -> None:
 
 def cells(method: str, seeds: int) -> list[Cell]:
     return [Cell("cartpole", method, seed) for seed in range(seeds)]
+
+
+@pytest.mark.parametrize("env", ["cartpole", "highway"])
+def test_seconds_of_every_method_are_shipped(env: str) -> None:
+    known = json.loads(SHIPPED.read_text())["quick, sbx, experts shipped"]
+    ranked = {f"cartpole {method} ranked" for method in RANKED}
+    assert {f"{env} {method}" for method in METHODS} | ranked <= known.keys()
 
 
 def test_the_wall_time_is_that_of_equal_cells_done_side_by_side(tmp_path: Path) -> None:
