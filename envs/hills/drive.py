@@ -64,7 +64,7 @@ SPEC = EnvSpec(
     eval_episodes={"smoke": 5, "quick": 50, "full": 100},
     draw=draw,
     why_ended=why_ended,
-    shipped=Shipped(steps=491_520, bar=185.0, terminated=0.05, experts=1, episodes=100),
+    shipped=Shipped(steps=491_520, bar=185.0, terminated=0.05, experts=1, episodes=1000),
     rl=replace(SMALL_PPO, copies=64, batch=512, std=0.5, checkpoint_every=20_480),
     batch=DriveBatch,
     variants={

@@ -28,6 +28,7 @@ _BOUNDS = {"highway": (-35.0, -20.0, 75.0, 12.0)}
 _MARGIN = 0.08  # of the scene's larger side
 _WIDTH = -2.0  # of a line: negative, because it is in pixels at any zoom
 _POSE, _POSES = 28, 80_000  # bytes of a geometry's pose; of all poses of a long episode
+_ABOVE = 0.2  # m, of edges above the ground, whose triangles they would be below in places
 _FOLLOWED = 2.0  # m, path from which on a view follows what moves
 _SHOWN_GROUPS = 3  # MuJoCo's viewer hides geometries of groups from this on
 _GHOST = 0.35  # opacity of a ghost
@@ -241,7 +242,7 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         places[step] = inner.data.geom_xpos
         for geom in range(count):
             mujoco.mju_mat2Quat(turns[step, geom], inner.data.geom_xmat[geom])
-    edges = [*inner.edges()] if isinstance(inner, Drive) else []
+    edges = [*np.add(inner.edges(), [0, 0, _ABOVE])] if isinstance(inner, Drive) else []
     solid = Solid(inner.model, places, turns, _TARGETS.get(name), edges)
     return solid if solid.moving else None
 
