@@ -1,17 +1,25 @@
 """Fit methods on carracing from 20 demonstrations, and score pi* at both starts, on tuning seeds.
 
-python results/studies/carracing.py FILE [METHOD ...]: lines appended to a CSV file, by default of the expert,
-random actions and all methods, for seeds 100 to 102. `steps`: environment steps of the fit, of four frames
-each. `seconds`: processor time of fit and scores, in one process one after the other. `laps`: share of
-episodes in which the lap was completed. Lines of `source` Reddy have what Reddy et al. 2020 published.
+python results/studies/carracing.py FILE METHOD,METHOD [SEED ...]: lines for each method and seed, by default
+100 to 102, appended to a CSV file. METHOD is expert, random, bc, sqil or gail. `steps`: environment steps
+of the fit, of four frames each. `seconds`: processor time of fit and scores, in one process one after the
+other. `laps`: share of episodes in which the lap was completed. `start`: 'in large pictures' is `bc` as
+trained, whose pictures are made of Gymnasium's own, 96 by 96 pixels without the zoom of the first second.
+Lines of `source` Reddy have what Reddy et al. 2020 published.
 """
 
 import csv
 import sys
 import time
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from gymnasium.envs.box2d.car_racing import CarRacing
 
+from envs.images import Images, SeenBatch
+from envs.racing import carracing
+from envs.racing.picture import SIDE, View
 from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
 from harness.records import Conditions, Shown
@@ -23,13 +31,31 @@ from methods.bc import BehaviourCloning
 from methods.gail import GAIL
 from methods.sqil import SQIL
 
-ENV, SEEDS, DEMOS, EPISODES = "carracing", range(100, 103), 20, 5
+ENV, DEMOS, EPISODES = "carracing", 20, 5
 SQIL_STEPS, SOLVE_STEPS = 8000, 10_240
 """Steps of SQIL, and of a solve from scratch, from which GAIL's follow."""
 CONDITIONS = Conditions("quick", "absorbing", "sbx")
 METHODS = {"bc": BehaviourCloning(), "sqil": SQIL(rl_steps=SQIL_STEPS), "gail": GAIL()}
 PUBLISHED = {"expert": (704, 480), "bc": (698, -45), "sqil": (704, 375)}
 """Mean returns as trained and turned, by Reddy et al. 2020."""
+
+
+class Large(View):
+    """Copies whose pictures are made of Gymnasium's own."""
+
+    def _image(self, place: int) -> Images:
+        car = self._racing[place].car
+        now, car.t = car.t, max(car.t, 1.0)
+        green = CarRacing._render(car, "state_pixels")[:84, :, 1]
+        car.t = now
+        return green.repeat(4, axis=0).reshape(SIDE, 7, SIDE, 2).mean(axis=(1, 3)).astype(np.uint8)[..., None]
+
+
+def large(count: int, **_: Any) -> SeenBatch:
+    """Return copies whose features are by the task's own encoder, of Gymnasium's pictures."""
+    batch = SeenBatch(count, carracing.view, "small")
+    batch.view = Large(count)
+    return batch
 
 
 def fitted(name: str, seed: int) -> tuple[Policy, int]:
@@ -52,7 +78,10 @@ def lines(name: str, seed: int) -> list[list[object]]:
     policy, steps = fitted(name, seed)
     seen = SPECS[ENV].expert_sees if name == "expert" else SPECS[ENV]
     result = list[list[object]]()
-    for start, spec in (("as trained", seen), ("turned", seen.variant("turned"))):
+    starts = {"as trained": seen, "turned": seen.variant("turned")}
+    if name == "bc":
+        starts["in large pictures"] = replace(seen, batch=large)
+    for start, spec in starts.items():
         scored = evaluate(spec, policy, evaluation_seeds(seed, EPISODES))
         laps = scored.endings.get("lap complete", 0) / EPISODES
         facts = [f"{scored.returns.mean():.1f}", f"{scored.returns.std():.1f}", laps]
@@ -61,7 +90,7 @@ def lines(name: str, seed: int) -> list[list[object]]:
     return result
 
 
-path, *names = sys.argv[1:]
+path, names, *seeds = sys.argv[1:]
 with open(path, "a", newline="", encoding="utf-8") as file:
     writer = csv.writer(file)
     if not file.tell():
@@ -70,7 +99,7 @@ with open(path, "a", newline="", encoding="utf-8") as file:
         for method, values in PUBLISHED.items():
             for beginning, value in zip(("as trained", "turned"), values, strict=True):
                 writer.writerow(["Reddy", method, "", beginning, "", "", "", value, "", "", ""])
-    for number in SEEDS:
-        for method in names or ("expert", "random", *METHODS):
+    for method in names.split(","):
+        for number in map(int, seeds or (100, 101, 102)):
             writer.writerows(lines(method, number))
             file.flush()
