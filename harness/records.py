@@ -34,13 +34,7 @@ from harness.registry.bounds import (
     Settings,
     Text,
 )
-from harness.registry.names import (
-    Demonstrator,
-    Experts,
-    LearnerName,
-    Library,
-    Record,
-)
+from harness.registry.names import Demonstrator, Experts, LearnerName, Library, Record
 
 Status = Literal["ok", "skipped", "failed"]
 PolicyName = Literal["expert", "demonstrations", "random", "pi_star", "pi_R"]

@@ -16,14 +16,8 @@ LOADS_CODE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "m
 
 
 ROOMS = (
-    *(
-        "envs",
-        "methods",
-        "harness.registry.names",
-        "harness.registry.built_in",
-        "harness.registry.bounds",
-        "harness.records",
-    ),
+    *("envs", "methods", "harness.registry.names", "harness.registry.built_in"),
+    *("harness.registry.bounds", "harness.records"),
     *(
         "harness.judge.numbers",
         "harness.process",

@@ -16,9 +16,7 @@ from harness.engines.jobs import Engine as Running
 from harness.process.environment import numeric
 from harness.records import Cell, CellResult
 from harness.registry import BUILT_IN, KNOWN, BadInput, EngineName, keys, packages, plugins
-from harness.registry.names import (
-    LOGS,
-)
+from harness.registry.names import LOGS
 from harness.schedule.progress import tell
 from harness.store import baseline
 from harness.store.opening import holds_run, open_to_plan, open_to_verify

@@ -28,9 +28,7 @@ from harness.judge.leaderboard import scored_rows
 from harness.records import CONTROLS, REFERENCE, Cell, CellResult
 from harness.registry import BadInput, base, keys, plugins
 from harness.registry.configured import Search, name_of, settings_in
-from harness.registry.names import (
-    Sampler,
-)
+from harness.registry.names import Sampler
 from harness.report.tables import as_csv
 from harness.schedule.progress import progress_for
 from harness.store.files import write_atomic

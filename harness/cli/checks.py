@@ -29,9 +29,7 @@ from harness.registry import (
 )
 from harness.registry.gymnasium_tasks import check_kwargs, task_or_name
 from harness.registry.loading import in_words
-from harness.registry.names import (
-    plain,
-)
+from harness.registry.names import plain
 
 
 def list_names(named: Sequence[str]) -> int:

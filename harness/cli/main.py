@@ -18,9 +18,7 @@ from harness.registry import (
     Unfinished,
     ours,
 )
-from harness.registry.names import (
-    plain,
-)
+from harness.registry.names import plain
 
 NO_MEMORY = ("failed to map segment", "Cannot allocate memory")
 """Parts of messages of errors that mean it."""

@@ -24,9 +24,7 @@ from harness.registry import (
     RECORDS,
     VARIANTS,
 )
-from harness.registry.names import (
-    SAMPLERS,
-)
+from harness.registry.names import SAMPLERS
 
 
 def add_run(add: argparse.ArgumentParser) -> None:

@@ -17,11 +17,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from harness.registry.names import (
-    SETTING,
-    BadInput,
-    base,
-)
+from harness.registry.names import SETTING, BadInput, base
 from methods.ranges import Between, OneOf
 
 VALUE, ITEM = "-", "x"

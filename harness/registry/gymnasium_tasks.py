@@ -10,14 +10,9 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from harness.registry import ours, packages
-from harness.registry.built_in import (
-    BUILT_IN,
-    Entry,
-)
+from harness.registry.built_in import BUILT_IN, Entry
 from harness.registry.known import GYMNASIUM_MODULE, GYMNASIUM_NAME, KNOWN, NAME, SPECS, id_of
-from harness.registry.names import (
-    BadInput,
-)
+from harness.registry.names import BadInput
 from harness.registry.sources import Sources, sources_of
 
 if TYPE_CHECKING:

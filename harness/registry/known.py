@@ -25,11 +25,7 @@ from harness.registry.built_in import (
     Entry,
 )
 from harness.registry.configured import Search
-from harness.registry.names import (
-    BadInput,
-    base,
-    choose,
-)
+from harness.registry.names import BadInput, base, choose
 from harness.registry.ours import PROGRAM
 from harness.registry.sources import Sources, sources_of
 

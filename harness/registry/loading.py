@@ -17,16 +17,9 @@ from typing import Any, NoReturn
 
 from harness.process import environment
 from harness.registry import configured, gymnasium_tasks, ours
-from harness.registry.built_in import (
-    METHODS,
-    VARIANTS,
-    Entry,
-)
+from harness.registry.built_in import METHODS, VARIANTS, Entry
 from harness.registry.known import KNOWN, Offer, Plugin, id_of
-from harness.registry.names import (
-    BadInput,
-    plain,
-)
+from harness.registry.names import BadInput, plain
 from harness.registry.sources import Sources, sources_of
 from methods import settings
 

@@ -10,9 +10,7 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from harness.registry.names import (
-    BadInput,
-)
+from harness.registry.names import BadInput
 
 NO_NUMBERS = "Its results are the keys themselves."
 PROGRAM = "irl-bench"

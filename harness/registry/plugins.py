@@ -20,10 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness.process import environment
 from harness.registry import configured, gymnasium_tasks, loading
-from harness.registry.built_in import (
-    BUILT_IN,
-    Entry,
-)
+from harness.registry.built_in import BUILT_IN, Entry
 from harness.registry.configured import Search
 from harness.registry.gymnasium_tasks import as_json, module_in, task_or_name
 from harness.registry.known import (
@@ -37,10 +34,7 @@ from harness.registry.known import (
     load_method,
 )
 from harness.registry.loading import READ
-from harness.registry.names import (
-    BadInput,
-    base,
-)
+from harness.registry.names import BadInput, base
 from harness.registry.sources import Sources
 from methods import settings
 

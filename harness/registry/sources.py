@@ -25,9 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from harness.registry import packages
-from harness.registry.names import (
-    plain,
-)
+from harness.registry.names import plain
 from harness.registry.ours import PROGRAM, PUBLIC
 
 NO_NUMBERS = "Its results are the keys themselves."

@@ -15,9 +15,7 @@ from msgspec import Meta
 from harness.records import ALL_SHOWN, CONTROLS, NOMINAL, REFERENCE, UNSHOWN, Cell, Conditions, Shown
 from harness.registry import KNOWN, BadInput, base
 from harness.registry.bounds import MOST_SEEDS, Name, Names, Seed
-from harness.registry.built_in import (
-    BUILT_IN,
-)
+from harness.registry.built_in import BUILT_IN
 from harness.registry.gymnasium_tasks import task_or_name
 from harness.registry.known import GYMNASIUM_NAME
 from harness.store.codec import encode, parsed

@@ -8,9 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from harness.registry.built_in import (
-    ASKING,
-)
+from harness.registry.built_in import ASKING
 from harness.registry.contract import small
 from harness.registry.contract.check import Check, expect
 from harness.registry.known import load_method

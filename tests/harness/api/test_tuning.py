@@ -16,10 +16,7 @@ from harness.cli.main import main
 from harness.records import Cell, CellResult
 from harness.registry import KNOWN, BadInput, plugins
 from harness.registry.configured import settings_in
-from harness.registry.names import (
-    SAMPLERS,
-    Sampler,
-)
+from harness.registry.names import SAMPLERS, Sampler
 from tests.harness.made_results import make_row
 
 pytestmark = pytest.mark.usefixtures("_for_now")
