@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
+from torch.nn.functional import softplus
 
 from methods.base import Array, Rng
 from methods.ranges import Between, Count, Positive
@@ -188,6 +189,14 @@ def contrast(
     if among is None:
         return Contrast(of_a, of_b, slopes.mean())
     return Contrast(of_a, of_b, (slopes * among).sum() / among.sum().clamp(min=1))
+
+
+def preference_loss(network: nn.Module, better: Tensor, worse: Tensor) -> Tensor:
+    """Return the mean negative log-likelihood that the better of two stretches (B, T, I) is preferred, where
+    the logit is the difference of their sums of tanh(network) (Bradley & Terry 1952; Brown et al. 2019)."""
+    sums = [torch.tanh(network(rows.flatten(0, 1))).view(rows.shape[:2]).sum(1) for rows in (better, worse)]
+    loss: Tensor = softplus(sums[1] - sums[0]).mean()
+    return loss
 
 
 def descend(

@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, Rng, World
-from methods.network import ADAM, descend, mlp, standardiser
+from methods.network import ADAM, descend, mlp, preference_loss, standardiser
 from methods.ranges import Count, CountOrNone, Hidden, Rate, Share
 from methods.rewards import MeanReward, NetworkReward, deterred, paid
 from methods.shaped import Shaped
@@ -101,9 +101,12 @@ class ShapedRanked(Shaped):
             network = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
 
             def loss(*states: Tensor, network: nn.Module = network) -> Tensor:
-                r = [torch.tanh(network(s.flatten(0, 1))).view(s.shape[:2]) for s in states]
-                ranked = softplus((r[1] - r[0]).sum(1)).mean()
-                return ranked + softplus(r[3] - r[2]).mean() if reached else ranked
+                ranked = preference_loss(network, *states[:2])
+                if not reached:
+                    return ranked
+                f, rl = (torch.tanh(network(s.flatten(0, 1))) for s in states[2:])
+                total: Tensor = ranked + softplus(rl - f).mean()
+                return total
 
             adam = torch.optim.Adam(network.parameters(), self.reward_rate, **ADAM)
             curves[f"ranking loss, network {i}"] = descend(

@@ -21,11 +21,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import softplus
 
 from methods.base import Array, Episodes, Learned, Reward, Rng, Unsuitable, World
 from methods.f_irl import separate
-from methods.network import ADAM, descend, mlp, standardiser
+from methods.network import ADAM, descend, mlp, preference_loss, standardiser
 from methods.ranges import Between, Count, Hidden, Rate
 from methods.rewards import MeanReward, NetworkReward, deterred
 from methods.visits import seen_by_both, visitations
@@ -71,8 +70,7 @@ class TREX:
             network = mlp(world.obs_size + 1, *self.layers, 1, generator=generator)
 
             def loss(*states: Tensor, network: nn.Module = network) -> Tensor:
-                paid = [torch.tanh(network(s.flatten(0, 1))).view(s.shape[:2]) for s in states]
-                return softplus((paid[0] - paid[1]).sum(1)).mean()
+                return preference_loss(network, states[1], states[0])
 
             adam = torch.optim.Adam(network.parameters(), self.learning_rate, **ADAM)
             curves[f"ranking loss, network {i}"] = descend(

@@ -10,7 +10,7 @@ import torch
 from scipy.stats import norm
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
-from methods.network import ADAM, Network, contrast, descend, mlp
+from methods.network import ADAM, Network, contrast, descend, mlp, preference_loss
 from methods.stochastic import LOG_STD, EpsilonGreedy, Gaussian, Softmax, SquashedGaussian
 
 
@@ -67,6 +67,13 @@ def test_every_step_is_taken() -> None:
     data, rng = [np.ones((3, 1))], np.random.default_rng(0)
     curve = descend(lambda x: (weight * x).mean(), torch.optim.SGD([weight], 0.5), data, 1, 2, rng)
     assert (curve, weight.item()) == ([1.0], 0.5)
+
+
+def test_a_stretch_is_preferred_by_the_sum_of_its_rewards() -> None:
+    better, worse = torch.full((2, 3, 1), 0.5), torch.full((2, 3, 1), -0.1)
+    logit = 3 * (np.tanh(0.5) + np.tanh(0.1))
+    loss = preference_loss(torch.nn.Identity(), better, worse).item()
+    assert loss == pytest.approx(np.log1p(np.exp(-logit)))
 
 
 def test_slopes_are_those_of_the_network() -> None:
