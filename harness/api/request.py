@@ -137,8 +137,7 @@ class RunRequest:
         _whole("subsample", self.subsample, 1)
         if not [_whole("demos", number, 0) for number in self.demos]:
             raise BadInput("demos must have a number")
-        _ = self.bounds
-        _ = self.all_seeds
+        _ = self.bounds, self.all_seeds
 
     @property
     def all_seeds(self) -> tuple[int, ...]:
@@ -246,8 +245,7 @@ def _contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[st
         yield "--demos-from is for one environment, and leaves out --demonstrator"
     if len({path.resolve() for path in asked.files}) < len(asked.files):
         yield "--demos-from names a file twice, whose demonstrations would count twice; leave one out"
-    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
-    for option in of_file:
+    for option in ("action_bounds", "last_observation", "obs_keys", "preferences"):
         if getattr(asked, option) and not asked.files:
             yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
     if asked.demonstrator in ("medium", "ranked"):
