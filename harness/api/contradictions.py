@@ -37,8 +37,7 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
         yield "--demos-from is for one environment, and leaves out --demonstrator"
     if len({path.resolve() for path in asked.files}) < len(asked.files):
         yield "--demos-from names a file twice, whose demonstrations would count twice; leave one out"
-    of_file = ("action_bounds", "last_observation", "obs_keys", "preferences")
-    for option in of_file:
+    for option in ("action_bounds", "last_observation", "obs_keys", "preferences"):
         if getattr(asked, option) and not asked.files:
             yield f"--{option.replace('_', '-')} is for demonstrations of a file: --demos-from"
     if asked.demonstrator in ("medium", "ranked"):

@@ -138,8 +138,7 @@ class RunRequest:
         _whole("subsample", self.subsample, 1)
         if not [_whole("demos", number, 0) for number in self.demos]:
             raise BadInput("demos must have a number")
-        _ = self.bounds
-        _ = self.all_seeds
+        _ = self.bounds, self.all_seeds
 
     @property
     def all_seeds(self) -> tuple[int, ...]:

@@ -94,14 +94,14 @@ def test_a_lost_node_and_a_lost_driver_lose_no_row(cluster: LocalCluster, tmp_pa
 
 
 def test_a_search_has_the_same_trials_as_on_this_machine(cluster: LocalCluster, tmp_path: Path) -> None:
-    asked = ["--methods", "bc", "--envs", "cartpole", "--seeds", "100-100", "--trials", "2"]
+    asked = ["--methods", "bc", "--envs", "cartpole", "--seeds", "100-100", "--trials", "1"]
     asked += ["--budget", "smoke", "--no-retrain"]
     tables = []
     for name, engine in (("there", ["--engine", "ray", "--address", cluster.address]), ("here", [])):
         storage = tmp_path / f"{name}.db"
         finish(command("tune", *asked, "--storage", str(storage), *engine), 0)
         tables.append(pd.read_csv(f"{storage}.csv").drop(columns="seconds"))
-    assert tables[0]["trial"].tolist() == [-1, 0, 1]
+    assert tables[0]["trial"].tolist() == [-1, 0]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
