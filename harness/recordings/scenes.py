@@ -242,7 +242,7 @@ def scene(spec: EnvSpec, seed: int, act: Array) -> Scene | None:
         places[step] = inner.data.geom_xpos
         for geom in range(count):
             mujoco.mju_mat2Quat(turns[step, geom], inner.data.geom_xmat[geom])
-    edges = [*np.add(inner.edges(), [0, 0, _ABOVE])] if isinstance(inner, Drive) else []
+    edges = [*(inner.edges() + np.array([0, 0, _ABOVE]))] if isinstance(inner, Drive) else []
     solid = Solid(inner.model, places, turns, _TARGETS.get(name), edges)
     return solid if solid.moving else None
 
