@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from envs.gridworld import grid, objectworld
 from envs.learners import soft
 from harness.registry import ENVS, SPECS
 from methods.base import Array, Episodes, Transitions
 from methods.bc import BehaviourCloning
-from methods.csil import CSIL, UNIFORM, GaussianProcess, coherent_table
+from methods.csil import CSIL, UNIFORM, GaussianProcess, coherent_table, evidence
 from methods.dagger import DAgger
 from methods.settings import settings_for
 from methods.sqil import SQIL, imitate, soft_q
@@ -32,6 +33,17 @@ def fitted(noise: float = 0.0, count: int = 500) -> GaussianProcess:
     obs = rng.uniform(-1, 1, (count, 3))
     act = wave(obs) + noise * rng.normal(size=(count, 2))
     return GaussianProcess.fitted(obs, act, (np.zeros(3), np.ones(3)), 256, 0.01, rng)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+def test_the_evidence_is_the_density_of_a_gaussian_process(noise: float) -> None:
+    rng = np.random.default_rng(0)
+    features, act = 0.3 * rng.normal(size=(20, 4)), rng.normal(size=(20, 2))
+    covariance = noise**2 * np.eye(20) + (UNIFORM**2 - noise**2) * features @ features.T
+    density = sum(multivariate_normal(cov=covariance).logpdf(column) for column in act.T)
+    squares, axes = np.linalg.eigh(features.T @ features)
+    found = evidence(squares, axes.T @ features.T @ act, act, noise)
+    assert found == pytest.approx(density + 20 * np.log(2 * np.pi))
 
 
 def test_where_the_model_is_known_q_is_the_soft_optimal_policy_of_its_reward() -> None:
