@@ -2,10 +2,9 @@
 
 An encoder is fixed before a method begins, and every method and all RL of a task see through the same one. So
 methods differ by what they do, and an image costs one pass. The shipped encoders are convolutions with
-random weights, whose outputs are projected on their principal components in a random policy's episodes
-(Jarrett et al. 2009; Burda et al. 2019 compare random convolutions with learned ones). Weights, pixels and
-what lies between are whole numbers, so features are equal to the last bit for any number of images and on
-any processor.
+random weights (Jarrett et al. 2009; Burda et al. 2019 compare them with learned ones). Their outputs are
+projected on their principal components in a random policy's episodes. Weights, pixels and what lies between
+are whole numbers, so that features do not depend on how many images are encoded at a time.
 """
 
 from __future__ import annotations
