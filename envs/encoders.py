@@ -95,13 +95,19 @@ def made(name: str, images: Images) -> Encoder:
         return Convolutions(LAYERS[name], images)
     module, _, attribute = name.partition(":")
     try:
-        encoder: Encoder = getattr(importlib.import_module(module), attribute)(images)
-    except (ImportError, AttributeError, ValueError) as error:
-        known = ", ".join(LAYERS)
-        raise ValueError(f"no encoder {name!r}: give {known}, or module:Class ({error})") from error
-    if (shape := np.shape(encoder(images[:2]))) != (2, FEATURES):
-        raise ValueError(f"the encoder {name} gives features {shape} of 2 images, not (2, {FEATURES})")
-    return encoder
+        kind = getattr(importlib.import_module(module), attribute)
+        encoder, again = kind(images), kind(images)
+        given = encoder(images[:2]), encoder(images[:1]), again(images[:2])
+        both, alone, same = (np.asarray(features, np.float64) for features in given)
+    except Exception as error:
+        known, why = ", ".join(LAYERS), f"{type(error).__name__}: {error}"
+        raise ValueError(f"no encoder {name!r}: give {known}, or module:Class ({why})") from error
+    if both.shape != (2, FEATURES) or not np.isfinite(both).all():
+        raise ValueError(f"the encoder {name} gives {both.shape} of 2 images, not finite (2, {FEATURES})")
+    if not (np.array_equal(both, same) and np.array_equal(both[:1], alone)):
+        raise ValueError(f"the encoder {name} gives an image other features again, or beside others")
+    found: Encoder = encoder
+    return found
 
 
 def channels_last(space: spaces.Space[Any]) -> tuple[int, ...] | None:
@@ -122,7 +128,7 @@ class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         gym.Wrapper.__init__(self, env)
         axes = channels_last(env.observation_space)
         assert axes is not None
-        self._axes = axes
+        self._axes, self.encoder = axes, encoder
         key = repr(env.spec), encoder
         if key not in _MADE:
             _MADE[key] = made(encoder, np.stack([*self._examples()]))
@@ -148,8 +154,9 @@ class Encoded(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         Raises ValueError for images of another size."""
         shape = self.env.observation_space.shape
         assert shape is not None
-        if math.prod(images.shape[1:]) != math.prod(shape):
-            raise ValueError(f"its images are {images.shape[1:]}, and the task's are {shape}")
+        if images.dtype != np.uint8 or images.shape[1:] not in (shape, (math.prod(shape),)):
+            its = f"{images.dtype} {images.shape[1:]}"
+            raise ValueError(f"its observations are {its}, and the task's are images uint8 {shape}")
         seen = np.stack([self._image(image) for image in images.reshape(-1, *shape)])
         pairs = np.concatenate([seen[[0, *range(len(seen) - 1)]], seen], axis=-1)
         return np.asarray(self._encode(pairs).astype(np.float32).astype(np.float64))

@@ -101,7 +101,7 @@ class SeenEnv(gym.Env[Floats, Floats]):
     """One copy of it as an environment. numbers: how many are beside the features."""
 
     def __init__(self, view: Callable[..., View], encoder: str, numbers: int = 0, **changed: Any) -> None:
-        self._batch = SeenBatch(1, view, encoder, **changed)
+        self._batch, self.encoder = SeenBatch(1, view, encoder, **changed), encoder
         self.view = self._batch.view
         self.observation_space = spaces.Box(-np.inf, np.inf, (FEATURES + numbers,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (self.view.act_size,), np.float32)
@@ -121,6 +121,10 @@ class SeenEnv(gym.Env[Floats, Floats]):
     def image(self) -> Images:
         """The latest image, (H, W, C)."""
         return self._batch.image(0)
+
+    def encoded(self, images: Any) -> Array:
+        """Raise ValueError: a file does not say what is beside an image."""
+        raise ValueError("the task draws its images itself, and takes none of a file")
 
 
 def why_ended(env: gym.Env[Any, Any]) -> str:

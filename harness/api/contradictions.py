@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
+from importlib.machinery import PathFinder
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.registry import ASKING, ENCODERS, KNOWN, base, keys, plugins
@@ -24,8 +26,12 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
     if asked.encoder:
         if blind := [env for env in envs if not plugins.task(env).encoder]:
             yield f"{', '.join(blind)} has no images for --encoder"
-        if asked.encoder not in ENCODERS and ":" not in asked.encoder:
+        module, _, attribute = asked.encoder.partition(":")
+        if asked.encoder not in ENCODERS and not (module and attribute):
             yield f"--encoder must be {', '.join(ENCODERS)} or module:Class, not {asked.encoder!r:.40}"
+        folders = [str(Path(one.place).parent) for one in KNOWN.plugins.values() if one.is_file]
+        if attribute and not (PathFinder.find_spec(module, folders) or PathFinder.find_spec(module)):
+            yield f"no module {module!r:.40} for --encoder: install it, or put it beside a named plug-in"
     if asked.experts == "none":
         if not asked.files:
             yield "--experts none is for demonstrations of a file: --demos-from"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from envs import EnvSpec
 from envs.checks import number
 from harness.records import NOMINAL, REFERENCE, CellResult, PolicyName
-from harness.registry import KNOWN, SPECS, BadInput, Entry, choose, ours, plugins
+from harness.registry import KNOWN, BadInput, Entry, choose, ours, plugins
 from harness.registry.gymnasium_tasks import as_json, kwargs_of, task_or_name
 from harness.registry.known import id_of
 from harness.registry.tasks import seen_through
@@ -91,11 +91,12 @@ class LearnedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
             raise BadInput(f"there is no reward in it: {exported.facts['why_no_reward']}")
         own = exported.spec.make()
         spaces = own.observation_space.shape, own.action_space
-        if (env.observation_space.shape, env.action_space) != spaces:
+        encoder = env.get_wrapper_attr("encoder") if env.has_wrapper_attr("encoder") else ""
+        if (env.observation_space.shape, env.action_space) != spaces or encoder != exported.spec.encoder:
             raise BadInput(
                 f"R* is of {own.observation_space} and {own.action_space}, the environment has "
                 f"{env.observation_space} and {env.action_space}; "
-                f"irl_bench.make({exported.spec.name!r}) has those"
+                f"irl_bench.make({exported.spec.name!r}) has those, with the encoder if it has one"
             )
         self.reward, self.offset, self._spec = exported.reward, offset, exported.spec
         self._obs: NDArray[Any] | None = None
@@ -214,16 +215,19 @@ def _part(folder: Path, part: str, facts: Mapping[str, Any]) -> Any:
 
 
 @ours.meanwhile()
-def make(env: str, **kwargs: Any) -> gym.Env[Any, Any]:
-    """Return the environment that policies of the task are for. kwargs: arguments of a task 'gym:ID', as of
-    `--env-kwargs`. Raises BadInput for an unknown one."""
+def make(env: str, *, encoder: str = "", **kwargs: Any) -> gym.Env[Any, Any]:
+    """Return the environment that policies of the task are for. encoder: of images, '' for the task's own.
+    kwargs: arguments of a task 'gym:ID', as of `--env-kwargs`. Raises BadInput for an unknown one."""
     env = task_or_name(env, as_json(kwargs))
     if kwargs and not id_of(KNOWN.entries["env"].get(env, Entry("", ""))):
         raise BadInput(f"arguments are of tasks gym:ID, not of {env!r:.80}")
     if choose("env", env, KNOWN.entries["env"]) != (env,):
         raise BadInput(f"one env is needed, not {env!r:.80}")
     plugins.load([], [env])
-    return SPECS[env].make()
+    try:
+        return seen_through(env, encoder).make()
+    except ValueError as error:
+        raise BadInput(str(error)) from error
 
 
 def _facts(result: CellResult, policy: str, reward: Reward | None, encoder: str) -> dict[str, Any]:

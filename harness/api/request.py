@@ -39,6 +39,7 @@ from harness.registry import (
 )
 from harness.registry.bounds import MOST_SEEDS
 from harness.registry.gymnasium_tasks import check_kwargs, task_or_name
+from harness.registry.tasks import seen_through
 from harness.schedule.progress import tell
 from harness.store.request import Request
 from methods.base import Array
@@ -88,7 +89,7 @@ class RunRequest:
     solves: int = 0
     """RL solves of each learned reward; 0: the number of the task and budget."""
     encoder: str = ""
-    """The encoder of images: 'small', 'nature' or 'module:Class' (docs/images.md); '' for each task's own."""
+    """The encoder of images: 'small', 'nature' or 'module:Class' ; '' for each task's own."""
     experts: Experts = "shipped"
     demos: Sequence[int] = (0,)
     """Numbers of demonstrations, one after the other; 0: the number of the budget."""
@@ -205,7 +206,7 @@ def resolve(asked: RunRequest, fixes_instructions: bool) -> tuple[Request, Demon
         demonstrations=str(demonstrations) if demonstrations else "",
         learner=asked.learner,
         solves=asked.solves,
-        encoder=asked.encoder,
+        encoder="" if all(plugins.task(env).encoder == asked.encoder for env in envs) else asked.encoder,
         env_kwargs=KNOWN.env_kwargs,
         env_vars=json.dumps(KNOWN.variables, sort_keys=True) if KNOWN.variables else "",
     )
@@ -238,7 +239,8 @@ def _demonstrations(asked: RunRequest, envs: Sequence[str]) -> Demonstrations:
 
     preferred = None if asked.preferences is None else Path(str(asked.preferences))
     how = Reading(asked.last_observation, tuple(asked.obs_keys))
-    demonstrations = read_all(asked.files, SPECS[envs[0]], asked.bounds, how, preferred)
+    spec = seen_through(envs[0], asked.encoder)
+    demonstrations = read_all(asked.files, spec, asked.bounds, how, preferred)
     path = ", ".join(map(str, asked.files))
     episodes = len(demonstrations.episodes)
     if asked.experts == "none" and demonstrations.returns is None:

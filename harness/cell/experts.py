@@ -25,7 +25,7 @@ from harness.demonstrations.arrays import from_arrays as episodes_from
 from harness.demonstrations.arrays import split, to_arrays
 from harness.records import ALL_SHOWN, UNSHOWN, Conditions, Shown
 from harness.registry import SPECS, BadInput, Demonstrator
-from harness.registry.keys import experts_version
+from harness.registry.keys import encoder_version, experts_version
 from harness.registry.plugins import method_for
 from harness.registry.tasks import task_for
 from harness.rl.learned import check_learned
@@ -114,6 +114,7 @@ class Source(ABC):
         if self.expert.returns:
             return compute()
         made_with = [self.conditions.rl, self.conditions.learner, self.conditions.budget]
+        made_with += encoder_version(self.conditions.encoder)
         return kept(f"{name}{self.seed}", self.env, [self.expert.name, *made_with, asked], compute)
 
 
@@ -188,7 +189,9 @@ class Trained(Played):
     def expert(self) -> Expert:
         if self.spec.tabular:  # which is faster than reading it
             return self._train()
-        asked = [self.conditions.rl, self.spec.rl_steps[self.conditions.budget], asdict(self.spec.rl)]
+        rl, steps = self.conditions.rl, self.spec.rl_steps[self.conditions.budget]
+        asked: list[object] = [rl, steps, asdict(self.spec.rl)]
+        asked += encoder_version(self.conditions.encoder)
         return from_kept(kept(f"expert{self.seed}", self.env, asked, lambda: to_kept(self._train())))
 
     def _train(self) -> Expert:

@@ -70,6 +70,8 @@ def export_demonstrations(path: Path, env: str, seed: int, count: int, kind: Dem
     if path.suffix != ".npz":
         extra("minari")
     spec = SPECS[env]
+    if spec.encoder:
+        raise BadInput(f"{env} observes features of an encoder, which no file holds", "demonstrations")
     if not (keys.experts_version(env) or spec.tabular or spec.expert_sees.controller):
         tell(f"{env} has no shipped experts: unless the cache has one, one is trained now, at full")
     played = played_for(env, seed, Conditions("full", "absorbing", "sbx")).play(count, kind)

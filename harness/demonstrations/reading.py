@@ -209,7 +209,7 @@ def _observed(recording: Recording, env: gym.Env[Any, Any]) -> NDArray[Any]:
     """Return a file's observations, which the task makes vectors if they are of its space, or images. Raises
     ValueError for choices that the space does not have, and for a file with others."""
     rows, states, space = recording.arrays["obs"], recording.states, space_observed(env)
-    if rows.dtype == np.uint8 and env.has_wrapper_attr("encoded"):
+    if env.has_wrapper_attr("encoded"):
         episodes = split(rows, recording.arrays["lengths"].astype(np.int64) + 1)
         return np.concatenate([*map(env.get_wrapper_attr("encoded"), episodes)])
     if states is not None:

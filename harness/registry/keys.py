@@ -88,9 +88,8 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
     @functools.cache
     def task(env: str) -> str:
         asked: list[object] = [_asked(conditions), experts_version(env)]
-        running, (module, _, encoder) = [*RUNNING], conditions.encoder.partition(":")
-        if encoder:
-            asked += sources_of(module).digests
+        running = [*RUNNING]
+        asked += encoder_version(conditions.encoder)
         if conditions.experts == "none":
             asked += [_target("method", CLONE), settings_for(CLONE, env, conditions.budget)]
             running.append(KNOWN.entries["method"][CLONE].module)
@@ -103,6 +102,12 @@ def cell_keys(cells: Iterable[Cell], conditions: Conditions, variables: Mapping[
         return _digest_of("method", name, [], asked)
 
     return {c: f"{task(c.env)}:{method(c.env, c.method, c.shown, c.dynamics)}" for c in cells}
+
+
+def encoder_version(encoder: str) -> list[str]:
+    """Return what decides an encoder's features: its name and its source; nothing for a task's own."""
+    module, _, attribute = encoder.partition(":")
+    return [encoder, *(sources_of(module).digests if attribute else [])] if encoder else []
 
 
 def task_version(env: str) -> str:

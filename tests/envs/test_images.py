@@ -15,12 +15,16 @@ from envs import from_gymnasium
 from envs.encoders import EXAMPLES, FEATURES, LAYERS, Convolutions, Images, _convolved, made
 from envs.swingups import swingup
 from envs.swingups.swingup_pixels import SIDE, SPEC, drawn
+from harness.api.exported import Exported, ExportedPolicy, LearnedReward, make
+from harness.cell.experts import source_for
 from harness.demonstrations.reading import read
+from harness.records import Conditions, Shown
 from harness.registry import ENCODERS, SPECS, BadInput
 from harness.rl.on_policy import dynamics_of
 from harness.rl.simulator import Simulator
 from harness.rl.world import TaskWorld
 from methods.base import Array, Unsuitable
+from methods.rewards import Constant
 
 
 def images(count: int, channels: int = 2) -> Images:
@@ -40,6 +44,30 @@ class Mean:
 class Short(Mean):
     def __call__(self, shown: Images) -> Array:
         return super().__call__(shown)[:, 1:]
+
+
+class Unfinished(Mean):
+    def __call__(self, shown: Images) -> Array:
+        return np.where(np.arange(FEATURES) == 3, np.nan, super().__call__(shown))
+
+
+class Drawn(Mean):
+    """An encoder that is another one each time."""
+
+    def __init__(self, examples: Images) -> None:
+        super().__init__(examples)
+        self._shift = np.random.default_rng().normal()
+
+    def __call__(self, shown: Images) -> Array:
+        return super().__call__(shown) + self._shift
+
+
+class Centred(Mean):
+    """An encoder whose features depend on what is beside an image."""
+
+    def __call__(self, shown: Images) -> Array:
+        features = super().__call__(shown)
+        return features - features.mean(axis=0)
 
 
 @pytest.mark.parametrize(("width", "stride"), [(5, 2), (3, 1), (8, 4)])
@@ -72,8 +100,15 @@ def test_features_do_not_depend_on_what_is_encoded_beside(name: str) -> None:
 def test_an_encoder_of_ones_own_is_found_and_others_are_refused() -> None:
     assert {*LAYERS} == {*ENCODERS}
     assert made(f"{__name__}:Mean", images(8))(images(3)).shape == (3, FEATURES)
-    with pytest.raises(ValueError, match=r"Short gives features \(2, 63\) of 2 images, not \(2, 64\)"):
-        made(f"{__name__}:Short", images(8))
+    refused = {
+        "Short": r"gives \(2, 63\) of 2 images, not finite \(2, 64\)",
+        "Unfinished": "not finite",
+        "Drawn": "other features again",
+        "Centred": "or beside others",
+    }
+    for kind, why in refused.items():
+        with pytest.raises(ValueError, match=why):
+            made(f"{__name__}:{kind}", images(8))
     for name in ("smal", "no.module:Class", f"{__name__}:Missing"):
         with pytest.raises(ValueError, match=r"no encoder .*give small, nature, or module:Class"):
             made(name, images(8))
@@ -187,6 +222,28 @@ def test_images_of_a_file_are_encoded(spots: None, tmp_path: Path) -> None:
     for obs in (np.stack(shown), np.stack(shown).reshape(21, -1)):
         np.savez(tmp_path / "a.npz", obs=obs, acts=act, rews=np.zeros(20), **ends)
         assert np.array_equal(read(tmp_path / "a.npz", spec).episodes.obs[0], played.obs)
-    np.savez(tmp_path / "a.npz", obs=np.stack(shown)[..., :6], acts=act, rews=np.zeros(20), **ends)
-    with pytest.raises(BadInput, match=r"its images are \(1, 12, 6\), and the task's are \(1, 12, 12\)"):
-        read(tmp_path / "a.npz", spec)
+    for odd in (np.stack(shown)[..., :6], np.stack(shown).transpose(0, 2, 3, 1), np.zeros((21, FEATURES))):
+        np.savez(tmp_path / "a.npz", obs=odd, acts=act, rews=np.zeros(20), **ends)
+        with pytest.raises(BadInput, match=r"and the task's are images uint8 \(1, 12, 12\)"):
+            read(tmp_path / "a.npz", spec)
+    with pytest.raises(BadInput, match="the task draws its images itself"):
+        read(tmp_path / "a.npz", SPEC)
+
+
+def test_what_is_kept_and_learned_is_of_its_encoder() -> None:
+    seen = []
+    for encoder in ("", "nature", f"{__name__}:Mean", ""):
+        conditions = Conditions("smoke", "absorbing", "sbx", encoder=encoder)
+        (obs, *_) = source_for("swingup_pixels", 100, conditions).demonstrations(Shown(demos=1)).obs
+        seen.append(obs)
+    assert np.array_equal(seen[0], seen[3])
+    assert len({obs.tobytes() for obs in seen}) == 3
+    nature = SPEC.encoded_by("nature")
+    reward = Exported(ExportedPolicy(lambda obs: obs[:, :1], nature), Constant(1.0, 0.0), nature, {})
+    assert LearnedReward(make("swingup_pixels", encoder="nature"), reward).reset(seed=0)[0].shape == (
+        FEATURES,
+    )
+    with pytest.raises(BadInput, match=r"irl_bench.make\('swingup_pixels'\) has those, with the encoder"):
+        LearnedReward(make("swingup_pixels"), reward)
+    with pytest.raises(BadInput, match="cartpole: it has no images"):
+        make("cartpole", encoder="small")

@@ -146,6 +146,8 @@ def test_who_stops_a_run_is_told_how_to_go_on(
             "run --envs swingup_pixels --encoder smal",
             "--encoder must be small, nature or module:Class, not 'smal'",
         ),
+        ("run --envs swingup_pixels --encoder no_such:Class", "no module 'no_such' for --encoder: install"),
+        ("demos export --env drive --to a.npz", "drive observes features of an encoder, which no file"),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --rl torch", "invalid choice: 'torch'"),
         ("run --envs swingup --action-bounds=-1e-320,1e-320", "is not a lower number and a higher one"),
