@@ -208,7 +208,8 @@ def _mean_at(curves: Sequence[Curve], level: float) -> float:
 
 def scale_costs(axes: Axes, costs: Sequence[float]) -> None:
     """Make the x axis logarithmic, with a place for 0 where something costs nothing."""
-    low, high = min(cost for cost in costs if cost > 0), 1.6 * max(costs)
+    low = min((cost for cost in costs if cost > 0), default=1.0)
+    high = 1.6 * max(*costs, low)
     free = min(costs) == 0
     axes.set_xscale("symlog", linthresh=low, linscale=0.3) if free else axes.set_xscale("log")
     axes.set_xlim(-0.2 * low if free else 0.7 * low, high)

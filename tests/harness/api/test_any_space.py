@@ -63,7 +63,8 @@ def test_observations_are_vectors_whose_entries_have_names(task: Callable[..., s
 
 
 UNSEEN = {
-    "images": (spaces.Box(0, 255, (8, 8, 3), np.uint8), "not images"),
+    "images of numbers": (spaces.Box(0, 1, (8, 8, 3)), "not images"),
+    "images of six channels": (spaces.Box(0, 255, (8, 8, 6), np.uint8), "not images"),
     "texts": (spaces.Dict({"said": spaces.Text(5)}), "not Text"),
     "sequences": (spaces.Sequence(PLACE), "not Sequence"),
     "nothing": (spaces.Box(0, 1, (0,)), "have no entry"),

@@ -44,7 +44,7 @@ def test_a_files_methods_and_tasks_are_known_and_not_part_of_all(mine: Path) -> 
     assert KNOWN.chosen_methods("plugins") == ("mine",)
     assert KNOWN.chosen_envs("plugins") == ("moon",)
     assert KNOWN.chosen_envs("all") == (*ENVS,)
-    assert KNOWN.chosen_envs("moon,driving,cartpole") == ("cartpole", "drive_state", "moon")
+    assert KNOWN.chosen_envs("moon,driving,cartpole") == ("cartpole", "drive_state", "drive", "moon")
     assert plugins.needed(["mine"], []) == plugins.needed([], ["moon"]) == (Plugin(str(mine), str(mine)),)
     assert not plugins.needed(["bc"], ["swingup"])
     facts, spec = plugins.task("moon"), SPECS["moon"]

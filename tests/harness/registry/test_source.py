@@ -64,7 +64,7 @@ def start(copy: Path, *arguments: str) -> subprocess.Popen[str]:
 
 def test_what_is_edited_counts_from_the_next_run_on_and_for_its_own_cells(copy: Path) -> None:
     """An editor has a file open all the while."""
-    bc, registry = copy / "methods/bc.py", copy / "harness/registry/names.py"
+    bc, registry = copy / "methods/bc.py", copy / "harness/registry/built_in.py"
     as_it_was = bc.read_text()
     (copy / "methods/.#bc.py").symlink_to("nobody@nowhere")
     process = start(copy, *RUN)
