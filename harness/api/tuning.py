@@ -123,9 +123,11 @@ def best_of(found: Mapping[str, Sequence[Trial]]) -> list[str]:
     for method, (plain, *trials) in found.items():
         best = max(trials, key=lambda one: -np.inf if np.isnan(one.score) else one.score)
         failed = sum(np.isnan(one.score) for one in trials)
+        is_better = round(best.score, 3) > round(plain.score, 3) or np.isnan(plain.score)
         lines.append(
             f"{method}: best of {len(trials)} trials {best.score:.3f}, as it is {plain.score:.3f}"
-            f"{f', {failed} failed' if failed else ''}: {best.as_options()}"
+            f"{f', {failed} failed' if failed else ''}: "
+            f"{best.as_options() if is_better else 'no trial is better'}"
         )
     return lines
 

@@ -119,7 +119,10 @@ class Settings(argparse.Action):
             parser.error(f"{option} is given as METHOD.FIELD=VALUE, not {values[:80]!r}")
         settings = {key: dict(own) for key, own in getattr(namespace, self.dest).items()}
         if field in settings.setdefault(method, {}):
-            parser.error(f"{option} {name} is given twice; rows of their own are in --methods")
+            parser.error(
+                f"{option} {name} is given twice; for a row of each value: "
+                f"--methods '{method}({field}=A),{method}({field}=B)'"
+            )
         settings[method][field] = configured.value_in(value)
         setattr(namespace, self.dest, settings)
 

@@ -139,7 +139,9 @@ def typed(method: str, thing: object, settings: Mapping[str, object]) -> dict[st
         try:
             values[name] = msgspec.convert(value, hints[name])
         except msgspec.ValidationError as error:
-            raise BadInput(f"{method}.{name} cannot be {value!r:.40}: {error}") from error
+            each = f"; for a row of each value: --methods '{method}({name}=A),{method}({name}=B)'"
+            several = each if isinstance(value, tuple) else ""
+            raise BadInput(f"{method}.{name} cannot be {value!r:.40}: {error}{several}") from error
         except TypeError as error:  # a type of the plug-in's own
             raise BadInput(f"{method}.{name} cannot be set here; {ELSE}") from error
     return values

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from gymnasium.envs.box2d.car_racing import CarRacing
 
+import envs.racing.carracing as carracing
 from envs.images import Images, SeenBatch
-from envs.racing import carracing
 from envs.racing.picture import SIDE, View
 from harness.cell.experts import source_for
 from harness.judge.evaluation import evaluate
