@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs import EnvSpec
-from envs.dynamics import Dynamics, DynamicsBatch
+from envs.dynamics import Dynamics
 from envs.learners import PPO
 from harness.rl import ppo
 from harness.rl.ppo import Kind, Steps
@@ -109,8 +109,8 @@ class OnPolicy:
 
 def dynamics_of(spec: EnvSpec) -> Dynamics | None:
     """Return a task's written dynamics, None where it has none."""
-    batch: Any = spec.batch
-    return batch.keywords["physics"] if getattr(batch, "func", None) is DynamicsBatch else None
+    physics = getattr(spec.batch, "keywords", {}).get("physics")
+    return physics if isinstance(physics, Dynamics) and not spec.encoder else None
 
 
 def _compiled(kind: Kind, physics: Dynamics, spec: EnvSpec, key: Any) -> Collect:

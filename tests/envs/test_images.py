@@ -143,6 +143,7 @@ def test_an_experts_episodes_are_shown_in_images() -> None:
 def test_images_have_no_written_dynamics_and_no_expert_to_ask() -> None:
     assert dynamics_of(SPECS["swingup"]) is swingup.NOMINAL
     assert dynamics_of(SPECS["swingup"].variant("heavy")) is not None
+    assert dynamics_of(SPECS["highway"]) is not None
     assert dynamics_of(SPEC) is dynamics_of(SPEC.variant("heavy")) is None
     assert SPEC.variant("heavy").expert_sees.name == "swingup.heavy"
     world = TaskWorld(SPEC, "absorbing", "sbx", expert=lambda obs: obs)
