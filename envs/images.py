@@ -18,8 +18,6 @@ from gymnasium import spaces
 from envs.encoders import EXAMPLES, FEATURES, Encoder, Images, made
 from envs.spec import Array, EnvSpec, Flags, Floats, Quantity, register
 
-FEATURE_SCALE = 1.0
-"""Typical size of a feature."""
 COPIES = 32
 """Episodes that an encoder's examples come from, at first."""
 
@@ -149,7 +147,7 @@ def seen(
         env_id=f"irl_bench_bare/{name}-v0",
         obs_size=FEATURES + len(numbers),
         obs_names=(*features, *numbers),
-        obs_scale=(FEATURE_SCALE,) * FEATURES + (*numbers.values(),),
+        obs_scale=(1.0,) * FEATURES + (*numbers.values(),),
         phi=None,
         draw=EnvSpec.draw,
         why_ended=why_ended,

@@ -161,8 +161,8 @@ class EnvSpec:
     encoder: str = ""
     """Encoder of images (`envs.encoders`) in a task that is seen in images, '' in others."""
     expert_task: EnvSpec | None = None
-    """The same task as its expert sees it, None where the expert sees what methods see. Equal seeds and
-    actions give equal episodes."""
+    """Task as its expert sees it, None where the expert sees what methods see. Equal seeds and actions give
+    equal episodes."""
     tabular: Tabular | None = None
     """Model and true reward of a finite environment, which is solved instead of learned."""
 

@@ -70,7 +70,7 @@ class Conditions:
     experts: Experts = "shipped"
     """Demonstrators: shipped experts, or one trained for each seed; 'none': demonstrations score 1."""
     record: Record = "both"
-    """Which evaluation episodes of seed 0's policies are recorded. Older runs have 'first'."""
+    """Recorded evaluation episodes of seed 0's policies. Older runs have 'first'."""
     retrain: bool = True
     """True where there are pi_R, and so controls, beside pi_star."""
     demonstrations: Text = ""

@@ -192,8 +192,8 @@ def contrast(
 
 
 def preference_loss(network: nn.Module, better: Tensor, worse: Tensor) -> Tensor:
-    """Return the mean negative log-likelihood that the better of two stretches (B, T, I) is preferred, where
-    the logit is the difference of their sums of tanh(network) (Bradley & Terry 1952; Brown et al. 2019)."""
+    """Return the mean negative log-likelihood that the better of two stretches (B, T, I) is preferred. The
+    logit is the difference of their sums of tanh(network) (Bradley & Terry 1952; Brown et al. 2019)."""
     paid = [torch.tanh(network(rows.flatten(0, 1))).view(rows.shape[:2]) for rows in (better, worse)]
     loss: Tensor = softplus((paid[1] - paid[0]).sum(1)).mean()
     return loss

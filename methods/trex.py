@@ -1,7 +1,7 @@
 """T-REX (Brown, Goo, Nagarajan & Niekum 2019): a reward of states, learned from ranked demonstrations.
 
 Logistic regression on pairs of demonstrations finds a reward that sums to more over the better one
-(Bradley & Terry 1952). It may pay more for states that are better than all that are shown.
+(Bradley & Terry 1952). States that are better than all shown ones may pay more.
 
     max over r of E log sigma(sum_(s in j) r(s) - sum_(s in i) r(s)),   j better than i
 

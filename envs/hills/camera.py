@@ -1,16 +1,15 @@
 """The car's camera: the distance and the road in 32 by 16 directions, without a renderer."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from envs.hills.environment import Drive, look, rotated
+from envs.encoders import Images
+from envs.hills.environment import Drive, rotated
 from envs.hills.tracks import HALF_WIDTH, height
 from envs.spec import Array, Flags
 
-ROWS, COLUMNS, CHANNELS = 16, 32, 2
+ROWS, COLUMNS = 16, 32
 WIDE, HIGH, DOWN = math.radians(90), math.radians(40), math.radians(12)  # fields of view, and pitch downwards
 FARTHEST = 60.0  # m, the largest distance that is seen
 OWN = 6  # first entries of an observation, which the car measures without a camera
@@ -50,11 +49,8 @@ def seen(env: Drive) -> tuple[Array, Flags]:
     return distance.reshape(shape), (np.isfinite(away) & hit).reshape(shape)
 
 
-def pictures(envs: Sequence[Drive]) -> NDArray[np.uint8]:
-    """Return each car's picture and own measurements, (B, 1048): the bytes of (ROWS, COLUMNS, CHANNELS), and
-    then of `OWN` numbers in 32 bits. Channels: distance [`FARTHEST` / 255], and 255 where the road is."""
-    views = [seen(env) for env in envs]
-    channels = [[np.rint(distance * (255 / FARTHEST)), 255 * road] for distance, road in views]
-    pixels = np.moveaxis(np.array(channels, np.uint8), 1, -1).reshape(len(envs), -1)
-    own = look(envs)[0][:, :OWN].astype(np.float32)
-    return np.concatenate([pixels, np.ascontiguousarray(own).view(np.uint8)], axis=1)
+def picture(car: Drive) -> Images:
+    """Return the camera's picture (ROWS, COLUMNS, 2): the distance [`FARTHEST` / 255], and 255 where the road
+    is."""
+    distance, road = seen(car)
+    return np.stack([np.rint(distance * (255 / FARTHEST)), 255 * road], axis=-1).astype(np.uint8)

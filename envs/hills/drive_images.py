@@ -6,11 +6,11 @@ import numpy as np
 
 from envs.encoders import Images
 from envs.hills import drive
-from envs.hills.camera import FARTHEST, OWN, seen
+from envs.hills.camera import OWN, picture
 from envs.hills.car import Physics
 from envs.hills.environment import NOMINAL, Drive, why_ended
 from envs.hills.environment import drive as driven
-from envs.images import seen as seen_in_images
+from envs.images import seen
 from envs.spec import Array, Flags
 
 
@@ -36,14 +36,7 @@ class View:
         return why_ended(self._cars[place])
 
 
-def picture(car: Drive) -> Images:
-    """Return the camera's picture (ROWS, COLUMNS, 2): the distance [`FARTHEST` / 255], and 255 where the road
-    is."""
-    distance, road = seen(car)
-    return np.stack([np.rint(distance * (255 / FARTHEST)), 255 * road], axis=-1).astype(np.uint8)
-
-
-SPEC = seen_in_images(
+SPEC = seen(
     drive.SPEC,
     "drive",
     View,

@@ -103,7 +103,7 @@ SPEC = images.seen(
 """A tile of the track pays 1000 / N as a wheel first touches it, where the track has N, and each frame costs
 0.1. An episode ends when the lap is complete, and far off the track, which costs 100.
 
-Of 20 demonstrations `bc` returns 860 to 904 on three seeds, as the expert does, and -93, 519 and -93 where
-the start is turned (`results/studies/carracing.csv`). Reddy et al. 2020 have 698 and -45, and 704 and 480 for
-their expert. Their SQIL has 704 and 375. Ours has -44 to 116 and -93 after 8,000 actions, which are few, and
-sees features that are not learned."""
+Of 20 demonstrations `bc` returns 860 to 904 on three seeds, where the expert returns 894 to 907. With the
+start turned it returns -93, 519 and -93 (`results/studies/carracing.csv`, five episodes a seed). Reddy et al.
+2020 have 698 and -45, and 704 and 480 for their expert. Their SQIL has 704 and 375. Ours has -44 to 116 and
+-93 after 8,000 actions, which are few, and sees features that are not learned."""

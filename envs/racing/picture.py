@@ -13,7 +13,7 @@ from gymnasium.envs.box2d.car_racing import GRASS_DIM, SCALE, WINDOW_H, WINDOW_W
 
 from envs.encoders import Images
 from envs.racing.environment import Car, Racing
-from envs.spec import Array, Flags, Shape
+from envs.spec import Array, Flags
 
 SIDE = 48
 """Pixels of a side."""
@@ -87,9 +87,6 @@ class View:
         rewards, terminated = map(np.array, zip(*paid, strict=True))
         images = np.stack([self._image(place) for place in places])
         return images, np.stack([one.numbers() for one in racing]), rewards, terminated
-
-    def drawing(self, place: int) -> dict[str, Shape]:
-        return self._racing[place].scene()
 
     def why_ended(self, place: int) -> str:
         return self._racing[place].ending

@@ -16,10 +16,11 @@ NO_NUMBERS = {
 
 
 class Entry(NamedTuple):
-    """The place of a method's class or a task's `EnvSpec` ('module:name'), and a summary of one line.
+    """The place of a method's class or of a task's `EnvSpec`, 'module:name', and a summary of one line.
 
-    variants: a task's other dynamics. experts: the task that has its shipped experts, '' for itself.
-    needs: a module that the extra of the same name in small letters installs, '' for none.
+    `variants`: a task's other dynamics.
+    `experts`: the task that has its shipped experts, '' for itself.
+    `needs`: a module of an extra, whose name is the module's in small letters. '' for none.
     """
 
     target: str

@@ -28,7 +28,7 @@ EXPERTS: tuple[Experts, ...] = ("shipped", "trained", "none")
 LOGS = ("tensorboard", "wandb")
 """Programs that show curves of running cells."""
 SAMPLERS: tuple[Sampler, ...] = ("tpe", "random")
-"""What proposes hyper-parameters in a search."""
+"""Samplers of hyper-parameters in a search."""
 ENGINES: tuple[EngineName, ...] = ("isolated", "inline", "ray")
 RECORDS: tuple[Record, ...] = ("none", "median", "worst", "both", "all")
 DEMONSTRATORS: tuple[Demonstrator, ...] = ("expert", "medium", "noisy", "ranked")

@@ -52,10 +52,10 @@ def write_report(directory: Path, report: Report) -> list[Path]:
 
 
 def figure(report: Report, kind: str, env: str | None = None, cost: str | None = None) -> bytes:
-    """Return the file of a figure: the scores on each board, or on those of one environment.
+    """Return the file of a figure of scores, on each board or on those of one environment.
 
-    kind: one of `FIGURES`. cost: a key of `pareto.UNITS`, against which scores are drawn. Raises BadInput
-    for an environment without results, and where nothing has that cost.
+    `kind`: one of `FIGURES`. `cost`: a key of `pareto.UNITS`. Scores are drawn against it.
+    Raises BadInput for an environment without results, and where nothing has that cost.
     """
     boards = _boards(report, env)
     with styled():

@@ -8,7 +8,6 @@ WARM_UP = 1000
 """Random steps before learning; half of a solve that is shorter than twice that."""
 STEPS_PER_CHECK_EPISODE = 75
 """A short solve checks a checkpoint on one episode for each of this many steps."""
-
 JUDGING_EPISODES = 20
 """Episodes on which the solves of one reward are compared."""
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from envs.hills import camera, environment
-from envs.hills.camera import FARTHEST, RAYS, pictures, seen
+from envs.hills.camera import FARTHEST, RAYS, seen
 from envs.hills.drive import OBS_NAMES, SPEC
+from envs.hills.drive_images import View
 from envs.hills.environment import Drive, drive, look, rotated
 from envs.hills.tracks import CELLS, HALF, HALF_WIDTH, POINTS, TIGHTEST, Track, cross, draw_track, height
 
@@ -148,15 +149,12 @@ def test_on_hills_distances_are_those_of_mujocos_rays() -> None:
     assert np.quantile(error, 0.95) < 0.2
 
 
-def test_pictures_hold_the_bytes_of_what_is_seen_and_measured() -> None:
-    envs = [Drive(), Drive(dataclasses.replace(environment.NOMINAL, camera=0.5))]
-    for seed, env in enumerate(envs):
-        env.reset(seed=seed)
-    data = pictures(envs)
-    assert data.shape == (2, camera.ROWS * camera.COLUMNS * camera.CHANNELS + 4 * camera.OWN)
-    for row, env in zip(data, envs, strict=True):
-        pixels, own = row[: -4 * camera.OWN].reshape(16, 32, 2), row[-4 * camera.OWN :].view(np.float32)
-        distance, road = seen(env)
-        np.testing.assert_allclose(pixels[..., 0] * (FARTHEST / 255), distance, atol=FARTHEST / 500)
-        assert np.array_equal(pixels[..., 1] == 255, road)
-        np.testing.assert_allclose(own, look([env])[0][0, : camera.OWN], rtol=1e-6)
+def test_a_view_has_what_is_seen_and_measured() -> None:
+    physics = dataclasses.replace(environment.NOMINAL, camera=0.5)
+    image, numbers = View(1, physics).reset(0, seed=1)
+    car = Drive(physics)
+    car.reset(seed=1)
+    distance, road = seen(car)
+    np.testing.assert_allclose(image[..., 0] * (FARTHEST / 255), distance, atol=FARTHEST / 500)
+    assert np.array_equal(image[..., 1] == 255, road)
+    assert np.array_equal(numbers, look([car])[0][0, : camera.OWN])

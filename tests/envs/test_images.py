@@ -22,7 +22,8 @@ from harness.records import Conditions, Shown
 from harness.registry import ENCODERS, SPECS, BadInput
 from harness.rl.on_policy import dynamics_of
 from harness.rl.simulator import Simulator
-from harness.rl.world import TaskWorld
+from harness.rl.stored import from_arrays, to_arrays
+from harness.rl.world import Features, TaskWorld
 from methods.base import Array, Unsuitable
 from methods.rewards import Constant
 
@@ -246,5 +247,7 @@ def test_what_is_kept_and_learned_is_of_its_encoder() -> None:
     )
     with pytest.raises(BadInput, match=r"irl_bench.make\('swingup_pixels'\) has those, with the encoder"):
         LearnedReward(make("swingup_pixels"), reward)
+    stored = to_arrays(Features(nature), "phi")
+    assert from_arrays(*stored)._spec.encoder == "nature"
     with pytest.raises(BadInput, match="cartpole: it has no images"):
         make("cartpole", encoder="small")

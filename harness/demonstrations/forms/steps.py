@@ -76,10 +76,10 @@ def recording(
 ) -> Recording:
     """Return the episodes of N steps.
 
-    obs: (N, O) before each step. after: (N, O) after each step, where known.
-    columns: actions (N, A) or choices (N,), and rewards (N,), where known.
-    ends: the number of steps before each end of an episode, but for the last one.
-    terminal: (N,) true where an episode that ends there has terminated.
+    `obs`: (N, O) before each step. `after`: (N, O) after each step, where known.
+    `columns`: actions (N, A) or choices (N,), and rewards (N,), where known.
+    `ends`: the number of steps before each end of an episode, but for the last one.
+    `terminal`: (N,) true where an episode that ends there has terminated.
     """
     if form != "LeRobot":
         without_keys(form, how)
