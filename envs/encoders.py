@@ -90,7 +90,8 @@ def _rounded(y: Floats, scale: np.float32) -> Images:
 
 def made(name: str, images: Images) -> Encoder:
     """Return the encoder of a name, 'small', 'nature' or 'module:Class', whose class is called with images
-    (N, H, W, C). Raises ValueError for other names, and for classes that give other shapes."""
+    (N, H, W, C). Features are in units of their standard deviations among these. Raises ValueError for other
+    names, and for classes that give other shapes."""
     if name in LAYERS:
         return Convolutions(LAYERS[name], images)
     module, _, attribute = name.partition(":")
@@ -106,8 +107,10 @@ def made(name: str, images: Images) -> Encoder:
         raise ValueError(f"the encoder {name} gives {both.shape} of 2 images, not finite (2, {FEATURES})")
     if not (np.array_equal(both, same) and np.array_equal(both[:1], alone)):
         raise ValueError(f"the encoder {name} gives an image other features again, or beside others")
-    found: Encoder = encoder
-    return found
+    features = np.asarray(encoder(images), np.float64)
+    mean, std = features.mean(axis=0), features.std(axis=0)
+    std[std < 1e-9] = 1.0
+    return lambda shown: (np.asarray(encoder(shown), np.float64) - mean) / std
 
 
 def channels_last(space: spaces.Space[Any]) -> tuple[int, ...] | None:

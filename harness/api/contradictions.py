@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import sys
 from collections.abc import Iterator, Sequence
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -30,8 +32,10 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
         if asked.encoder not in ENCODERS and not (module and attribute):
             yield f"--encoder must be {', '.join(ENCODERS)} or module:Class, not {asked.encoder!r:.40}"
         folders = [str(Path(one.place).parent) for one in KNOWN.plugins.values() if one.is_file]
-        if attribute and not (PathFinder.find_spec(module, folders) or PathFinder.find_spec(module)):
+        if attribute and (file := _file_of(module, [*folders, *sys.path])) is None:
             yield f"no module {module!r:.40} for --encoder: install it, or put it beside a named plug-in"
+        elif attribute and file and _lacks(file, attribute):
+            yield f"{file} has no {attribute!r:.40} for --encoder"
     if asked.experts == "none":
         if not asked.files:
             yield "--experts none is for demonstrations of a file: --demos-from"
@@ -53,3 +57,19 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
             yield f"there are no medium demonstrators of {', '.join(lacking)}; leave it out of --envs"
     if asked.transfer and not asked.retrain:
         yield "--transfer scores by what RL reaches in a variant; leave out --no-retrain"
+
+
+def _file_of(module: str, path: Sequence[str] | None) -> str | None:
+    """Return the file of a module, '' for a folder without one, None for neither. No code of it runs."""
+    found = None
+    for part in module.split("."):
+        if path is None or (found := PathFinder.find_spec(part, path)) is None:
+            return None
+        path = found.submodule_search_locations
+    return (found and found.origin) or ""
+
+
+def _lacks(file: str, name: str) -> bool:
+    """Return whether a source file says nothing of a name, nor takes names from others."""
+    text = Path(file).read_text(encoding="utf-8", errors="replace") if file.endswith(".py") else name
+    return not re.search(rf"\b{re.escape(name)}\b|import \*|__getattr__", text)

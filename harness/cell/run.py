@@ -21,6 +21,7 @@ from harness.judge.numbers import as_text
 from harness.records import (
     CONTROLS,
     LEARNED,
+    NOMINAL,
     REFERENCE,
     UNSHOWN,
     Cell,
@@ -138,7 +139,9 @@ def score(inputs: Inputs, retrained: Retrained) -> Scored:
             values |= {"status": "ok", **scored.columns()}
             values |= {"solved": solved(scored)} if one.name == "pi_R" else {}
         rows.append(row_of(inputs.cell, one.name, inputs.conditions.protocol, **values))
-    below_bar = _below_bar(inputs, evaluations["expert"]) if "expert" in evaluations else ""
+    below_bar = ""
+    if "expert" in evaluations:
+        below_bar = _below_bar(inputs, *(evaluations[name] for name in ("expert", "random")))
     return Scored(candidates, evaluations, rows, solves, below_bar)
 
 
@@ -149,15 +152,18 @@ def evaluated(
     return evaluate(place or inputs.place, policy, inputs.seeds, reward and fast(reward))
 
 
-def _below_bar(inputs: Inputs, expert: Evaluation) -> str:
-    """Return the reason why the expert cannot be trusted, '' where it meets its bar."""
+def _below_bar(inputs: Inputs, expert: Evaluation, random: Evaluation) -> str:
+    """Return the reason why the expert cannot be trusted, '' where it meets its bar and beats chance."""
     episodes, allowed = len(expert.returns), inputs.place.max_terminated[inputs.conditions.budget]
     terminated = (episodes - expert.endings.get("time limit", 0)) / episodes
-    reached, bar = expert.returns.mean(), inputs.place.bar(inputs.seeds)
+    reached, bar, chance = expert.returns.mean(), inputs.place.bar(inputs.seeds), random.returns.mean()
+    where = f"{inputs.cell.env}, seed {inputs.cell.seed}"
+    if reached <= chance and inputs.cell.dynamics == NOMINAL:
+        return f"{where}: the expert is no better than a random policy: {reached:.2f}, not above {chance:.2f}"
     if reached >= bar and terminated <= allowed:
         return ""
     return (
-        f"{inputs.cell.env}, seed {inputs.cell.seed}: the expert misses its bar: mean return "
+        f"{where}: the expert misses its bar: mean return "
         f"{as_text(reached, '.2f')} (at least {bar:.2f}), {terminated:.0%} of episodes terminated early "
         f"(at most {allowed:.0%})"
     )

@@ -52,6 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         again = plain(shlex.join([*_program(), *argv]))
         kept = f"what is finished is kept. To go on, run the same again:\n  {again}{_how_to_report(argv)}"
         resumes = argv[0] in ("run", "tune", "reproduce") or argv[:2] == ["experts", "train"]
+        resumes &= "--plan" not in argv
         print(f"\nstopped; {kept if resumes else 'nothing is kept'}", file=sys.stderr)
         return 130
 

@@ -58,10 +58,12 @@ def tell_troubles(results: Sequence[CellResult], budget: str, beside: Iterable[C
     warnings = [warning for result in results for warning in result.warnings]
     for warning in dict.fromkeys([*warnings, *effort.warnings([*results, *beside], budget)]):
         tell(f"WARNING: {warning}")
-    failed = [result for result in results if result.has_failed]
-    for result in failed[:MOST_NAMED]:
+    failed = dict[str, list[str]]()
+    for result in [result for result in results if result.has_failed]:
         reason = next(row.reason for row in result.rows if row.status == "failed")
-        tell(f"FAILED: {result.cell.name}: {reason}")
+        failed.setdefault(reason, []).append(result.cell.name)
+    for reason, names in [*failed.items()][:MOST_NAMED]:
+        tell(f"FAILED: {_first(names)}: {reason}")
     if len(failed) > MOST_NAMED:
-        tell(f"FAILED: {len(failed) - MOST_NAMED} more, whose reasons are in scores.csv")
+        tell(f"FAILED: {len(failed) - MOST_NAMED} more reasons, which are in scores.csv")
     return bool(failed)

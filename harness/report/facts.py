@@ -78,7 +78,8 @@ def why_no_result(env: str, request: Request, results: Sequence[CellResult]) -> 
     if request.conditions.budget == "smoke":
         return "budget smoke only shows that everything runs"
     below = sorted({r.cell.seed for r in results if r.below_bar and r.cell.env == env})
-    return f"the expert of seed {', '.join(map(str, below))} misses its bar" if below else ""
+    which = ", ".join(map(str, below))
+    return f"the expert of seed {which} misses its bar, or is no better than chance" if below else ""
 
 
 def warnings(results: Sequence[CellResult], rows: Sequence[Row], budget: str) -> list[str]:

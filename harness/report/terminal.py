@@ -125,7 +125,8 @@ def _cautions(report: Report) -> list[str]:
     flagged = {board.env: board.flag for board in report.boards if board.flag}
     if report.request.conditions.budget == "smoke":
         return [f"{NO_RESULT}: budget smoke only shows that everything runs"]
-    lines = [f"{NO_RESULT} on {some([*flagged])}: an expert misses its bar"] if flagged else []
+    why = "an expert misses its bar, or is no better than chance"
+    lines = [f"{NO_RESULT} on {some([*flagged])}: {why}"] if flagged else []
     return lines + [ONE_SEED] * all(board.has_one_seed for board in report.boards)
 
 

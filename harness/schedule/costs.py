@@ -22,6 +22,7 @@ from harness.engines.jobs import Job
 from harness.process.environment import cache_folder
 from harness.records import ALL_SHOWN, CONTROLS, REFERENCE, Conditions
 from harness.registry import base, plugins
+from harness.registry.keys import expert_files
 from harness.store.files import read, write_atomic
 
 NO_NUMBERS = "It guesses how long cells take, and orders them: a cell's numbers are the same in any order."
@@ -35,8 +36,8 @@ SHARED = "expert"
 """The method's name of a job that makes shared inputs."""
 FIT, REST = 5.0, 1.5
 """Guessed seconds of a fit besides its RL, which counts as one solve, and of the rest of a cell."""
-PPO_RATE, OTHER_RATE = 8_000.0, 1_200.0
-"""Guessed RL steps a second: of PPO, and of other learners."""
+PPO_RATE, OTHER_RATE, IMAGE_RATE = 8_000.0, 1_200.0, 500.0
+"""Guessed RL steps a second: of PPO, of other learners, and of any that sees images."""
 
 Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
@@ -107,9 +108,12 @@ class Costs:
             steps = (task.rl_steps if own else task.ddpg_steps)[self._conditions.budget]
         except Exception:  # as in `solves`
             return FIT, 0.0
-        took = steps / (PPO_RATE if own and isinstance(getattr(task, "rl", None), PPO) else OTHER_RATE)
+        rate = PPO_RATE if own and isinstance(getattr(task, "rl", None), PPO) else OTHER_RATE
+        took = steps / (IMAGE_RATE if task.encoder else rate)
         if job.shared:
-            return REST + 0.1 * took, 0.0
+            experts = self._conditions.experts
+            trained = experts == "trained" or (experts != "none" and not expert_files(cell.env))
+            return REST + (took if trained else 0.1 * took), 0.0
         if cell.method == REFERENCE:
             return REST, 0.0
         return (REST if cell.method in CONTROLS else REST + FIT + took), took

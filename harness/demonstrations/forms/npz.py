@@ -19,6 +19,15 @@ from harness.demonstrations.recording import OWN_FORM, Reading, Recording, compl
 OWN = {"obs": "obs", "lengths": "lengths", "terminated": "terminated", "act": "act", "rewards": "rewards"}
 OTHER = {"obs": "obs", "act": "acts", "lengths": "indices", "terminated": "terminal", "rewards": "rews"}
 """Arrays of this project and of `imitation`."""
+COLUMNS = {"D4RL's": (steps.D4RL, steps.of_d4rl), "il-datasets'": (steps.IL_DATASETS, steps.of_il_datasets)}
+"""Forms with a row for each step, and their readers."""
+NEEDED = {
+    "D4RL's": {"observations", "terminals"},
+    "il-datasets'": {"obs", "episode_starts"},
+    "this project's": {"obs", "lengths", "terminated"},
+    "imitation's": {"obs", "acts", "indices", "terminal"},
+}
+"""Arrays that a form has at least."""
 ACT_BOUNDS = "act_bounds"
 
 
@@ -26,13 +35,14 @@ def read(file: BinaryIO, how: Reading) -> Recording:
     """Return the episodes of an archive."""
     archive = np.load(file)
     names = {*archive.files}
-    for columns, of_steps in ((steps.D4RL, steps.of_d4rl), (steps.IL_DATASETS, steps.of_il_datasets)):
-        if {columns[0], columns[3]} <= names:
-            return of_steps({name: _array(archive, name) for name in columns if name in names}, how)
-    layout = next((one for one, least in ((OWN, 3), (OTHER, 4)) if {*[*one.values()][:least]} <= names), None)
-    if layout is None:
-        raise ValueError(f"it has none of the sets of arrays that are known, but {sorted(names)}")
-    form = OWN_FORM if layout is OWN else "imitation's npz"
+    lacking = {form: sorted(needed - names) for form, needed in NEEDED.items()}
+    if (form := next((form for form, lacks in lacking.items() if not lacks), None)) is None:
+        lacks = "; ".join(f"{form} {', '.join(lacks)}" for form, lacks in lacking.items())
+        raise ValueError(f"it has {', '.join(sorted(names)) or 'no arrays'}. It lacks of {lacks}")
+    if form in COLUMNS:
+        columns, of_steps = COLUMNS[form]
+        return of_steps({name: _array(archive, name) for name in columns if name in names}, how)
+    layout, form = (OWN, OWN_FORM) if form == "this project's" else (OTHER, "imitation's npz")
     without_keys(form, how)
     arrays = {name: _array(archive, there) for name, there in layout.items() if there in names}
     if layout is OTHER:

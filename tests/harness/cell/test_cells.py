@@ -14,7 +14,7 @@ import pytest
 from envs import EnvSpec
 from envs.learners import DDPG, SAC
 from harness.cell import fitting, retraining
-from harness.cell.experts import source_for
+from harness.cell.experts import Expert, Shipped, source_for
 from harness.cell.inputs import Inputs
 from harness.cell.phases import Phase
 from harness.cell.retraining import JUDGING_EPISODES
@@ -30,6 +30,7 @@ from harness.rl.world import solver_for
 from harness.store.artifacts import learned_in
 from harness.store.codec import decode, encode
 from methods.base import Array, Learned, Policy, Reward
+from methods.network import Network
 from tests.harness.small_cells import BC, SMOKE, cache, run  # noqa: F401
 
 
@@ -119,6 +120,20 @@ def test_the_reference_scores_the_expert_and_a_random_policy(
     assert result.below_bar
     assert "misses its bar" in warning
     assert f"{expert.return_mean:.2f}" in warning
+
+
+def test_an_expert_that_is_no_better_than_chance_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    always = dict.fromkeys(BUDGETS, 1.0)
+    easy = dataclasses.replace(SPECS["cartpole"], bar=lambda seeds: -1.0, max_terminated=always)
+    monkeypatch.setitem(SPECS, "cartpole", easy)
+    pushes = Network.of(np.zeros(4), np.ones(4), [np.zeros((4, 1))], [np.ones(1)])
+    monkeypatch.setattr(Shipped, "expert", Expert("pushes", pushes))
+    result = run(Cell("cartpole", "reference", 0), tmp_path)
+    (warning,) = result.warnings
+    assert result.below_bar
+    assert "seed 0: the expert is no better than a random policy" in warning
 
 
 CARTPOLE, STEPS = SPECS["cartpole"], SPECS["cartpole"].rl_steps["smoke"]

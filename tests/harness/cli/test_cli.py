@@ -147,6 +147,7 @@ def test_who_stops_a_run_is_told_how_to_go_on(
             "--encoder must be small, nature or module:Class, not 'smal'",
         ),
         ("run --envs swingup_pixels --encoder no_such:Class", "no module 'no_such' for --encoder: install"),
+        ("run --envs swingup_pixels --encoder envs.encoders:No", "encoders.py has no 'No' for --encoder"),
         ("demos export --env drive --to a.npz", "drive observes features of an encoder, which no file"),
         ("run --budget huge", "invalid choice: 'huge'"),
         ("run --rl torch", "invalid choice: 'torch'"),
