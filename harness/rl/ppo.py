@@ -120,26 +120,31 @@ def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
     return act, _log_prob(kind, params, seen, act)
 
 
+@functools.partial(jax.jit, static_argnums=(1, 2, 3))
+def _orthogonal(key: Any, inputs: int, outputs: int, gain: float) -> Any:
+    """Return the first weights (inputs, outputs) of a layer. It is compiled once for all agents."""
+    return jax.nn.initializers.orthogonal(gain)(key, (inputs, outputs))
+
+
 @functools.cache
 def functions(kind: Kind) -> Functions:
     """Return the compiled parts of agents of a kind."""
     s = kind.settings
     optimizer = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optax.scale_by_adam(eps=EPSILON))
 
-    @jax.jit
     def begin(key: Any) -> State:
         keys = iter(jax.random.split(key, 2 * len(s.net) + 2))
 
         def layers(outputs: int, last: float) -> list[Any]:
-            sizes, gains = (kind.obs_size, *s.net, outputs), [np.sqrt(2)] * len(s.net) + [last]
+            sizes, gains = (kind.obs_size, *s.net, outputs), [math.sqrt(2)] * len(s.net) + [last]
             return [
-                (jax.nn.initializers.orthogonal(gain)(next(keys), (i, o)), jnp.zeros(o))
+                (_orthogonal(next(keys), i, o, gain), np.zeros(o, np.float32))
                 for i, o, gain in zip(sizes[:-1], sizes[1:], gains, strict=True)
             ]
 
         params: dict[str, Any] = {"actor": layers(kind.act_size, LAST_LAYER), "critic": layers(1, 1.0)}
         if not kind.discrete:
-            params["log_std"] = jnp.full(kind.act_size, math.log(s.std), jnp.float32)
+            params["log_std"] = np.full(kind.act_size, math.log(s.std), np.float32)
         return State(params, optimizer.init(params))
 
     @jax.jit
