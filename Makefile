@@ -9,6 +9,9 @@ ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif
 
+# Tests wait for processes half of the time.
+WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) \* 3 / 2)
+
 # Where a shell forbids bytecode, each of hundreds of processes would compile this program again.
 export PYTHONDONTWRITEBYTECODE :=
 
@@ -20,9 +23,9 @@ run: .venv/installed
 test: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/pytest -q -n auto --dist worksteal
-	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
+	{ $(BIN)/mypy && $(BIN)/python -m sphinx -q -W --keep-going docs build/docs; } & beside=$$!; \
+	$(BIN)/pytest -q -n $(WORKERS) --dist worksteal; tested=$$?; \
+	wait $$beside && exit $$tested
 
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs

@@ -76,9 +76,9 @@ def test_two_hundred_cells_with_faults_are_all_accounted_for(
     faults = {cell.name: behaviour for cell, behaviour in zip(cells, behaviours, strict=True)}
     (tmp_path / "faults.json").write_text(json.dumps(faults))
     # What is opened once, such as the server that forks, is open after the first.
-    compute(tmp_path / "run", cells[:2], WORKERS, timeout=2)
+    compute(tmp_path / "run", cells[:2], WORKERS, timeout=5)
     open_files = len(os.listdir("/proc/self/fd"))
-    found = compute(tmp_path / "run", cells, WORKERS, timeout=2).results
+    found = compute(tmp_path / "run", cells, WORKERS, timeout=5).results
     assert len(os.listdir("/proc/self/fd")) <= open_files
     assert list(temporary.iterdir()) == []
     assert multiprocessing.active_children() == []
