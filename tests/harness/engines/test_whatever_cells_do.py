@@ -1,5 +1,6 @@
 """Whatever a cell does becomes its own failed row: the run goes on, and nothing of the cell is left."""
 
+import ctypes
 import os
 import subprocess
 import tempfile
@@ -11,6 +12,7 @@ import psutil
 import pytest
 
 from harness.cli.main import main
+from harness.engines.compute import process_restored
 from harness.engines.server import Server
 from harness.records import Cell, CellResult
 from tests.harness.fake_runs import FAKE, SMOKE, compute, faults
@@ -122,3 +124,17 @@ def test_where_no_temporary_file_can_be_one_line_says_so_and_nothing_is_written(
     assert main(["run", "--out", str(tmp_path / "run")]) == 2
     assert "no folder for temporary files" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="of glibc")
+def test_what_a_job_freed_goes_back_to_the_machine() -> None:
+    """Blocks that stay lie between those that are freed, as after a job that traces and compiles."""
+    process = psutil.Process()
+    before = process.memory_info().rss
+    with process_restored():
+        blocks = [bytearray(60_000) for _ in range(5000)]
+        stay = blocks[::50]
+        assert process.memory_info().rss > before + (250 << 20)
+        del blocks
+    assert len(stay) == 100
+    assert process.memory_info().rss < before + (60 << 20)
