@@ -17,6 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import scipy.linalg
+from numpy.typing import NDArray
 
 from envs.dynamics import Dynamics
 from envs.learners import PPO
@@ -31,11 +33,16 @@ VALUE_WEIGHT = 0.5
 """The critic's share of the loss."""
 LARGEST_LOG_STD = 0.0
 """The largest logarithm of actions' standard deviation."""
+LEAST_DRAWN = 1 << 14
+"""Random numbers that are drawn for a layer, at least: for fewer, the same program is used."""
 LAST_LAYER = 0.01
 """The size of an untrained actor's last weights."""
 ALIGNED = 8
 """Observations are filled up with zeros to a multiple of it. XLA's products of others round by the sizes of
 the processor's caches."""
+
+
+Floats = NDArray[np.float32]
 
 
 class Kind(NamedTuple):
@@ -120,10 +127,20 @@ def _draw(kind: Kind, params: Any, seen: Any, key: Any) -> tuple[Any, Any]:
     return act, _log_prob(kind, params, seen, act)
 
 
-@functools.partial(jax.jit, static_argnums=(1, 2, 3))
-def _orthogonal(key: Any, inputs: int, outputs: int, gain: float) -> Any:
-    """Return the first weights (inputs, outputs) of a layer. It is compiled once for all agents."""
-    return jax.nn.initializers.orthogonal(gain)(key, (inputs, outputs))
+@functools.partial(jax.jit, static_argnums=1)
+def _normals(key: Any, count: int) -> Any:
+    return jax.random.normal(key, (count,), jnp.float32)
+
+
+def _orthogonal(key: Any, inputs: int, outputs: int, gain: float) -> Floats:
+    """Return the first weights (inputs, outputs) of a layer: those of JAX's initializer, which would be
+    compiled for each shape."""
+    shape = max(inputs, outputs), min(inputs, outputs)
+    count = shape[0] * shape[1]
+    drawn = np.asarray(_normals(key, max(LEAST_DRAWN, 1 << (count - 1).bit_length())))
+    q, r = scipy.linalg.qr(drawn[:count].reshape(shape), mode="economic")
+    weights: Floats = np.float32(gain) * (q * np.sign(np.diag(r)))
+    return weights if inputs >= outputs else weights.T
 
 
 @functools.cache

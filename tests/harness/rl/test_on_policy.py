@@ -118,3 +118,10 @@ def test_it_tells_its_latest_steps_and_what_it_draws_from() -> None:
     choosing.learn(SMALL.unit, None)
     assert isinstance(choosing.behaviour, Softmax)
     assert set(choosing.replay().act.ravel()) == {0.0, 1.0}
+
+
+@pytest.mark.parametrize("shape", [(4, 64), (64, 64), (64, 3), (3, 1), (256, 256)])
+def test_first_weights_are_those_of_jaxs_orthogonal_initializer(shape: tuple[int, int]) -> None:
+    key = jax.random.key(7)
+    theirs = jax.nn.initializers.orthogonal(2**0.5)(key, shape)
+    assert np.array_equal(ppo._orthogonal(key, *shape, 2**0.5), theirs)
