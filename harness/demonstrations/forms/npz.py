@@ -37,8 +37,8 @@ def read(file: BinaryIO, how: Reading) -> Recording:
     names = {*archive.files}
     lacking = {form: sorted(needed - names) for form, needed in NEEDED.items()}
     if (form := next((form for form, lacks in lacking.items() if not lacks), None)) is None:
-        lacks = "; ".join(f"{form} {', '.join(lacks)}" for form, lacks in lacking.items())
-        raise ValueError(f"it has {', '.join(sorted(names)) or 'no arrays'}. It lacks of {lacks}")
+        missing = "; ".join(f"{', '.join(lacks)} for {form} form" for form, lacks in lacking.items())
+        raise ValueError(f"it has {', '.join(sorted(names)) or 'no arrays'}, and lacks {missing}")
     if form in COLUMNS:
         columns, of_steps = COLUMNS[form]
         return of_steps({name: _array(archive, name) for name in columns if name in names}, how)

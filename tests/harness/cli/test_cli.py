@@ -115,6 +115,9 @@ def test_who_stops_a_run_is_told_how_to_go_on(
     assert capsys.readouterr().err.endswith(
         f"To go on, run the same again:\n  {again}\nFor a report of what is finished:\n  {report}\n"
     )
+    monkeypatch.setattr(sys, "argv", [typed, "run", "--plan"])
+    assert cli.main() == 130
+    assert capsys.readouterr().err.endswith("stopped; nothing is kept\n")
 
 
 @pytest.mark.parametrize(

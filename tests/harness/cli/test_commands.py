@@ -137,6 +137,14 @@ def test_what_was_damaged_is_computed_again_and_what_failed_when_asked(main: Mai
     assert main("report", "run")[0] == 0
 
 
+def test_cells_that_fail_alike_are_one_line(main: Main, tmp_path: Path) -> None:
+    faults(tmp_path, cartpole__bc__seed0="raise", cartpole__control_true__seed0="raise")
+    code, _, err = main(*SMOKE, "--methods", "bc", "--out", "run")
+    assert code == 1
+    assert err.count("FAILED: ") == 1
+    assert "FAILED: cartpole__control_true__seed0 and 1 more: ValueError: two lines" in err
+
+
 def test_inline_cells_are_computed_in_this_process(
     main: Main, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

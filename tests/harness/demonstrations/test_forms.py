@@ -156,6 +156,11 @@ def test_steps_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
     refused(tmp_path / "d.npz", why, how=Reading("drop"))
 
 
+def test_arrays_that_each_form_lacks_are_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "d.npz", obs=np.zeros((3, 2)), lengths=[2])
+    refused(tmp_path / "d.npz", "; terminated for this project's form; ")
+
+
 def test_a_dataset_of_lerobot_that_lacks_steps_is_refused(tmp_path: Path, played: list[Played]) -> None:
     how = Reading("drop", STATE_KEYS)
     lacks_file = lerobot(tmp_path / "a", played, "v2.1")
