@@ -88,8 +88,12 @@ def tune(
     if wrong := [seed for seed in asked.all_seeds if not FIRST <= seed <= LAST]:
         raise BadInput(f"seed {wrong[0]} is no tuning seed: those are {FIRST} to {LAST}", "tuning")
     asked = replace(asked, experts="trained", record="none")
-    folder = storage.with_name(f"{storage.name}.cells")
-    prepared = prepare(asked, engine, folder)
+
+    def ready(asked: RunRequest) -> Prepared:
+        prepared = prepare(asked, engine, storage.with_name(f"{storage.name}.cells"))
+        return replace(prepared, request=replace(prepared.request, controls=False))
+
+    prepared = ready(asked)
     plain = prepared.request.methods
     spaces = {method: plugins.searched(method) for method in plain}
     if fixed := [method for method in plain if base(method) != method or not spaces[method]]:
@@ -102,7 +106,7 @@ def tune(
         named = [(method, _name(method, one.params), one) for method in plain for one in proposed[method]]
         before = [_named(one) for study in studies.values() for one in study.get_trials()]
         methods = [*plain, *before, *(name for _, name, _ in named)]
-        found = _scored(cells(prepare(replace(asked, methods=methods), engine, folder), watch))
+        found = _scored(cells(ready(replace(asked, methods=methods)), watch))
         for method, name, one in named:
             _keep(studies[method], one, found[name])
         every = {

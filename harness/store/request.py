@@ -36,10 +36,12 @@ class Request:
     """Demonstrations that each method sees, one after the other."""
     variants: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
     """Variants, 'ENV.VARIANT', in which what was learned is used."""
+    controls: bool = True
+    """Whether controls are computed where there are pi_R."""
 
     @property
     def _methods(self) -> tuple[str, ...]:
-        controls = CONTROLS if self.conditions.retrain else ()
+        controls = CONTROLS if self.controls and self.conditions.retrain else ()
         return (REFERENCE, *controls, *self.methods)
 
     def _shown_to(self, method: str) -> tuple[Shown, ...]:
@@ -115,6 +117,7 @@ def _union(path: Path, old: Request, asked: Request) -> Request:
         conditions=old.conditions,
         shown=tuple(sorted({*old.shown, *asked.shown})),
         variants=tuple(sorted({*old.variants, *asked.variants})),
+        controls=old.controls or asked.controls,
     )
 
 

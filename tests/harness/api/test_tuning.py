@@ -13,7 +13,7 @@ from harness.api import tuning
 from harness.api.preparing import Prepared
 from harness.api.request import RunRequest
 from harness.cli.main import main
-from harness.records import Cell, CellResult
+from harness.records import CONTROLS, Cell, CellResult
 from harness.registry import KNOWN, BadInput, plugins
 from harness.registry.configured import settings_in
 from harness.registry.names import SAMPLERS, Sampler
@@ -42,6 +42,7 @@ class Fakes:
         if len(self.asked) >= self.fails_at:
             raise KeyboardInterrupt
         self.asked.append(prepared.request.methods)
+        assert not {cell.method for cell in prepared.request.cells} & {*CONTROLS}
         results = dict[Cell, CellResult]()
         for cell in prepared.request.cells:
             returns = {"expert": 1.0, "random": 0.0} if cell.method == "reference" else {}
