@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.registry import ASKING, ENCODERS, KNOWN, base, keys, plugins
+from harness.registry.packages import to_install
 
 if TYPE_CHECKING:
     from harness.api.request import RunRequest
@@ -24,7 +25,7 @@ def contradictions(asked: RunRequest, methods: Sequence[str], envs: Sequence[str
         yield f"actions of {', '.join(discrete)} are choices, and DDPG has none; leave them out of --envs"
     for env in envs:
         if (needs := KNOWN.entries["env"][env].needs) and not importlib.util.find_spec(needs):
-            yield f"{env} needs {needs}: pip install 'irl-bench[{needs.lower()}]'"
+            yield f"{env} needs {needs}: {to_install(needs.lower())}"
     if asked.encoder:
         if blind := [env for env in envs if not plugins.task(env).encoder]:
             yield f"{', '.join(blind)} has no images for --encoder"

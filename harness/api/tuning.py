@@ -29,6 +29,7 @@ from harness.records import CONTROLS, REFERENCE, Cell, CellResult
 from harness.registry import BadInput, base, keys, plugins
 from harness.registry.configured import Search, name_of, settings_in
 from harness.registry.names import Sampler
+from harness.registry.packages import to_install
 from harness.report.tables import as_csv
 from harness.schedule.progress import progress_for
 from harness.store.files import write_atomic
@@ -141,7 +142,7 @@ def _study(storage: Path, method: str, asked: str) -> Any:
     try:
         import optuna
     except ImportError as error:
-        raise BadInput("optuna cannot be imported: pip install 'irl-bench[tune]'", "tuning") from error
+        raise BadInput(f"optuna cannot be imported: {to_install('tune')}", "tuning") from error
     from sqlalchemy import URL
     from sqlalchemy.exc import SQLAlchemyError
 

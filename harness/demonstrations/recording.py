@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.registry import BadInput, LastObservation
+from harness.registry.packages import to_install
 
 OWN_FORM = "npz"
 """The form of this project's files."""
@@ -164,5 +165,5 @@ def extra(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        reason = f"{module} cannot be imported: pip install 'irl-bench[minari]'"
+        reason = f"{module} cannot be imported: {to_install('minari')}"
         raise BadInput(reason, page="demonstrations") from error

@@ -37,6 +37,7 @@ from harness.engines.scratch import scratch_folder
 from harness.process.environment import CHOSEN, numeric, of_user
 from harness.records import LEARNED, RESULT
 from harness.registry import BadInput, Unfinished, packing
+from harness.registry.packages import to_install
 from harness.store.files import write_atomic
 
 LOOK_EVERY = 1.0
@@ -80,7 +81,7 @@ class Ray:
         try:
             import ray
         except ImportError as error:
-            raise BadInput("Ray is not installed: pip install 'irl-bench[ray]'", page="cluster") from error
+            raise BadInput(f"Ray is not installed: {to_install('ray')}", page="cluster") from error
         if host:  # Ray would wait for minutes for one that does not answer.
             try:
                 socket.create_connection((host, int(port)), PATIENCE).close()

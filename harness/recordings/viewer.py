@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 
 from harness.registry import BadInput
+from harness.registry.packages import to_install
 from harness.store.names import COMPARE
 
 HERE = "127.0.0.1"
@@ -123,7 +124,7 @@ def _parts() -> Path:
     """Return the folder of rerun's page. Raises BadInput where it is not installed."""
     package = importlib.util.find_spec("rerun_notebook")
     if package is None or package.origin is None:
-        raise BadInput("the page is a part of its own: pip install 'irl-bench[view]' (docs/recordings.md)")
+        raise BadInput(f"the page is a part of its own: {to_install('view')} (docs/recordings.md)")
     return Path(package.origin).parent / "static"
 
 

@@ -20,6 +20,7 @@ from harness.registry import configured, gymnasium_tasks, ours
 from harness.registry.built_in import METHODS, VARIANTS, Entry
 from harness.registry.known import KNOWN, Offer, Plugin, id_of
 from harness.registry.names import BadInput, plain
+from harness.registry.packages import to_install
 from harness.registry.sources import Sources, sources_of
 from methods import settings
 
@@ -32,7 +33,7 @@ READ = "plugins"
 HINTS = {
     "ModuleNotFoundError": "a plug-in can import what lies in its own folder, and what is installed",
     "NotFound: ": "name the module that registers the task: gym:MODULE:ID, or --plugin",
-    "gymnasium[box2d]": "or pip install 'irl-bench[box2d]'",
+    "gymnasium[box2d]": f"or {to_install('box2d')}",
     "argument 'seed'": "reset must take seed= and options=, as of Gymnasium 0.26",
     "to unpack (expected ": "as of Gymnasium 0.26 reset returns an observation and a dict, and step an "
     "observation, a reward, whether it terminated, whether it was truncated, and a dict",

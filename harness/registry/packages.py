@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import sys
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -28,6 +29,9 @@ LEFT_OUT = {
     **dict.fromkeys(("pyarrow",), "it reads files of demonstrations, whose content is in the keys"),
 }
 """Packages that change no number, and why. Packages that only they require are left out, too."""
+
+BUILT = {"box2d": (3, 14)}
+"""Extras that are compiled when they are installed, and the Python since which they are."""
 
 
 class Facts(NamedTuple):
@@ -99,3 +103,9 @@ def _required(roots: tuple[str, ...], extras: bool) -> tuple[str, ...]:
             if holds and canonicalize_name(one.name) not in LEFT_OUT:
                 waiting.append(one.name)
     return tuple(sorted(names - {PROGRAM}))
+
+
+def to_install(extra: str) -> str:
+    """Return how to install an extra."""
+    is_built = sys.version_info >= BUILT.get(extra, (4,))
+    return f"pip install 'irl-bench[{extra}]'" + is_built * ", which needs swig and a C++ compiler"

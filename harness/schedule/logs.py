@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from harness.cell.phases import Phase
 from harness.records import Cell, CellResult
 from harness.registry import BadInput
+from harness.registry.packages import to_install
 from harness.schedule.grid import Sink
 from harness.schedule.progress import tell
 
@@ -89,7 +90,7 @@ class Logged:
             try:
                 importlib.import_module(MODULES[log])
             except ImportError as error:
-                raise BadInput(f"{log} cannot be imported: pip install 'irl-bench[{log}]'") from error
+                raise BadInput(f"{log} cannot be imported: {to_install(log)}") from error
         self._sink, self._directory, self._logs = sink, directory, logs
         self._writers: dict[str, list[Writer]] = {}
         self._live = set[tuple[str, str]]()

@@ -16,6 +16,7 @@ from harness.cli.main import main
 from harness.records import Cell, Conditions
 from harness.registry import KNOWN, BadInput, keys, packing, plugins
 from harness.registry.gymnasium_tasks import task_or_name
+from harness.registry.packages import to_install
 from harness.store.request import Request, command_of
 from tests.harness.plugged import SMOKE, command
 from tests.harness.registry.conftest import key_of
@@ -219,6 +220,14 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         plugins.add([], ["gym:LunarLander-v3"])
     with pytest.raises(BadInput, match=re.escape("carracing needs Box2D: pip install 'irl-bench[box2d]'")):
         resolve(RunRequest(methods=["bc"], envs=["carracing"]), True)
+
+
+def test_an_extra_without_a_wheel_says_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "version_info", (3, 13, 9))
+    assert to_install("box2d") == "pip install 'irl-bench[box2d]'"
+    monkeypatch.setattr(sys, "version_info", (3, 14, 0))
+    assert to_install("box2d") == "pip install 'irl-bench[box2d]', which needs swig and a C++ compiler"
+    assert to_install("ray") == "pip install 'irl-bench[ray]'"
 
 
 def test_a_variable_is_in_keys_and_reaches_cells(monkeypatch: pytest.MonkeyPatch) -> None:
