@@ -37,6 +37,8 @@ from tests.harness.demonstrations.owners import (
 
 pytestmark = pytest.mark.usefixtures("read_here", "own_cache")
 
+WRITTEN_BY_LEROBOT = Path(__file__).parent / "lerobot_0_4_4"
+
 
 @pytest.fixture(scope="module")
 def played() -> list[Played]:
@@ -84,6 +86,16 @@ def test_files_without_an_episodes_last_observation_are_refused_until_the_user_s
     for result, cut in ((repeated, 0), (dropped, 1)):
         paid = [one.rewards[: len(one.rewards) - cut] for one in played]
         np.testing.assert_allclose(np.concatenate(result.rewards or ()), np.concatenate(paid), rtol=1e-6)
+
+
+def test_a_folder_that_lerobot_wrote_is_played_back() -> None:
+    """It is of LeRobotDataset 0.4.4: two episodes of 20 random torques."""
+    assert read(WRITTEN_BY_LEROBOT, PENDULUM, how=Reading("repeat")).episodes.lengths.tolist() == [20, 20]
+    result = read(WRITTEN_BY_LEROBOT, PENDULUM, how=Reading("drop"))
+    assert result.form == "LeRobot"
+    assert result.episodes.lengths.tolist() == [19, 19]
+    assert np.abs(np.concatenate(result.episodes.act)).max() > 0.9
+    assert_played_back(result.episodes)
 
 
 @pytest.mark.parametrize("form", ["D4RL", "LeRobot 3.0", "robomimic"])
