@@ -145,12 +145,16 @@ def _study(storage: Path, method: str, asked: str) -> Any:
         raise BadInput(f"optuna cannot be imported: {to_install('tune')}", "tuning") from error
     from sqlalchemy import URL
     from sqlalchemy.exc import SQLAlchemyError
+    from sqlalchemy.pool import NullPool
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     storage.parent.mkdir(parents=True, exist_ok=True)
     try:
         url = URL.create("sqlite", database=str(storage.absolute())).render_as_string()
-        study = optuna.create_study(storage=url, study_name=method, direction="maximize", load_if_exists=True)
+        kept = optuna.storages.RDBStorage(url, engine_kwargs={"poolclass": NullPool})  # no connection stays
+        study = optuna.create_study(
+            storage=kept, study_name=method, direction="maximize", load_if_exists=True
+        )
     except (SQLAlchemyError, RuntimeError) as error:
         raise BadInput(f"{storage} holds no search: {' '.join(str(error).split())[:200]}") from error
     there = study.user_attrs.get(ASKED, "")

@@ -21,6 +21,7 @@ from tests.harness.made_results import make_row
 
 pytestmark = pytest.mark.usefixtures("_for_now")
 optuna = pytest.importorskip("optuna")
+NullPool = pytest.importorskip("sqlalchemy.pool").NullPool
 ASKED = RunRequest(methods=["gail", "csil"], envs=["swingup"], seeds=[100, 101], budget="smoke")
 BEST = 2e-3
 
@@ -87,7 +88,8 @@ def test_each_method_gets_the_same_number_of_trials_and_itself_as_it_is(fakes: F
     table = pd.read_csv(tmp_path / "a.db.csv")
     assert list(table["trial"]) == [-1, *range(7)] * 2
     assert {"method", "trial", "name", "score", "pi_star", "pi_R", "seconds"} == set(table.columns)
-    study = optuna.load_study(study_name="gail", storage=f"sqlite:///{tmp_path}/a.db")
+    kept = optuna.storages.RDBStorage(f"sqlite:///{tmp_path}/a.db", engine_kwargs={"poolclass": NullPool})
+    study = optuna.load_study(study_name="gail", storage=kept)
     assert len(study.trials) == 7
     assert study.best_value == max(one.score for one in found["gail"][1:] if not math.isnan(one.score))
 
