@@ -255,7 +255,7 @@ class CellResult:
     finished: Text = ""
     """Date and time, UTC."""
     below_bar: bool = False
-    """Whether a reference's expert misses its bar, or scores no more than a random policy."""
+    """True where a reference's expert misses its bar, or scores no more than a random policy."""
     details: Annotated[dict[Text, float], Meta(max_length=MOST_DETAILS)] = field(default_factory=dict)
     """A method's numbers about its fit, by name."""
     seconds: Annotated[dict[Text, Seconds], Meta(max_length=20)] = field(default_factory=dict)

@@ -37,7 +37,7 @@ class Request:
     variants: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
     """Variants, 'ENV.VARIANT', in which what was learned is used."""
     controls: bool = True
-    """Whether controls are computed where there are pi_R."""
+    """True where controls are computed beside pi_R."""
 
     @property
     def _methods(self) -> tuple[str, ...]:
