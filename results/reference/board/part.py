@@ -1,0 +1,54 @@
+"""A part of the board: a run without most of what it learned, and without its recordings.
+
+Of seed 0, policies and rewards of the expert, the methods of `all` and `shaped_thesis` are kept. From the
+root:
+
+    python results/reference/board/part.py RUN FOLDER
+
+`irl-bench report FOLDER` then makes its tables and its page.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+from harness.records import REFERENCE
+from harness.registry import METHODS
+from harness.store.artifacts import artifact
+from harness.store.codec import encode
+from harness.store.database import FILE, open_database
+from harness.store.files import sha256_of
+from harness.store.opening import open_to_verify
+from harness.store.store import REQUEST
+
+KEPT = {*METHODS, "shaped_thesis", REFERENCE}
+"""Methods whose policies and rewards of seed 0 are kept."""
+VARIANT = "gail_mean"
+"""A reward that a fit of `gail` has beside its own; another method, which is not kept."""
+
+
+def write(run: Path, folder: Path) -> None:
+    """Write the part of a run into a new folder. Raises BadInput where the run is damaged."""
+    folder.mkdir(parents=True)
+    with open_to_verify(run) as whole, open_database(folder / FILE, write=True) as part:
+        results, unusable = whole.load()
+        if unusable:
+            raise SystemExit(f"{run}: {unusable}")
+        with part.writing():
+            part.put("run", REQUEST, encode(whole.request))
+            for cell, result in results.items():
+                data = b""
+                if cell.seed == 0 and cell.method in KEPT and result.learned:
+                    learned = {name: it for name, it in whole.read_learned(result).items() if name != VARIANT}
+                    data, lost = artifact(cell, whole.request.conditions, learned)
+                    if lost:
+                        raise SystemExit(f"{cell.name}: {lost}")
+                    part.put("learned", cell.name, data)
+                kept = dataclasses.replace(result, recordings={}, learned=sha256_of(data) if data else "")
+                part.put("cells", cell.name, encode(kept))
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]), Path(sys.argv[2]))
