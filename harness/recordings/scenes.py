@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 from gymnasium.envs.mujoco import MujocoEnv
@@ -75,7 +76,7 @@ class Flat:
         """Send the shapes that never change, as scene/fixed."""
         if shapes := [self.frames[0][name] for name in self.fixed]:
             colours = np.array([shape.colour for shape in shapes], np.uint8)
-            strips = [_mirrored(shape.points) for shape in shapes]
+            strips = _strips([shape.points for shape in shapes])
             stream.log("scene/fixed", rr.LineStrips2D(strips, radii=_WIDTH, colors=colours), static=True)
 
     def send_moving(self, stream: rr.RecordingStream, actor: str, ghost: Colour | None = None) -> None:
@@ -84,7 +85,7 @@ class Flat:
             colours = np.array([ghost or self.frames[0][name].colour for name in moving], np.uint8)
             lines = rr.LineStrips2D.from_fields(radii=_WIDTH, colors=colours)
             stream.log(f"scene/{actor}", lines, static=True)
-            strips = [_mirrored(frame[name].points) for frame in self.frames for name in moving]
+            strips = _strips([frame[name].points for frame in self.frames for name in moving])
             columns = rr.LineStrips2D.columns(strips=strips).partition([len(moving)] * len(self.frames))
             send_columns(stream, f"scene/{actor}", np.arange(len(self.frames)), columns)
 
@@ -266,9 +267,13 @@ def _ground(model: mujoco.MjModel, number: int) -> rr.Mesh3D:
     return rr.Mesh3D(vertex_positions=places, triangle_indices=cells, vertex_colors=colours)
 
 
-def _mirrored(points: Array) -> NDArray[np.float32]:
-    """Return points (P, 2) with y negated, because 2D views point y downwards."""
-    return (points * [1.0, -1.0]).astype(np.float32)
+def _strips(lines: Sequence[Array]) -> pa.Array:
+    """Return lines (P, 2) for rerun, with y negated, because 2D views point y downwards. rerun itself would
+    convert each line alone, which takes longer than to play an episode."""
+    points = (np.concatenate(lines) * [1.0, -1.0]).astype(np.float32)
+    ends = np.cumsum([0, *map(len, lines)], dtype=np.int32)
+    kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
+    return pa.ListArray.from_arrays(ends, rr.components.Position2DBatch(points).as_arrow_array(), type=kind)
 
 
 def _upwards(turns: Array) -> Array:
