@@ -10,9 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from harness.api.exported import export, load_learned
+from harness.judge.evaluation import evaluate
+from harness.registry import SPECS
+from harness.rl.seeds import evaluation_seeds
+from harness.store.opening import open_to_verify
+
 ROOT = Path(__file__).parent.parent
 REFERENCE = ROOT / "results/reference"
 SCRIPTS = sorted((ROOT / "results").rglob("*.py"))
+
+
+PARTS = sorted((ROOT / "results/parts/board").iterdir())
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -187,3 +196,21 @@ def test_what_the_thesiss_arms_show_is_that_of_the_file() -> None:
     claims = claims_of_arms(rows_of(ROOT / "results/studies/thesis_arms.csv"))
     page = marked("results/reference/thesis/FINDINGS.md", "what the arms show").splitlines()
     assert page == [f"- {claim}" for claim in claims]
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+def test_parts_of_the_board_are_whole_and_policies_score_as_they_say(part: Path, tmp_path: Path) -> None:
+    with open_to_verify(part) as run:
+        assert not run.damaged()
+        results, unusable = run.load()
+        assert set(results) == set(run.request.cells)
+    assert not unusable
+    env, _, demos = part.name.rpartition("_")
+    (gail,) = [one for one in results if (one.method, one.seed, one.shown.demos) == ("gail", 0, int(demos))]
+    (row,) = [row for row in results[gail].rows if row.policy == "pi_R"]
+    found = load_learned(export(part, env, "gail", policy="pi_R", to=tmp_path / "learned"))
+    assert found.reward is not None
+    scored = evaluate(SPECS[env], found.policy, evaluation_seeds(0, row.episodes), found.reward)
+    # This process has other instructions than the run.
+    assert scored.returns.mean() == pytest.approx(row.return_mean, rel=0.01)
+    assert scored.own_return == pytest.approx(row.own_return, rel=0.01)
