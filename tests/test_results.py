@@ -12,6 +12,7 @@ import pytest
 
 from harness.api.exported import export, load_learned
 from harness.judge.evaluation import evaluate
+from harness.records import Cell, Shown
 from harness.registry import SPECS
 from harness.rl.seeds import evaluation_seeds
 from harness.store.opening import open_to_verify
@@ -206,7 +207,7 @@ def test_parts_of_the_board_are_whole_and_policies_score_as_they_say(part: Path,
         assert set(results) == set(run.request.cells)
     assert not unusable
     env, _, demos = part.name.rpartition("_")
-    (gail,) = [one for one in results if (one.method, one.seed, one.shown.demos) == ("gail", 0, int(demos))]
+    gail = Cell(env, "gail", 0, Shown(int(demos)))
     (row,) = [row for row in results[gail].rows if row.policy == "pi_R"]
     found = load_learned(export(part, env, "gail", policy="pi_R", to=tmp_path / "learned"))
     assert found.reward is not None

@@ -1,7 +1,7 @@
 """A part of the board: a run without most of what it learned, and without its recordings.
 
-Of seed 0, policies and rewards of the expert, the methods of `all` and `shaped_thesis` are kept. From the
-root:
+Of seed 0, in the task's own dynamics, policies and rewards of the expert, the methods of `all` and
+`shaped_thesis` are kept. From the root:
 
     python results/reference/board/part.py RUN FOLDER
 
@@ -14,7 +14,7 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from harness.records import REFERENCE
+from harness.records import NOMINAL, REFERENCE
 from harness.registry import METHODS
 from harness.store.artifacts import artifact
 from harness.store.codec import encode
@@ -40,7 +40,7 @@ def write(run: Path, folder: Path) -> None:
             part.put("run", REQUEST, encode(whole.request))
             for cell, result in results.items():
                 data = b""
-                if cell.seed == 0 and cell.method in KEPT and result.learned:
+                if (cell.seed, cell.dynamics) == (0, NOMINAL) and cell.method in KEPT and result.learned:
                     learned = {name: it for name, it in whole.read_learned(result).items() if name != VARIANT}
                     data, lost = artifact(cell, whole.request.conditions, learned)
                     if lost:
