@@ -3,8 +3,9 @@
 Of seed 0, in the task's own dynamics, policies and rewards of the expert, the methods of `all` and
 `shaped_thesis` are kept. From the root:
 
-    python results/reference/board/part.py RUN FOLDER
+    python results/reference/board/part.py RUN FOLDER [bare]
 
+`bare`: without them, where another part has the task's, so that all parts have less than 25 MB of them.
 `irl-bench report FOLDER` then makes its tables and its page.
 """
 
@@ -29,8 +30,9 @@ VARIANT = "gail_mean"
 """A reward that a fit of `gail` has beside its own; another method, which is not kept."""
 
 
-def write(run: Path, folder: Path) -> None:
-    """Write the part of a run into a new folder. Raises BadInput where the run is damaged."""
+def write(run: Path, folder: Path, kept_of: set[str]) -> None:
+    """Write the part of a run into a new folder, with what these methods learned. Raises BadInput where the
+    run is damaged."""
     folder.mkdir(parents=True)
     with open_to_verify(run) as whole, open_database(folder / FILE, write=True) as part:
         results, unusable = whole.load()
@@ -40,7 +42,7 @@ def write(run: Path, folder: Path) -> None:
             part.put("run", REQUEST, encode(whole.request))
             for cell, result in results.items():
                 data = b""
-                if (cell.seed, cell.dynamics) == (0, NOMINAL) and cell.method in KEPT and result.learned:
+                if (cell.seed, cell.dynamics) == (0, NOMINAL) and cell.method in kept_of and result.learned:
                     learned = {name: it for name, it in whole.read_learned(result).items() if name != VARIANT}
                     data, lost = artifact(cell, whole.request.conditions, learned)
                     if lost:
@@ -51,4 +53,4 @@ def write(run: Path, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]), Path(sys.argv[2]))
+    write(Path(sys.argv[1]), Path(sys.argv[2]), set() if "bare" in sys.argv[3:] else KEPT)
