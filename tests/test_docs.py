@@ -143,14 +143,16 @@ def test_clauses_are_lines_of_a_list(extension: Any) -> None:
     ]
 
 
-def test_scores_are_those_of_the_boards(extension: Any) -> None:
+def test_scores_are_those_of_the_board(extension: Any) -> None:
     boards = extension("boards")
-    row = {"score_mean": "0.123", "score_low": "0.1", "score_high": "-0.001", "seeds_ok": "3"}
+    row = {"score_mean": "0.123", "score_low": "0.1", "score_high": "-0.001", "unsolved": "0"}
     assert boards.score(row) == "0.12\u00a0[0.10,\u00a00.00]"
-    assert boards.score({**row, "seeds_ok": "2"}) == "0.12"
+    some = {**row, "unsolved": "1", "seeds_scored": "2", "seeds_ok": "3"}
+    assert boards.score(some) == "0.12\u00a0[0.10,\u00a00.00], 2 of 3 seeds"
+    assert boards.score({**row, "score_mean": "", "score_unsolved": "0.3"}) == "not solved (0.30)"
     assert boards.score(None) == ""
     found = {(row["run"], row["method"], row["policy"]) for row in boards.rows()}
-    assert ("highway", "shaped", "pi_R") in found
+    assert ("swingup_5", "csil", "pi_R") in found
 
 
 def test_the_table_of_the_thesiss_arms_is_that_of_the_file(extension: Any) -> None:

@@ -5,15 +5,19 @@ import csv
 import importlib
 import importlib.util
 import re
-from collections import Counter
+import textwrap
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from harness.api.exported import export, load_learned
 from harness.judge.evaluation import evaluate
-from harness.records import Cell, Shown
-from harness.registry import SPECS
+from harness.judge.leaderboard import scored_rows
+from harness.records import CONTROLS, NOMINAL, Cell, Shown
+from harness.registry import BUILT_IN, SPECS
 from harness.rl.seeds import evaluation_seeds
 from harness.store.opening import open_to_verify
 
@@ -22,7 +26,22 @@ REFERENCE = ROOT / "results/reference"
 SCRIPTS = sorted((ROOT / "results").rglob("*.py"))
 
 
-PARTS = sorted((ROOT / "results/parts/board").iterdir())
+BOARD = REFERENCE / "board"
+RUNS = sorted(path.parent for path in BOARD.glob("*/run.sqlite"))
+SCORE = ("score_mean", "score_low", "score_high")
+NUMBER = r"-?\d+\.\d\d"
+CLAIM = "|".join(
+    [
+        r"`(?P<name>\w+)(?:\.(?P<dynamics>\w+))?`",
+        rf"(?P<score>{NUMBER} \[{NUMBER}, {NUMBER}\])",
+        rf"(?P<by_seed>by seed {NUMBER} to {NUMBER})",
+        rf"(?P<returns>sums to {NUMBER} to {NUMBER})",
+        rf"(?P<shown>{NUMBER} to {NUMBER} for the demonstrations)",
+        r"(?P<solved>solved R\\\* on \d of \d seeds)",
+        r"(?P<policy>π\\\*|π_R)",
+    ]
+)
+"""A name in a page's text, a policy, or what is said of the one that was named last."""
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -56,83 +75,163 @@ def test_scripts_of_results_import_what_is_there(path: Path) -> None:
             assert all(hasattr(module, alias.name) for alias in node.names), node.module
 
 
+def leaderboard(run: str) -> dict[tuple[str, str, str], dict[str, str]]:
+    """Return the lines of a run of the board, by dynamics, method and policy."""
+    rows = rows_of(BOARD / run / "leaderboard.csv")
+    return {(row["dynamics"], row["method"], row["policy"]): row for row in rows}
+
+
 def test_the_picture_of_the_board_is_of_the_runs() -> None:
     """Its numbers are those of the runs' files, and the picture is drawn of them by one command."""
-    spec = importlib.util.spec_from_file_location("drawn_board", REFERENCE / "board/board.py")
+    spec = importlib.util.spec_from_file_location("drawn_board", BOARD / "board.py")
     assert spec
     assert spec.loader
     board = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(board)
-    lines = rows_of(REFERENCE / "board/board.csv")
-    assert len(lines) > 100
+    lines = rows_of(BOARD / "board.csv")
     assert board.board().to_csv(index=False, lineterminator="\n").splitlines() == (
-        (REFERENCE / "board/board.csv").read_text(encoding="utf-8").splitlines()
+        (BOARD / "board.csv").read_text(encoding="utf-8").splitlines()
     )
-    names = ("env", "dynamics", "demos", "method", "policy")
+    assert {f"{line['task']}_{line['demos']}" for line in lines} == {run.name for run in RUNS}
     for line in lines:
-        demos = "0" if line["demos"] == "100" else line["demos"]
-        asked = (line["task"], "nominal", demos, line["method"], line["policy"])
-        entries = rows_of(REFERENCE / "board" / line["run"] / "leaderboard.csv")
-        (entry,) = [entry for entry in entries if tuple(entry[name] for name in names) == asked]
-        for name in ("mean", "low", "high"):
-            assert float(line[name]) == pytest.approx(float(entry[f"score_{name}"]), rel=1e-12)
-        assert line["seeds"] == entry["seeds_ok"]
+        entry = leaderboard(f"{line['task']}_{line['demos']}")[
+            line["dynamics"], line["method"], line["policy"]
+        ]
+        for name, theirs in board.NUMBERS.items():
+            assert line[theirs] == entry[name] == "" or float(line[theirs]) == pytest.approx(
+                float(entry[name])
+            )
+        assert line["unsolved"] == entry["unsolved"]
     texts = [text.get_text() for axes in board.figure(board.board()).axes for text in axes.texts]
-    assert sorted(text for text in texts if "." in text) == sorted(f"{float(x['mean']):z.2f}" for x in lines)
+    drawn = [line for line in lines if line["policy"] == "pi_R" or line["dynamics"] == NOMINAL]
+    assert sorted(text for text in texts if not text.isdigit()) == sorted(
+        f"{float(line['mean']):z.2f}" if line["mean"] else "/" for line in drawn
+    )
+
+
+def claims(page: str) -> Iterator[tuple[str, str]]:
+    """Yield each number of the board on a page, as it is there and by the files. It is of the run, the
+    dynamics, the method and the policy that were named last before it."""
+    run, dynamics, method, policy = "", "", "", ""
+    text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+    for found in re.finditer(CLAIM, text):
+        if found["policy"]:
+            policy = {"π\\*": "pi_star", "π_R": "pi_R"}[found["policy"]]
+        elif not found["name"]:
+            entries = leaderboard(run)
+            entry, retrained = entries[dynamics, method, policy], entries[dynamics, method, "pi_R"]
+            rows = [
+                row
+                for row in rows_of(BOARD / run / "scores.csv")
+                if (row["dynamics"], row["method"], row["policy"]) == (dynamics, method, policy)
+            ]
+            says = {
+                "score": "{} [{}, {}]".format(*(f"{float(entry[name] or 'nan'):z.2f}" for name in SCORE)),
+                "by_seed": "by seed " + span(rows, "normalized_score"),
+                "returns": "sums to " + span(rows, "own_return"),
+                "shown": span(rows, "own_return_shown") + " for the demonstrations",
+                "solved": f"solved R\\* on {retrained['seeds_scored']} of {retrained['seeds_ok']} seeds",
+            }
+            yield found[0], says[str(found.lastgroup)]
+        elif (BOARD / found["name"]).is_dir():
+            run, dynamics = found["name"], found["dynamics"] or NOMINAL
+        elif found["name"] in (*BUILT_IN["method"], *CONTROLS):
+            method = found["name"]
+
+
+def span(rows: list[dict[str, str]], name: str) -> str:
+    """Return the least and the largest value."""
+    values = [float(row[name] or "nan") for row in rows]
+    return f"{min(values):z.2f} to {max(values):z.2f}"
+
+
+def test_what_the_findings_say_of_the_board_is_in_its_files() -> None:
+    found = [*claims("docs/findings.md")]
+    assert len(found) > 25
+    assert [said for said, _ in found] == [true for _, true in found]
+
+
+def test_the_readmes_scores_are_those_of_the_board() -> None:
+    heading, *lines = cells_of(marked("README.md", "scores with 100 demonstrations"))
+    assert len(lines) > 1
+    for run, *shown in lines:
+        entries = leaderboard(run.strip("`"))
+        for method, pair in zip(heading[1:], shown, strict=True):
+            scores = (entries.get((NOMINAL, method.strip("`"), policy)) for policy in ("pi_star", "pi_R"))
+            found = [(x and x["score_mean"] and f"{float(x['score_mean']):z.2f}") or "-" for x in scores]
+            assert pair == ", ".join(found), (run, method)
+
+
+def test_the_readmes_four_lines_load_a_reward_of_the_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").symlink_to(ROOT / "results")
+    names: dict[str, Any] = {}
+    lines = textwrap.dedent(marked("README.md", "the four lines"))
+    assert lines.count("\n") == 4
+    exec(lines, names)
+    env, policy = names["env"], names["policy"]
+    obs, _ = env.reset(seed=0)
+    _, paid, *_, info = env.step(policy(np.float32([obs]))[0])
+    assert np.isfinite(paid)
+    assert paid != info["true_reward"]
 
 
 def test_what_rl_earns_of_the_thesiss_reward_is_that_of_the_files() -> None:
     """R* of demonstrations is that where they were shown, in the task's own dynamics."""
     _, *lines = cells_of(marked("results/reference/thesis/FINDINGS.md", "own returns of shaped"))
-    assert len(lines) > 10
-    for run, quoted, *shown in lines:
-        rows = rows_of(REFERENCE / "board" / run.strip("`") / "leaderboard.csv")
-        demos = min(row["demos"] for row in rows)
-        entries = {
-            (row["env"], row["dynamics"], row["method"]): row
-            for row in rows
-            if (row["demos"], row["every"], row["policy"]) == (demos, "1", "pi_R")
-        }
-        env, _, variant = quoted.strip("`").partition(".")
+    assert len(lines) > 4
+    for named, *shown in lines:
+        run, _, variant = named.strip("`").partition(".")
+        entries = leaderboard(run)
         there, own, true = (
-            entries[env, dynamics, method]
+            entries[dynamics, method, "pi_R"]
             for dynamics, method in (
-                *((variant or "nominal", "shaped"), ("nominal", "shaped")),
-                (variant or "nominal", "control_true"),
+                *((variant or NOMINAL, "shaped"), (NOMINAL, "shaped")),
+                (variant or NOMINAL, "control_true"),
             )
         )
         returns = [f"{float(x):,.1f}" for x in (own["own_return_shown"], there["own_return"])]
         scores = [f"{float(row['score_mean']):z.2f}" for row in (there, true)]
-        assert shown == [there["seeds_ok"], *returns, *scores], (run, quoted)
+        assert shown == [there["seeds_scored"], *returns, *scores], named
 
 
 def test_the_failed_solves_of_the_findings_are_those_of_the_file() -> None:
-    rows = rows_of(ROOT / "results/studies/rl_solves.csv")
-    failed = [row for row in rows if row["solved"] == "0"]
-    chosen, failed_chosen = (sum(row["chosen"] == "1" for row in some) for some in (rows, failed))
-    methods, failures = (Counter(row["method"] for row in some) for some in (rows, failed))
-    by_method = sorted(methods, key=lambda method: (-failures[method], method))
-    counts = ", ".join(f"`{method}` {failures[method]} of {methods[method]}" for method in by_method)
-    assert marked("docs/findings.md", "failed solves").splitlines() == [
-        f"Of single solves {len(failed)} of {len(rows)} fail, "
-        f"and of chosen ones {failed_chosen} of {chosen}.",
-        f"By method, single solves on both tasks: {counts}.",
-    ]
+    rows = rows_of(BOARD / "solves.csv")
+    lines = []
+    for run in dict.fromkeys((row["task"], row["demos"]) for row in rows):
+        its = [row for row in rows if (row["task"], row["demos"]) == run]
+        counts = {name: sum(int(row[name]) for row in its) for name in list(its[0])[3:]}
+        failed = {row["method"]: int(row["rewards_failed"]) for row in its if row["rewards_failed"] != "0"}
+        by_method = sorted(failed, key=lambda name: (-failed[name], name))
+        lines.append(
+            [
+                f"`{'_'.join(run)}`",
+                f"{counts['solves_failed']} of {counts['solves']}",
+                f"{counts['rewards_failed']} of {counts['rewards']}",
+                ", ".join(f"`{name}` {failed[name]}" for name in by_method),
+            ]
+        )
+    assert cells_of(marked("docs/findings.md", "failed solves"))[1:] == lines
 
 
-@pytest.mark.parametrize("env", ["cartpole", "pendulum"])
-def test_the_tables_of_the_two_by_two_are_those_of_the_files(env: str) -> None:
-    heading, *lines = cells_of(marked("docs/termination.md", f"the 2 x 2 on {env}"))
-    scores = {}
-    for protocol in heading[1:]:
-        for row in rows_of(REFERENCE / "termination" / protocol / "leaderboard.csv"):
-            if (row["env"], row["policy"]) == (env, "pi_R"):
-                mean, low, high = (float(row[f"score_{name}"]) for name in ("mean", "low", "high"))
-                scores[f"`{row['method']}`", protocol] = f"{mean:z.2f} [{low:z.2f}, {high:z.2f}]"
-    shown = {
-        (line[0], name): score for line in lines for name, score in zip(heading[1:], line[1:], strict=True)
-    }
-    assert shown == scores
+def test_the_table_of_the_two_by_two_is_that_of_the_files() -> None:
+    """Means over all seeds, on cart-pole and on the pendulum. Each column has a twin, which is the same."""
+    _, *lines = cells_of(marked("docs/termination.md", "the 2 x 2"))
+    for place, protocols in enumerate((("native", "state"), ("absorbing", "offset")), start=1):
+        for protocol in protocols:
+            scores: dict[tuple[str, str], list[float]] = {}
+            with open_to_verify(REFERENCE / "termination" / protocol) as run:
+                rows = scored_rows([*run.load()[0].values()])
+            for row in rows:
+                if row.policy == "pi_R":
+                    scores.setdefault((row.method, row.env), []).append(row.normalized_score)
+            assert {len(values) for values in scores.values()} == {5}
+            assert len(scores) == 2 * len(lines)
+            for line in lines:
+                means = (np.mean(scores[line[0].strip("`"), env]) for env in ("cartpole", "pendulum"))
+                assert line[place] == ", ".join(f"{mean:z.2f}" for mean in means), (line[0], protocol)
 
 
 def claims_of_arms(rows: list[dict[str, str]]) -> list[str]:
@@ -199,20 +298,20 @@ def test_what_the_thesiss_arms_show_is_that_of_the_file() -> None:
     assert page == [f"- {claim}" for claim in claims]
 
 
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
-def test_parts_of_the_board_are_whole_and_policies_score_as_they_say(part: Path, tmp_path: Path) -> None:
-    with open_to_verify(part) as run:
+@pytest.mark.parametrize("path", RUNS, ids=lambda path: path.name)
+def test_runs_of_the_board_are_whole_and_policies_score_as_they_say(path: Path, tmp_path: Path) -> None:
+    with open_to_verify(path) as run:
         assert not run.damaged()
         results, unusable = run.load()
         assert set(results) == set(run.request.cells)
     assert not unusable
-    env, _, demos = part.name.rpartition("_")
+    env, _, demos = path.name.rpartition("_")
     gail = Cell(env, "gail", 0, Shown(int(demos)))
     if not results[gail].learned:
-        assert [other.name.rpartition("_")[0] for other in PARTS].count(env) == 2
+        assert [other.name.rpartition("_")[0] for other in RUNS].count(env) == 2
         return
     (row,) = [row for row in results[gail].rows if row.policy == "pi_R"]
-    found = load_learned(export(part, env, "gail", policy="pi_R", to=tmp_path / "learned"))
+    found = load_learned(export(path, env, "gail", policy="pi_R", to=tmp_path / "learned"))
     assert found.reward is not None
     scored = evaluate(SPECS[env], found.policy, evaluation_seeds(0, row.episodes), found.reward)
     # This process has other instructions than the run.

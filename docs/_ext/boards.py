@@ -1,4 +1,4 @@
-"""Contents of the reference boards, for tables of generated pages."""
+"""Contents of the reference board, for tables of generated pages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
-from harness.registry import BUILT_IN, SPECS
+from harness.registry import BUILT_IN
 
 ROOT = Path(__file__).parents[2]
 BOARDS = ROOT / "results/reference/board"
@@ -17,11 +17,11 @@ SCORE = ("mean", "low", "high")
 
 @functools.cache
 def rows() -> list[Row]:
-    """Every scored line of every run's leaderboard.csv, with the run's name as `run`, by task."""
+    """Every computed line of each run's leaderboard.csv, with the run's name as `run`, by task."""
     found = []
     for file in sorted(BOARDS.glob("*/leaderboard.csv")):
         for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
-            if row["score_mean"]:
+            if row["status"] == "ok":
                 found.append({**row, "run": file.parent.name})
     tasks = BUILT_IN["env"]
     return sorted(
@@ -33,18 +33,15 @@ def task_of(row: Row) -> str:
     return row["env"] if row["dynamics"] == "nominal" else f"{row['env']}.{row['dynamics']}"
 
 
-def shown(row: Row) -> str:
-    """Return the number of demonstrations, and the choice of their steps."""
-    demos = int(row["demos"]) or SPECS[row["env"]].demo_episodes["full"]
-    return f"{demos}" if row["every"] == "1" else f"{demos}, 1 step in {row['every']}"
-
-
 def score(row: Row | None) -> str:
-    """Mean and interval, Student's at 95 %; the mean alone of fewer than three seeds."""
+    """Mean and 90 % interval over the seeds whose R* RL solved, and their number where it is not all."""
     if row is None:
         return ""
-    mean, low, high = (row[f"score_{name}"] and f"{float(row[f'score_{name}']):z.2f}" for name in SCORE)
-    return f"{mean}\u00a0[{low},\u00a0{high}]" if int(row["seeds_ok"]) > 2 else mean
+    if not row["score_mean"]:
+        return f"not solved ({float(row['score_unsolved']):z.2f})"
+    mean, low, high = (f"{float(row[f'score_{name}']):z.2f}" for name in SCORE)
+    some = f", {row['seeds_scored']} of {row['seeds_ok']} seeds" if int(row["unsolved"]) else ""
+    return f"{mean}\u00a0[{low},\u00a0{high}]{some}"
 
 
 def amount(text: str) -> str:
@@ -56,7 +53,7 @@ def pairs(its: Sequence[Row]) -> list[tuple[Row, Row | None, Row | None]]:
     """Return three rows of each run, task and method: any row, that of pi* and that of pi_R."""
     found: dict[tuple[str, ...], dict[str, Row]] = {}
     for row in its:
-        key = (row["run"], row["demos"], row["every"], task_of(row), row["method"])
+        key = (row["run"], task_of(row), row["method"])
         found.setdefault(key, {})[row["policy"]] = row
     return [(next(iter(p.values())), p.get("pi_star"), p.get("pi_R")) for p in found.values()]
 

@@ -136,7 +136,7 @@ def results(names: Sequence[str]) -> str:
         return "It is on no reference board yet."
     text = [
         "Scores at the budget `full`: 0 is a random policy, 1 the expert. Means over seeds and "
-        "Student's 95 % intervals; of fewer than three seeds there are none. "
+        "90 % intervals. Seeds on which RL did not solve R\\* are left out; then their mean is in brackets. "
         "What they show: [findings](../findings.md)."
     ]
     for title, chosen in (
@@ -150,7 +150,7 @@ def results(names: Sequence[str]) -> str:
         if chosen:
             lines = [
                 (
-                    *(boards.link(f"`{boards.task_of(row)}`", row), boards.shown(row), row["seeds_ok"]),
+                    *(boards.link(f"`{boards.task_of(row)}`", row), row["demos"], row["seeds_ok"]),
                     *(f"`{row['method']}`", boards.score(star), boards.score(retrained)),
                 )
                 for row, star, retrained in boards.pairs(chosen)
@@ -170,7 +170,7 @@ def costs(names: Sequence[str]) -> str:
         return "Not measured on a reference board yet."
     lines = [
         (
-            *(f"`{row['env']}`", boards.shown(row), f"`{row['method']}`"),
+            *(f"`{row['env']}`", row["demos"], f"`{row['method']}`"),
             *(boards.amount(row[name]) for name in ("fit_seconds", "env_steps", "check_steps", "rl_solves")),
         )
         for row in its

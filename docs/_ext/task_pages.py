@@ -200,16 +200,15 @@ def board(env: str) -> str:
     for row, star, retrained in boards.pairs(its):
         method = row["method"]
         said = f"[`{method}`](../methods/{pages_of[method]}.md)" if method in pages_of else f"`{method}`"
-        seeds = "one seed" if row["seeds_ok"] == "1" else f"{row['seeds_ok']} seeds"
-        key = (boards.task_of(row), boards.shown(row), seeds, boards.link(row["run"], row))
+        key = (boards.task_of(row), row["demos"], row["seeds_ok"], boards.link(row["run"], row))
         found.setdefault(key, []).append((said, boards.score(star), boards.score(retrained)))
     text = [
-        "Scores at `full`: 0 is a random policy, 1 the expert; in other dynamics 1 is what RL reaches there."
+        "Scores at `full`: 0 is a random policy, 1 the expert; in other dynamics 1 is what RL reaches there. "
+        "Means over seeds and 90 % intervals; seeds on which RL did not solve R\\* are left out."
     ]
     for (task, shown, seeds, run), lines in found.items():
-        what = "demonstration" if shown == "1" else "demonstrations"
         text += [
-            f"**{inline(task)}**, {shown} {what}, {seeds} ({run}):",
+            f"**{inline(task)}**, {shown} demonstrations, {seeds} seeds ({run}):",
             table(["Method", "π\\*", "π_R"], lines),
         ]
     return "\n\n".join(text)

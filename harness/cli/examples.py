@@ -29,7 +29,7 @@ EXAMPLES = {
     ),
     "irl-bench verify": (
         "irl-bench verify results/latest",
-        "irl-bench verify results/reference/quick_one_seed",
+        "irl-bench verify results/reference/board/swingup_5",
     ),
     "irl-bench export": (
         "irl-bench export results/latest --env highway --method shaped --to learned",
@@ -61,7 +61,7 @@ EXAMPLES = {
     ),
     "irl-bench compare": (
         "irl-bench compare results/before results/after",
-        "irl-bench compare results/latest results/reference/quick_one_seed",
+        "irl-bench compare results/mine results/reference/board/swingup_5",
     ),
     "irl-bench check": (
         "irl-bench check linear --plugin my_method.py",

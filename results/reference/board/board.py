@@ -1,15 +1,16 @@
-"""The board: how well each method's policy (pi*) does in each task, and how well a policy does that is
-trained from scratch on its reward (pi_R). Tasks are those of three seeds or more; scores are means over
-seeds.
+"""The board: the score of each method's policy (pi*) in each task, and that of a policy trained from scratch
+on its reward (pi_R), over five seeds.
 
-board.png is the picture, and board.csv its numbers, both of the runs' leaderboard.csv beside this file. From
-the root:
+board.csv has the numbers and board.png the picture, both of the leaderboard.csv of the runs beside this file.
+solves.csv says of how many solves RL did not solve the reward, and of how many rewards the chosen solve did
+not. From the root:
 
     python results/reference/board/board.py
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,111 +18,141 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.registry import METHODS
-from harness.report.figures import as_file, styled
+from harness.records import CONTROLS, NOMINAL
+from harness.registry import METHODS, VARIANTS
+from harness.report.figures import ORANGE, as_file, styled
+from harness.store.opening import open_to_verify
 
 HERE = Path(__file__).parent
 
 
 class Column(NamedTuple):
-    """A task: its runs, the first of which counts where several have a method."""
-
     task: str
     demos: int
-    runs: tuple[str, ...]
+    dynamics: str = NOMINAL
+
+    @property
+    def run(self) -> str:
+        return f"{self.task}_{self.demos}"
 
 
-COLUMNS = (
-    Column("cartpole", 100, ("cartpole",)),
-    Column("pendulum", 100, ("pendulum",)),
-    Column("highway", 100, ("highway",)),
-    Column("reacher", 5, ("reacher_5",)),
-    Column("swingup", 5, ("swingup_5",)),
-    Column("cartpole_swingup", 5, ("cartpole_swingup_5",)),
-    Column("point_maze", 5, ("point_maze_5",)),
-    Column("halfcheetah", 5, ("halfcheetah_5_retrained", "halfcheetah_5")),
-    Column("hopper", 5, ("hopper_5",)),
-)
-VARIANTS = ("gail_mean", "airl", "maxent_state")
-CONTROLS = ("control_true", "control_clone", "control_shuffled", "control_survival")
+COLUMNS = [
+    column
+    for column in (
+        Column("cartpole", 100),
+        Column("pendulum", 100),
+        Column("highway", 100),
+        Column("cartpole", 5),
+        Column("highway", 5),
+        Column("reacher", 5),
+        Column("swingup", 5),
+        Column("cartpole_swingup", 5),
+        Column("point_maze", 5),
+        Column("swingup", 5, "flipped"),
+        Column("point_maze", 5, "wall_moved"),
+    )
+    if (HERE / column.run).exists()
+]
 POLICIES = {
     "pi_star": "π*: the policy that the method returns",
     "pi_R": "π_R: a policy trained on the reward that it returns",
 }
+NUMBERS = {"score_mean": "mean", "score_low": "low", "score_high": "high", "score_unsolved": "mean_unsolved"}
 LIGHT, DARK = "#ffffff", "#08306b"
 
 
 def board() -> pd.DataFrame:
-    """A row for each score: task, demos, seeds, method, policy, mean, low, high, run."""
+    """A row for each policy of a method or a control in a column: its mean over the seeds on which RL solved
+    R*, that mean's interval, and the mean over the others."""
+    its = ["method", "policy", "seeds", "seeds_scored", "unsolved", *NUMBERS]
+    tables = []
+    for column in COLUMNS:
+        found = pd.read_csv(HERE / column.run / "leaderboard.csv")
+        here = (found["dynamics"] == column.dynamics) & (found["status"] == "ok")
+        chosen = found[here & (found["role"] != "reference")]
+        tables.append(chosen[its].assign(**column._asdict()))
+    return pd.concat(tables)[[*Column._fields, *its]].rename(columns=NUMBERS)
+
+
+def solves() -> pd.DataFrame:
+    """A row for each method in a run: task, demos, method, its solves and rewards, and those of them that
+    failed. Rewards without a verdict are left out."""
     rows = []
-    for task, demos, runs in COLUMNS:
-        seen: set[tuple[str, str]] = set()
-        for run in runs:
-            found = pd.read_csv(HERE / run / "leaderboard.csv")
-            full = 0 if demos == 100 else demos  # all that the budget gives are 100
-            here = found[
-                (found["dynamics"] == "nominal") & (found["demos"] == full) & (found["status"] == "ok")
+    for column in (column for column in COLUMNS if column.dynamics == NOMINAL):
+        with open_to_verify(HERE / column.run) as run:
+            results, damaged = run.load()
+        assert not damaged
+        for cell, result in results.items():
+            chosen = [
+                row.solved for row in result.rows if row.policy == "pi_R" and not math.isnan(row.solved)
             ]
-            for row in here.itertuples():
-                if row.method in (*METHODS, *VARIANTS, *CONTROLS) and (row.method, row.policy) not in seen:
-                    seen.add((row.method, row.policy))
-                    score = (row.score_mean, row.score_low, row.score_high)
-                    rows.append((task, demos, row.seeds_ok, row.method, row.policy, *score, run))
-    names = ["task", "demos", "seeds", "method", "policy", "mean", "low", "high", "run"]
-    return pd.DataFrame(rows, columns=names)
+            if chosen and cell.dynamics == NOMINAL:
+                single = [solve.solved for solve in result.solves]
+                numbers = (len(single), single.count(0), 1, chosen.count(0))
+                rows.append((column.task, column.demos, cell.method, *numbers))
+    names = ["task", "demos", "method", "solves", "solves_failed", "rewards", "rewards_failed"]
+    return pd.DataFrame(rows, columns=names).groupby(names[:3], sort=False, as_index=False).sum()
 
 
 def figure(scores: pd.DataFrame) -> Figure:
-    """A panel a policy, a row a method, a column a task."""
-    methods = [*METHODS, *VARIANTS, *CONTROLS]
-    seeds = {
-        task: "-".join(f"{number}" for number in sorted({min(its), max(its)}))
-        for task, its in scores.groupby("task")["seeds"]
+    """A panel for each policy, a row for each method, a column for each task."""
+    present = set(scores["method"])
+    groups = [[name for name in names if name in present] for names in (METHODS, VARIANTS, CONTROLS)]
+    methods = [name for names in groups for name in names]
+    at = scores.set_index([*Column._fields, "policy", "method"])
+    columns = {
+        policy: [c for c in COLUMNS if policy == "pi_R" or c.dynamics == NOMINAL] for policy in POLICIES
     }
-    drawn = Figure(figsize=(10, 6.6), layout="constrained")
-    for place, (policy, title) in enumerate(POLICIES.items()):
-        axes = drawn.add_subplot(1, 2, place + 1)
-        its = scores[scores["policy"] == policy].set_index(["task", "method"])["mean"]
-        for x, column in enumerate(COLUMNS):
+    drawn = Figure(figsize=(11, 8.6), layout="constrained")
+    panels = drawn.subplots(1, 2, width_ratios=[len(its) for its in columns.values()])
+    for axes, (policy, its) in zip(panels, columns.items(), strict=True):
+        for x, column in enumerate(its):
             for y, method in enumerate(methods):
-                if (column.task, method) in its.index:
-                    _cell(axes, x, y, float(its[column.task, method]))
-            for below, number in enumerate((column.demos, seeds[column.task])):
-                axes.text(x, len(methods) + 0.1 + below, f"{number}", ha="center", va="center", fontsize=9)
-        names = [column.task for column in COLUMNS]
-        axes.set_xticks(range(len(names)), names, rotation=40, ha="left", rotation_mode="anchor")
-        labels = [*methods, "demonstrations", "seeds"] if place == 0 else []
+                if (*column, policy, method) in at.index:
+                    row = at.loc[(*column, policy, method)]
+                    _cell(axes, x, y, float(row["mean"]), int(row["unsolved"]))
+            axes.text(x, len(methods) + 0.1, f"{column.demos}", ha="center", va="center", fontsize=9)
+        names = [c.task if c.dynamics == NOMINAL else f"{c.task}.{c.dynamics}" for c in its]
+        axes.set_xticks(range(len(its)), names, rotation=50, ha="left", rotation_mode="anchor", fontsize=9)
+        labels = [*methods, "demonstrations"] if policy == "pi_star" else []
         axes.set_yticks([y + 0.1 * (y >= len(methods)) for y in range(len(labels))], labels)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        axes.set_xlim(-0.5, len(COLUMNS) - 0.5)
-        axes.set_ylim(len(methods) + 1.6, -0.5)
-        for line in (len(METHODS), len(METHODS) + len(VARIANTS), len(methods)):
+        axes.set_xlim(-0.5, len(its) - 0.5)
+        axes.set_ylim(len(methods) + 0.6, -0.5)
+        for line in (len(groups[0]), len(groups[0]) + len(groups[1]), len(methods)):
             axes.axhline(line - 0.5, color="#888888", linewidth=0.8)
-        axes.set_title(title, fontsize=10.5, fontweight="bold")
+        axes.set_title(POLICIES[policy], fontsize=10.5, fontweight="bold", y=1.17, pad=0)
     drawn.supxlabel(
-        "score: 0 is a random policy, 1 the expert; empty: not run, or learns no reward", fontsize=9
+        "Score: 0 is a random policy, 1 the expert; in other dynamics 1 is what RL reaches on the true "
+        "reward. A dot is a seed on which RL\ndid not solve the reward, so that it is left out, and / says "
+        "that all are. Empty: there is no such policy.",
+        fontsize=9,
     )
     return drawn
 
 
-def _cell(axes: Axes, x: int, y: int, score: float) -> None:
-    share = min(max(score, 0.0), 1.0)
+def _cell(axes: Axes, x: int, y: int, score: float, unsolved: int) -> None:
+    share = min(max(score, 0.0), 1.0) if score == score else 0.0
     light, dark = ([int(c[i : i + 2], 16) / 255 for i in (1, 3, 5)] for c in (LIGHT, DARK))
     colour = tuple(a + share * (b - a) for a, b in zip(light, dark, strict=True))
     axes.fill_between([x - 0.48, x + 0.48], y - 0.46, y + 0.46, facecolor=colour, edgecolor="#cccccc", lw=0.4)
     axes.text(
-        *(x, y + 0.03, f"{score:z.2f}"),
+        *(x, y, f"{score:z.2f}" if score == score else "/"),
         ha="center",
-        va="center",
-        fontsize=9,
+        va="center_baseline",
+        fontsize=8.5,
         color="white" if share > 0.45 else "#222222",
     )
+    if unsolved:
+        places = [x + 0.18 * (number - (unsolved - 1) / 2) for number in range(unsolved)]
+        axes.plot(places, [y + 0.36] * unsolved, "o", color=ORANGE, markersize=2.2, linestyle="")
 
 
 if __name__ == "__main__":
     found = board()
     found.to_csv(HERE / "board.csv", index=False, lineterminator="\n")
+    solves().to_csv(HERE / "solves.csv", index=False, lineterminator="\n")
     with styled():
         (HERE / "board.png").write_bytes(as_file(figure(found), "png"))

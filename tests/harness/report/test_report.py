@@ -21,7 +21,7 @@ from harness.report.files import recorded_in, write_report
 from harness.report.model import build
 from tests.harness.made_results import ENVS, REQUEST, make_results
 
-STORED = Path(__file__).parents[3] / "results/reference/quick_one_seed"
+STORED = Path(__file__).parents[3] / "results/reference/board/cartpole_5"
 RECORDING = "cartpole__shaped__seed0__pi_R.rrd"
 
 
