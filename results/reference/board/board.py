@@ -110,7 +110,7 @@ def figure(scores: pd.DataFrame) -> Figure:
             for y, method in enumerate(methods):
                 if (*column, policy, method) in at.index:
                     row = at.loc[(*column, policy, method)]
-                    _cell(axes, x, y, float(row["mean"]), int(row["unsolved"]))
+                    _cell(axes, x, y, float(row["mean"]), int(row["unsolved"]) * (column.dynamics == NOMINAL))
             axes.text(x, len(methods) + 0.1, f"{column.demos}", ha="center", va="center", fontsize=9)
         names = [c.task if c.dynamics == NOMINAL else f"{c.task}.{c.dynamics}" for c in its]
         axes.set_xticks(range(len(its)), names, rotation=50, ha="left", rotation_mode="anchor", fontsize=9)
@@ -125,9 +125,9 @@ def figure(scores: pd.DataFrame) -> Figure:
             axes.axhline(line - 0.5, color="#888888", linewidth=0.8)
         axes.set_title(POLICIES[policy], fontsize=10.5, fontweight="bold", y=1.17, pad=0)
     drawn.supxlabel(
-        "Score: 0 is a random policy, 1 the expert; in other dynamics 1 is what RL reaches on the true "
-        "reward. A dot is a seed on which RL\ndid not solve the reward, so that it is left out, and / says "
-        "that all are. Empty: there is no such policy.",
+        "Score: 0 is a random policy, 1 the expert. A dot is a seed on which RL did not solve the reward, so "
+        "that it is left out, and / says that all are.\nIn other dynamics 1 is what RL reaches on the true "
+        "reward, and dots are not drawn. Empty: there is no such policy.",
         fontsize=9,
     )
     return drawn
