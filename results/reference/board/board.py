@@ -110,7 +110,7 @@ def figure(scores: pd.DataFrame) -> Figure:
             for y, method in enumerate(methods):
                 if (*column, policy, method) in at.index:
                     row = at.loc[(*column, policy, method)]
-                    _cell(axes, x, y, float(row["mean"]), int(row["unsolved"]) * (column.dynamics == NOMINAL))
+                    _cell(axes, x, y, float(row["mean"]), int(row["unsolved"]))
             axes.text(x, len(methods) + 0.1, f"{column.demos}", ha="center", va="center", fontsize=9)
         names = [c.task if c.dynamics == NOMINAL else f"{c.task}.{c.dynamics}" for c in its]
         axes.set_xticks(range(len(its)), names, rotation=50, ha="left", rotation_mode="anchor", fontsize=9)
@@ -127,7 +127,7 @@ def figure(scores: pd.DataFrame) -> Figure:
     drawn.supxlabel(
         "Score: 0 is a random policy, 1 the expert. A dot is a seed on which RL did not solve the reward, so "
         "that it is left out, and / says that all are.\nIn other dynamics 1 is what RL reaches on the true "
-        "reward, and dots are not drawn. Empty: there is no such policy.",
+        "reward, and dots mean little: π* carried over is their measure. Empty: there is no such policy.",
         fontsize=9,
     )
     return drawn
