@@ -1,7 +1,9 @@
 """The board is whole, and README, findings and picture have its numbers."""
 
+import contextlib
 import importlib.util
 import re
+import sqlite3
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +17,7 @@ from harness.judge.evaluation import evaluate
 from harness.records import CONTROLS, NOMINAL, Cell, Shown
 from harness.registry import BUILT_IN, SPECS
 from harness.rl.seeds import evaluation_seeds
+from harness.store.database import FILE
 from harness.store.opening import open_to_verify
 from tests.pages import BOARD, ROOT, cells_of, leaderboard, marked, rows_of
 
@@ -153,6 +156,15 @@ def test_the_failed_solves_of_the_findings_are_those_of_the_file() -> None:
             ]
         )
     assert cells_of(marked("docs/findings.md", "failed solves"))[1:] == lines
+
+
+def test_what_was_learned_has_less_than_25_mb() -> None:
+    sizes = []
+    for run in RUNS:
+        with contextlib.closing(sqlite3.connect(f"file:{run / FILE}?mode=ro", uri=True)) as database:
+            sizes += [size for (size,) in database.execute("select length(data) from learned")]
+    assert len(sizes) > 100
+    assert sum(sizes) < 25e6
 
 
 @pytest.mark.parametrize("path", RUNS, ids=lambda path: path.name)
