@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.stats import kendalltau
 
 from harness.api.exported import export, load_learned
 from harness.judge.evaluation import evaluate
@@ -156,6 +158,26 @@ def test_the_failed_solves_of_the_findings_are_those_of_the_file() -> None:
             ]
         )
     assert cells_of(marked("docs/findings.md", "failed solves"))[1:] == lines
+
+
+def test_what_the_findings_say_of_a_second_learner_is_in_its_file() -> None:
+    """A line for each reward, beside the board's own row of it."""
+    found, key = pd.read_csv(BOARD / "second_learner.csv"), ["method", "seed"]
+    numbers = []
+    for env in ("highway", "swingup"):
+        rows = pd.read_csv(BOARD / f"{env}_5" / "scores.csv").query("policy == 'pi_R' and solves > 1")
+        rows, lines = (it.set_index(key).sort_index() for it in (rows, found[found["env"] == env]))
+        assert lines.index.equals(rows.index)
+        assert np.allclose(lines["score_pi_R"], rows["normalized_score"], atol=1e-3)
+        assert (lines["solved_pi_R"] == rows["solved"]).all()
+        means = lines.groupby("method")[["score", "score_pi_R"]].mean()
+        numbers.append((lines["solved"].sum(), lines["solved_pi_R"].sum(), kendalltau(*means.T.values)[0]))
+    (ddpg, ppo, order), (its_ddpg, its_ppo, its_order) = numbers
+    assert (
+        f"solved {ddpg} of 85 in `highway_5` and {its_ddpg} of 85 in `swingup_5`, where the best of three "
+        f"solves by PPO did {ppo} and {its_ppo}. Kendall's τ of the methods' mean scores under both, solved "
+        f"or not, is {order:.2f} and {its_order:.2f}"
+    ) in " ".join((ROOT / "docs/findings.md").read_text(encoding="utf-8").split())
 
 
 def test_what_was_learned_has_less_than_25_mb() -> None:
