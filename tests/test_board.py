@@ -40,17 +40,33 @@ CLAIM = "|".join(
 """A name in a page's text, a policy, or what is said of the one that was named last."""
 
 
-def test_the_picture_of_the_board_is_of_the_runs() -> None:
-    """Its numbers are those of the runs' files, and the picture is drawn of them by one command."""
+@pytest.fixture(scope="module")
+def board() -> Any:
+    """The script that makes the board's files."""
     spec = importlib.util.spec_from_file_location("drawn_board", BOARD / "board.py")
     assert spec
     assert spec.loader
-    board = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(board)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["board", "solves", "over_tasks"])
+def test_tables_of_the_board_are_of_the_runs(board: Any, name: str) -> None:
+    made = getattr(board, name)().to_csv(index=False, lineterminator="\n")
+    assert made == (BOARD / f"{name}.csv").read_text(encoding="utf-8")
+
+
+def test_the_findings_name_each_method_that_differs_over_tasks() -> None:
+    page = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
+    differ = [row for row in rows_of(BOARD / "over_tasks.csv") if row["p"] and float(row["p"]) <= 0.05]
+    said = re.findall(r"`(\w+)` \(([+-]\d\.\d\d)\)", page)
+    assert sorted(said) == sorted((row["method"], f"{float(row['beside']):+.2f}") for row in differ)
+
+
+def test_the_picture_of_the_board_is_of_the_runs(board: Any) -> None:
+    """Its numbers are those of the runs' files."""
     lines = rows_of(BOARD / "board.csv")
-    assert board.board().to_csv(index=False, lineterminator="\n").splitlines() == (
-        (BOARD / "board.csv").read_text(encoding="utf-8").splitlines()
-    )
     assert {f"{line['task']}_{line['demos']}" for line in lines} == {run.name for run in RUNS}
     for line in lines:
         entry = leaderboard(f"{line['task']}_{line['demos']}")[

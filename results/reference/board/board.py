@@ -3,7 +3,7 @@ on its reward (pi_R), over five seeds.
 
 board.csv has the numbers and board.png the picture, both of the leaderboard.csv of the runs beside this file.
 solves.csv says of how many solves RL did not solve the reward, and of how many rewards the chosen solve did
-not. From the root:
+not. over_tasks.csv has each policy over all tasks with five demonstrations. From the root:
 
     python results/reference/board/board.py
 """
@@ -18,7 +18,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from harness.records import CONTROLS, NOMINAL
+from harness.judge.across_tasks import indistinct, overall
+from harness.judge.leaderboard import leaderboard, scored_rows
+from harness.records import CONTROLS, NOMINAL, CellResult
 from harness.registry import METHODS, VARIANTS
 from harness.report.figures import ORANGE, as_file, styled
 from harness.store.opening import open_to_verify
@@ -37,21 +39,17 @@ class Column(NamedTuple):
 
 
 COLUMNS = [
-    column
-    for column in (
-        Column("cartpole", 100),
-        Column("pendulum", 100),
-        Column("highway", 100),
-        Column("cartpole", 5),
-        Column("highway", 5),
-        Column("reacher", 5),
-        Column("swingup", 5),
-        Column("cartpole_swingup", 5),
-        Column("point_maze", 5),
-        Column("swingup", 5, "flipped"),
-        Column("point_maze", 5, "wall_moved"),
-    )
-    if (HERE / column.run).exists()
+    Column("cartpole", 100),
+    Column("pendulum", 100),
+    Column("highway", 100),
+    Column("cartpole", 5),
+    Column("highway", 5),
+    Column("reacher", 5),
+    Column("swingup", 5),
+    Column("cartpole_swingup", 5),
+    Column("point_maze", 5),
+    Column("swingup", 5, "flipped"),
+    Column("point_maze", 5, "wall_moved"),
 ]
 POLICIES = {
     "pi_star": "π*: the policy that the method returns",
@@ -74,22 +72,49 @@ def board() -> pd.DataFrame:
     return pd.concat(tables)[[*Column._fields, *its]].rename(columns=NUMBERS)
 
 
+def results_of(column: Column) -> list[CellResult]:
+    """Return the results of its cells."""
+    with open_to_verify(HERE / column.run) as run:
+        results, damaged = run.load()
+    assert not damaged
+    return [result for cell, result in results.items() if cell.dynamics == column.dynamics]
+
+
+def over_tasks() -> pd.DataFrame:
+    """A row for each policy over the tasks with five demonstrations that tell rewards from uninformed ones.
+
+    Columns: method, policy, runs (seeds of all tasks, less the `unsolved` ones), interquartile_mean, low and
+    high (its 90 % interval), reach_0.9 (the share of runs), beside (the mean difference to the mean of the
+    other methods, paired by seed), p (of that, after Holm), better_than.
+    """
+    shown = [column for column in COLUMNS if (column.demos, column.dynamics) == (5, NOMINAL)]
+    scored = scored_rows([result for column in shown for result in results_of(column)])
+    lines = overall(scored, [*indistinct(leaderboard(scored))])
+    rows = [
+        {
+            **{"method": line.method, "policy": line.policy, "runs": line.runs, "unsolved": line.unsolved},
+            **{"interquartile_mean": line.score, "low": line.low, "high": line.high},
+            **{"reach_0.9": line.reached, "beside": line.beside and line.beside.mean},
+            **{"p": line.beside and line.beside.p, "better_than": " ".join(line.better_than)},
+        }
+        for line in lines
+    ]
+    return pd.DataFrame(rows).round(3)
+
+
 def solves() -> pd.DataFrame:
     """A row for each method in a run: task, demos, method, its solves and rewards, and those of them that
     failed. Rewards without a verdict are left out."""
     rows = []
     for column in (column for column in COLUMNS if column.dynamics == NOMINAL):
-        with open_to_verify(HERE / column.run) as run:
-            results, damaged = run.load()
-        assert not damaged
-        for cell, result in results.items():
+        for result in results_of(column):
             chosen = [
                 row.solved for row in result.rows if row.policy == "pi_R" and not math.isnan(row.solved)
             ]
-            if chosen and cell.dynamics == NOMINAL:
+            if chosen:
                 single = [solve.solved for solve in result.solves]
                 numbers = (len(single), single.count(0), 1, chosen.count(0))
-                rows.append((column.task, column.demos, cell.method, *numbers))
+                rows.append((column.task, column.demos, result.cell.method, *numbers))
     names = ["task", "demos", "method", "solves", "solves_failed", "rewards", "rewards_failed"]
     return pd.DataFrame(rows, columns=names).groupby(names[:3], sort=False, as_index=False).sum()
 
@@ -154,5 +179,6 @@ if __name__ == "__main__":
     found = board()
     found.to_csv(HERE / "board.csv", index=False, lineterminator="\n")
     solves().to_csv(HERE / "solves.csv", index=False, lineterminator="\n")
+    over_tasks().to_csv(HERE / "over_tasks.csv", index=False, lineterminator="\n")
     with styled():
         (HERE / "board.png").write_bytes(as_file(figure(found), "png"))
