@@ -79,7 +79,7 @@ def test_the_picture_of_the_board_is_of_the_runs(board: Any) -> None:
         assert line["unsolved"] == entry["unsolved"]
     texts = [text.get_text() for axes in board.figure(board.board()).axes for text in axes.texts]
     drawn = [line for line in lines if line["policy"] == "pi_R" or line["dynamics"] == NOMINAL]
-    assert sorted(text for text in texts if not text.isdigit()) == sorted(
+    assert sorted(text for text in texts if re.fullmatch(rf"{NUMBER}|/", text)) == sorted(
         f"{float(line['mean']):z.2f}" if line["mean"] else "/" for line in drawn
     )
 
@@ -141,7 +141,7 @@ def test_the_readmes_scores_are_those_of_the_board() -> None:
             assert pair == ", ".join(found), (run, method)
 
 
-def test_the_readmes_four_lines_load_a_reward_of_the_board(
+def test_the_readmes_four_lines_load_a_reward_and_a_policy_of_the_board(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -155,6 +155,14 @@ def test_the_readmes_four_lines_load_a_reward_of_the_board(
     _, paid, *_, info = env.step(policy(np.float32([obs]))[0])
     assert np.isfinite(paid)
     assert paid != info["true_reward"]
+    *imports, last = textwrap.dedent(marked("docs/results.md", "a row's return")).splitlines()
+    exec("\n".join(imports), names)
+    (stored,) = [
+        float(row["return_mean"])
+        for row in rows_of(BOARD / "swingup_5/scores.csv")
+        if (row["method"], row["seed"], row["policy"], row["dynamics"]) == ("f_irl", "0", "pi_star", NOMINAL)
+    ]
+    assert eval(last, names) == pytest.approx(stored, rel=0.01)
 
 
 def test_the_failed_solves_of_the_findings_are_those_of_the_file() -> None:

@@ -175,7 +175,7 @@ def _learned(directory: Path, env: str, method: str, seed: int) -> tuple[CellRes
     result = results[cells[0]]
     if not result.learned:
         failed = [row.reason for row in result.rows if row.status == "failed"]
-        why = "; ".join([*failed[:1], *result.warnings]) or "it learned nothing"
+        why = "; ".join([*failed[:1], *result.warnings]) or "only its scores are here"
         raise BadInput(f"{directory} kept nothing of {result.cell.name}: {why}", page="commands")
     with open_to_verify(directory) as run:
         return result, run.read_learned(result)

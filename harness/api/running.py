@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 from harness.api.preparing import DEFAULT, ISOLATED, Engine, Prepared, prepare
 from harness.api.request import RunRequest
@@ -169,19 +169,20 @@ def plan(prepared: Prepared) -> list[str]:
 
 
 def report(
-    run: Store, results: Mapping[Cell, CellResult], anew: bool = False, ended: Unfinished | None = None
+    run: Store,
+    results: Mapping[Cell, CellResult],
+    write: Literal["changed", "anew", "nothing"] = "changed",
+    ended: Unfinished | None = None,
 ) -> Reported:
-    """Write tables, report and compared recordings where they are not as these results make them.
-
-    `anew`: write them in any case. `ended`: the reason why the run ended early.
-    """
+    """Write tables, report and compared recordings where they are not as these results make them, in any case
+    or not at all. `ended`: the reason why the run ended early."""
     from harness.report.files import recorded_in, write_report
     from harness.report.model import build
 
     damaged = run.damaged_files(results.values())
     beside, unusable = run.beside()
     shown = [*results.values(), *beside]
-    if anew or not run.is_sealed():
+    if write == "anew" or (write == "changed" and not run.is_sealed()):
         compared = list[Path]()
         learned = [result for result in results.values() if result.learned]
         if learned and run.request.conditions.record != "none":

@@ -54,7 +54,7 @@ def _add_for_runs(commands: argparse._SubParsersAction[_Parser]) -> None:
     add = commands.add_parser("report", help="rebuild a run's tables and figures")
     add.add_argument("directory", type=Path, metavar="DIR")
     add.add_argument(
-        "--print", action="store_true", help="print the tables, too, within the terminal's width"
+        "--print", action="store_true", help="print the tables instead, within the terminal's width"
     )
     add = commands.add_parser("view", help="play a run's recordings")
     add.add_argument("directory", type=Path, metavar="DIR")
@@ -69,7 +69,7 @@ def _add_for_runs(commands: argparse._SubParsersAction[_Parser]) -> None:
         metavar="FOLDER",
         help="new: a page that plays them, offline, in any browser",
     )
-    add = commands.add_parser("verify", help="check a run's files for damage")
+    add = commands.add_parser("verify", help="check the files of a run, or of all runs below, for damage")
     add.add_argument("directory", type=Path, metavar="DIR")
     add = commands.add_parser("export", help="a policy and reward of a run, for other programs")
     add.add_argument("directory", type=Path, metavar="DIR")

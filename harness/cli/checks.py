@@ -90,7 +90,15 @@ def list_settings(args: argparse.Namespace) -> int:
 
 
 def verify(directory: Path) -> int:
-    """Print what is damaged in a run's directory, and what no checksum covers."""
+    """Print what is damaged in a run's directory, or in those of all runs below, and what no checksum
+    covers."""
+    from harness.store.database import FILE
+
+    runs = [] if (directory / FILE).exists() else sorted(file.parent for file in directory.rglob(FILE))
+    return max(map(_verify, runs or [directory]))
+
+
+def _verify(directory: Path) -> int:
     from harness.schedule.progress import say
     from harness.store.opening import open_to_verify
 

@@ -55,8 +55,12 @@ def tell_troubles(results: Sequence[CellResult], budget: str, beside: Iterable[C
 
     `beside`: the results of a baseline.
     """
-    warnings = [warning for result in results for warning in result.warnings]
-    for warning in dict.fromkeys([*warnings, *effort.warnings([*results, *beside], budget)]):
+    warned = dict[str, list[str]]()
+    for name, warning in [(result.cell.name, warning) for result in results for warning in result.warnings]:
+        of_cell = warning.removeprefix(f"{name}: ")
+        warned.setdefault(of_cell, []).extend([name] if of_cell != warning else [])
+    warnings = [f"{_first(names)}: {text}" if names else text for text, names in warned.items()]
+    for warning in [*warnings, *effort.warnings([*results, *beside], budget)]:
         tell(f"WARNING: {warning}")
     failed = dict[str, list[str]]()
     for result in [result for result in results if result.has_failed]:

@@ -18,7 +18,7 @@ from harness.process.signals import stop_cleanly
 from harness.records import CellResult
 from harness.registry import BadInput, Unfinished
 from harness.schedule.progress import progress_for, say, tell
-from harness.store.opening import merged, open_for_report
+from harness.store.opening import merged, open_for_report, open_to_verify
 from harness.store.store import LOG
 
 
@@ -158,14 +158,14 @@ def reproduce(args: argparse.Namespace) -> int:
 
 
 def report(directory: Path, tables: bool) -> int:
-    """Rebuild tables and figures from the stored cells. `tables`: print the tables, too."""
+    """Rebuild tables and figures from the stored cells. `tables`: print the tables instead."""
     check_libraries()
-    with open_for_report(directory) as run:
+    with (open_to_verify if tables else open_for_report)(directory) as run:
         results, unusable = run.load()
         tell_unusable(unusable, "left out")
         if not results and not run.beside()[0]:
             raise BadInput(f"{directory} holds no finished cell")
-        reported = write_report(run, results, anew=True)
+        reported = write_report(run, results, "nothing" if tables else "anew")
         messages.show(reported, tables)
         budget = run.request.conditions.budget
     failed = messages.tell_troubles([*results.values()], budget, reported.beside)

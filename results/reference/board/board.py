@@ -148,11 +148,17 @@ def figure(scores: pd.DataFrame) -> Figure:
         axes.set_ylim(len(methods) + 0.6, -0.5)
         for line in (len(groups[0]), len(groups[0]) + len(groups[1]), len(methods)):
             axes.axhline(line - 0.5, color="#888888", linewidth=0.8)
+        if policy == "pi_R":
+            top = 0
+            for title, names in zip(("methods", "variants", "controls"), groups, strict=True):
+                middle = top + (len(names) - 1) / 2
+                axes.text(len(its) - 0.3, middle, title, rotation=270, va="center", fontsize=9)
+                top += len(names)
         axes.set_title(POLICIES[policy], fontsize=10.5, fontweight="bold", y=1.17, pad=0)
     drawn.supxlabel(
         "Score: 0 is a random policy, 1 the expert. A dot is a seed on which RL did not solve the reward, so "
         "that it is left out, and / says that all are.\nIn other dynamics 1 is what RL reaches on the true "
-        "reward, and dots mean little: π* carried over is their measure. Empty: there is no such policy.",
+        "reward, and no dot means little: π* carried over is the measure. Empty: there is no such policy.",
         fontsize=9,
     )
     return drawn

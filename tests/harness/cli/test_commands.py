@@ -102,6 +102,25 @@ def test_tables_are_printed_when_asked(main: Main) -> None:
     assert re.search(r" control_true +pi_R ", out)
 
 
+def test_printing_tables_writes_nothing(main: Main, tmp_path: Path) -> None:
+    main(*SMOKE, "--methods", "bc", "--out", "run")
+    (tmp_path / "run" / "scores.csv").write_text("damaged")
+    before = snapshot(tmp_path)
+    assert "Behind the best" in main("report", "run", "--print")[1]
+    assert snapshot(tmp_path) == before
+
+
+def test_all_runs_below_a_folder_are_verified(main: Main, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        main(*SMOKE, "--methods", "bc", "--out", f"study/{name}")
+    assert main("verify", "study")[0] == 0
+    (tmp_path / "study/two/scores.csv").write_text("damaged")
+    code, out, _ = main("verify", "study")
+    assert code == 1
+    assert "study/one: every file that has a checksum is as it was written" in out
+    assert "study/two/scores.csv: " in out
+
+
 def test_a_directory_of_runs_is_named_as_one(main: Main, tmp_path: Path) -> None:
     for name in ("absorbing", "native"):
         (tmp_path / "study" / name).mkdir(parents=True)
