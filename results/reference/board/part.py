@@ -3,9 +3,10 @@
 Of seed 0, in the task's own dynamics, policies and rewards of the expert, the methods of `all` and
 `shaped_thesis` are kept, large arrays in 32 bits. From the root:
 
-    python results/reference/board/part.py RUN FOLDER [bare]
+    python results/reference/board/part.py RUN FOLDER [METHOD,METHOD]
 
-`bare`: without them, where another part has the task's, so that all parts have less than 25 MB of them.
+The last are methods to keep instead, such as `none` where another part has the task's, so that all parts have
+less than 25 MB of them.
 `irl-bench report FOLDER` then makes its tables and its page.
 """
 
@@ -65,4 +66,4 @@ def write(run: Path, folder: Path, kept_of: set[str]) -> None:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]), Path(sys.argv[2]), set() if "bare" in sys.argv[3:] else KEPT)
+    write(Path(sys.argv[1]), Path(sys.argv[2]), {*sys.argv[3].split(",")} if sys.argv[3:] else KEPT)
